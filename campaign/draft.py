@@ -1,8 +1,7 @@
-"""What a draft of a campaign leaves out: one rule for everything that a campaign repeats to be certain.
+"""Draft of a campaign: a reduced number of repetitions.
 
-A draft makes every figure and table that the campaign makes, of less: of all that is repeated it keeps a share, and no
-less than what a method needs to work at all. What is compared stays: estimators, levels of a grid, sizes of bodies and
-images.
+A draft makes all figures and tables of the campaign from fewer repetitions: it keeps a fraction of trials, image sets
+and images, at least as many as a method needs. Estimators, grid levels, and sizes of bodies and images are unchanged.
 """
 
 from __future__ import annotations
@@ -23,21 +22,21 @@ if TYPE_CHECKING:
 Options = TypeVar("Options", bound=SpecModel)
 
 LEAST_SETS = 2
-"""Of sets of images, each of a body of its own, over which a campaign is pooled."""
+"""Least number of image sets, each of another body, whose results are pooled."""
 LEAST_DATABASE_IMAGES = 120
 LEAST_OBSERVATIONS = 4
-"""Of a landmark: of fewer, the covariance of its three coordinates is not known."""
+"""Least number of observations of a landmark; fewer do not determine the covariance of its coordinates."""
 LEAST_ARC_IMAGES = 24
-"""Of an arc that is imaged: with fewer, craters are not seen from enough places to solve for an orbit."""
+"""Least number of images of an arc; with fewer, craters are not seen from enough positions to solve for an orbit."""
 
 
 def kept(whole: int, share: float, least: int = 1) -> int:
-    """Return how much of a number a draft keeps: its share, but no less than ``least`` where there are so many."""
+    """Return the part of a number that a draft keeps: its fraction, but at least ``min(least, whole)``."""
     return max(min(whole, least), math.ceil(round(share * whole, 9)))
 
 
 def as_draft(campaign: ResolvedCampaign, share: float) -> ResolvedCampaign:
-    """Return a campaign with a share of the sets of images that it is pooled over, and of the images of an arc."""
+    """Return a campaign with a fraction of its pooled image sets, and of the images of an arc."""
     if share >= 1.0:
         return campaign
     scenarios = tuple(_shortened(one, share) for one in _fewer_sets(campaign.scenarios, share))
@@ -47,7 +46,7 @@ def as_draft(campaign: ResolvedCampaign, share: float) -> ResolvedCampaign:
 
 
 def drafted(options: Options, share: float) -> Options:
-    """Ask for a share of the images that a data base is made of, and of those that must show a landmark."""
+    """Reduce the number of images of a data base, and of observations required of a landmark."""
     images = getattr(options, "images", None)
     if share >= 1.0 or not isinstance(images, int):
         return options
@@ -60,7 +59,7 @@ def drafted(options: Options, share: float) -> Options:
 
 
 def _fewer_sets(scenarios: tuple[LoadedScenario, ...], share: float) -> Iterator[LoadedScenario]:
-    """Keep the first scenarios of each that differ in the body alone and show sequences its images."""
+    """Yield the scenarios, with only the first of each group of image sequences that differ only in the body."""
     pools = [_pool(one) for one in scenarios]
     for number, (scenario, pool) in enumerate(zip(scenarios, pools, strict=True)):
         if not pool or pools[:number].count(pool) < kept(pools.count(pool), share, LEAST_SETS):
@@ -68,7 +67,7 @@ def _fewer_sets(scenarios: tuple[LoadedScenario, ...], share: float) -> Iterator
 
 
 def _pool(scenario: LoadedScenario) -> str:
-    """Name what a scenario is pooled with; '' where sequences see no images."""
+    """Return the key of the group that a scenario is pooled with; '' if it has no image sequence."""
     sequence = scenario.spec.sequence
     if sequence is None or sequence.images is None:
         return ""
@@ -76,7 +75,7 @@ def _pool(scenario: LoadedScenario) -> str:
 
 
 def _shortened(scenario: LoadedScenario, share: float) -> LoadedScenario:
-    """Cut an arc whose images are rendered, at the same time from image to image."""
+    """Shorten an arc of rendered images, keeping the interval between images."""
     orbit = scenario.spec.orbit
     if orbit is None or orbit.imaging is None or orbit.imaging.detections != "rendered":
         return scenario

@@ -1,4 +1,4 @@
-"""What this machine offers, and how a worker takes its share of it."""
+"""Cores, memory, processor and package versions of this machine, and the threads of a worker process."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from renderers.mitsuba3 import limit_threads
-from renderers.mitsuba3.gpus import gpu_names
-from renderers.mitsuba3.variant import CUDA
+from renderers.mitsuba3.variant import CUDA, gpu_names
 from scenarios.limits import installed_memory_bytes
 
 PACKAGES = (
@@ -30,14 +29,14 @@ _sharing: ContextVar[int] = ContextVar("_sharing", default=1)
 
 
 def cores() -> int:
-    """Return how many cores this process may use: its part, where it shares them."""
+    """Return the number of cores that this process may use: its share, if it shares them."""
     every = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, every // _sharing.get())
 
 
 @contextmanager
 def sharing_cores(among: int) -> Iterator[None]:
-    """Leave this process its part of the cores, for so many that work side by side."""
+    """Limit this process to its share of the cores inside the context, for ``among`` concurrent processes."""
     token = _sharing.set(among)
     try:
         yield
@@ -46,22 +45,22 @@ def sharing_cores(among: int) -> Iterator[None]:
 
 
 def workers(asked: int | None, variant: str) -> int:
-    """Return how many worker processes there are to be: as many as asked for, or one for each GPU or else each core."""
+    """Return the number of worker processes: as requested, or by default one for each GPU or each core."""
     if asked is not None:
         return asked
     return max(1, len(gpu_names())) if variant == CUDA else cores()
 
 
 def memory_gib() -> float:
-    """Return the installed memory."""
+    """Installed memory, GiB."""
     return installed_memory_bytes() / 2**30
 
 
 def use_threads(jobs: int) -> None:
-    """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower.
+    """Limit the threads of this worker to cores / jobs, as more threads than cores are much slower.
 
-    Matrices get one thread. They are small here, and the threads of OpenBLAS wait for each other at full load: on a
-    busy machine that made recognition ten times slower.
+    BLAS gets one thread: matrices are small here, and OpenBLAS's threads spin while they wait, which made landmark
+    recognition ten times slower on a busy machine.
     """
     _limit_to(max(1, cores() // max(1, jobs)))
 
@@ -74,13 +73,13 @@ def _limit_to(threads: int) -> None:
 
 
 def load() -> float:
-    """Return how many processes wanted a core in the last minute, on average; 0 where the system does not tell."""
+    """Mean number of runnable processes in the last minute; 0 if the system does not provide it."""
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0
 
 
 @lru_cache(maxsize=1)
 def processor() -> str:
-    """Return the processor's name."""
+    """Name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -89,7 +88,7 @@ def processor() -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """Return the version of each package that a result rests on; 'missing' where it is not installed."""
+    """Version of each package that results depend on; 'missing' if it is not installed."""
     return {name: _version(name) for name in PACKAGES}
 
 

@@ -1,4 +1,4 @@
-"""A campaign with everything that decides its rows."""
+"""Resolved campaign: everything that determines its rows."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from functools import cached_property
 from campaign.imaging.real_images import images_digest
 from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
 from scenarios.craters import shape_digest
-from scenarios.designs import Variation
+from scenarios.designs import GridVariation
 from scenarios.load import LoadedScenario, canonical_json, digest
+from scenarios.onboard import onboard_spec
 from scenarios.spec.campaign import CampaignSpec
 
 DRAFT_VERSION = 3
-"""Of the rule of `campaign.draft`: raise it when the same share leaves something else out."""
+"""Version of `campaign.draft`: raise it when the same fraction keeps something else."""
 
 
 @dataclass(frozen=True, slots=True)
 class Versions:
-    """Versions of a campaign's kind of trial, and of the methods by their labels: each own, and what it builds on."""
+    """Versions of a campaign's kind of trial, and of each method by label, including the methods that it builds on."""
 
     kind: int
     methods: Mapping[str, tuple[int, ...]]
@@ -32,13 +32,13 @@ class Versions:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedCampaign:
-    """A campaign with its scenarios read: what the rows depend on, and nothing else.
+    """A campaign with its scenarios read: exactly what its rows depend on.
 
-    ``versions`` are those of the code that works the rows out. ``variations`` tells, by the name of a scenario, where
-    in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios hold already.
-    ``draft`` is the share of what is repeated, see `campaign.draft`; 1 for a run that is meant.
+    ``versions`` are those of the code that computes the rows. ``variations`` gives the place of each scenario, by name,
+    in the campaign's grid. ``overrides`` are those of the command line, already applied to the scenarios. ``draft`` is
+    the fraction of repetitions, see `campaign.draft`; 1 for a full run.
 
-    Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
+    Equality and hash are those of the digest, so that a worker can cache what it built for a campaign.
     """
 
     spec: CampaignSpec
@@ -46,13 +46,13 @@ class ResolvedCampaign:
     seed: int
     versions: Versions
     variant: str = ""
-    variations: Mapping[str, Variation] = field(default_factory=dict)
+    variations: Mapping[str, GridVariation] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
     draft: float = 1.0
 
     @cached_property
     def identity(self) -> dict[str, object]:
-        """Everything that decides a row, in plain values."""
+        """Everything that determines a row, in plain values."""
         methods = self.versions.methods
         return {
             "experiment": [self.spec.experiment, self.versions.kind],
@@ -62,7 +62,7 @@ class ResolvedCampaign:
                     "name": s.spec.name,
                     "digest": digest(s.spec),
                     "body": shape_digest(s.spec, s.search_dirs),
-                    "onboard": body_digest(believed_spec(s.spec).body, s.search_dirs),
+                    "onboard": body_digest(onboard_spec(s.spec).body, s.search_dirs),
                     "images": images_digest(s),
                 }
                 for s in self.scenarios
@@ -79,16 +79,16 @@ class ResolvedCampaign:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the identity: the key of the run."""
+        """Hash of the identity, the key of the run."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Labels of the estimators in the order of the campaign."""
+        """Labels of the estimators, in the order of the campaign."""
         return tuple(entry.label for entry in self.spec.estimators)
 
     def as_written(self) -> dict[str, object]:
-        """Return the campaign as a file would say it, so that it can be read again."""
+        """Return the campaign as the content of a campaign file."""
         written: dict[str, object] = json.loads(canonical_json(self.spec))
         return {**written, "estimators": [{e.name: {"label": e.label, **e.options}} for e in self.spec.estimators]}
 

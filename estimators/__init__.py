@@ -1,1 +1,1 @@
-"""What is worked out: estimators on one contract."""
+"""Estimators of camera pose and orbit from images, behind one interface."""

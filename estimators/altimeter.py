@@ -1,4 +1,4 @@
-"""A pose from an image, and a laser range along the boresight: section 6 of Rowell et al. (2015)."""
+"""Fuse a laser range along the boresight with the pose of another estimator: section 6 of Rowell et al. (2015)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue
 
-from estimators.contract import Assets, Estimate, Estimator, Stage
+from estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.ranging import boresight_range, mesh_height_sigma_m
-from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh
@@ -27,32 +25,32 @@ _SETTLED_M = 1e-3
 
 
 @runtime_checkable
-class OnLandmarks(Protocol):
-    """What a base must have beside the contract: the data base whose mesh the range is measured against."""
+class HasLandmarkDatabase(Protocol):
+    """An estimator on a landmark data base, whose mesh predicts the range."""
 
     @property
     def database(self) -> LandmarkDatabase:
-        """The landmarks that it looks for."""
+        """The data base whose landmarks are recognised."""
         ...
 
 
 class AltimeterOptions(SpecModel):
-    """Options of the fusion."""
+    """Options of ``landmark-altimeter``."""
 
-    base: str = Field("landmark-harris", description="The estimator on a landmark data base that finds the pose")
+    base: str = Field("landmark-harris", description="The estimator on a landmark data base whose pose is updated")
     options: Mapping[str, JsonValue] = Field(default_factory=dict, description="Options of the base")
     trust: Literal["adaptive", "reported"] = Field(
         "adaptive",
-        description="adaptive: the covariance of a base that is too sure grows where the range contradicts it",
+        description="adaptive: the covariance of the base is inflated where the range contradicts it",
     )
     height_sigma_m: float | None = Field(
-        None, gt=0, description="RMS error of the mesh's heights; worked out from the data base if left out"
+        None, gt=0, description="RMS error of the mesh's heights; estimated from the data base if left out"
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fusion:
-    """A pose with a range taken into account.
+class RangeUpdate:
+    """A pose updated with a range.
 
     Parameters
     ----------
@@ -61,13 +59,13 @@ class Fusion:
     information
         (6, 6) information of the range alone, in the same parameters.
     innovation_m
-        Measured range less the predicted one, before the fusion.
+        Measured minus predicted range, before the update.
     sigma_m
-        Standard deviation of the range's error and the mesh's, along the boresight.
+        Standard deviation of the range and of the mesh's heights together, along the boresight.
     inflation
-        Factor on the covariance that the pose came with.
-    contradiction
-        Size of the innovation in standard deviations, by what the pose and the range believed of themselves.
+        Factor by which the covariance before the update was multiplied.
+    normalised_innovation
+        Absolute innovation over its standard deviation, by the covariances of pose and range before inflation.
     """
 
     T_cam_body: Pose
@@ -76,17 +74,18 @@ class Fusion:
     innovation_m: float
     sigma_m: float
     inflation: float
-    contradiction: float
+    normalised_innovation: float
 
 
 def fuse_range(
     prior: tuple[Pose, FloatArray], reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float, adaptive: bool
-) -> Fusion | None:
-    """Find the pose that agrees best with its estimate and with a range: iterated Kalman update of one measurement.
+) -> RangeUpdate | None:
+    """Update a pose with a range by an iterated Kalman update with one scalar measurement.
 
-    The range's variance is R = sigma^2 + (height_sigma / cos i)^2. An estimate from wrongly matched landmarks believes
-    too much in itself. With ``adaptive`` its covariance P grows until the innovation nu is as large as it should be on
-    average, by max(1, (nu^2 - R) / (H P H^T)): the fading factor of strong tracking (Zhou and Frank 1996).
+    The variance of the range is R = sigma^2 + (height_sigma / cos i)^2, i being the angle of incidence. The covariance
+    P of a pose from wrongly matched landmarks is too small. With ``adaptive`` it is multiplied by
+    max(1, (nu^2 - R) / (H P H^T)), after which the innovation nu has the size that is expected of it: the fading
+    factor of strong tracking (Zhou and Frank 1996).
 
     Parameters
     ----------
@@ -95,26 +94,27 @@ def fuse_range(
     reading
         The measured range.
     mesh
-        What the range is predicted with.
+        The shape that predicts the range.
     height_sigma_m
         RMS error of its heights.
     adaptive
-        Whether the covariance may grow.
+        Whether the covariance may be inflated.
 
     Returns
     -------
-    None where the boresight of the estimate misses the mesh.
+    The update, or None where the boresight at the prior pose misses the mesh.
     """
     start, covariance = prior
     first = _linearised(start, reading, mesh, height_sigma_m)
     if first is None:
         return None
-    projected_m2 = float(first.gradient @ covariance @ first.gradient)
+    projected_m2 = float(first.gradient @ covariance @ first.gradient)  # H P H^T
     excess = (first.innovation_m**2 - first.variance_m2) / projected_m2
     inflation = max(1.0, excess) if adaptive else 1.0
     grown = inflation * covariance
     step, pose, at = np.zeros(6), start, first
     for _ in range(_ROUNDS):
+        # The prediction is linearised at the pose of the previous step, the prior stays at the start.
         previous, step = step, at.gain(grown) * (at.innovation_m + float(at.gradient @ step))
         pose = start.perturbed(step[:3], step[3:])
         there = _linearised(pose, reading, mesh, height_sigma_m)
@@ -122,27 +122,27 @@ def fuse_range(
             break
         at = there
     updated = grown - np.outer(at.gain(grown), at.gradient @ grown)
-    return Fusion(
+    return RangeUpdate(
         T_cam_body=pose,
         covariance=0.5 * (updated + updated.T),
         information=np.outer(at.gradient, at.gradient) / at.variance_m2,
         innovation_m=first.innovation_m,
         sigma_m=float(np.sqrt(first.variance_m2)),
         inflation=inflation,
-        contradiction=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
+        normalised_innovation=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
-    """A reading at one pose: gradient (6,) of the predicted range, measured less predicted, and its variance R."""
+    """A range linearised at a pose: gradient (6,) of the prediction, innovation, and variance R of the measurement."""
 
     gradient: FloatArray
     innovation_m: float
     variance_m2: float
 
     def gain(self, covariance: FloatArray) -> FloatArray:
-        """Kalman gain (6,) for a pose of this covariance."""
+        """Kalman gain (6,) P H^T / (H P H^T + R) for a pose of this covariance."""
         carried: FloatArray = covariance @ self.gradient
         return carried / (float(self.gradient @ carried) + self.variance_m2)
 
@@ -155,8 +155,99 @@ def _linearised(pose: Pose, reading: RangeReading, mesh: TriangleMesh, height_si
     return _Linearised(predicted.gradient, reading.range_m - predicted.range_m, variance_m2)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshRange:
+    """The range along the boresight to a mesh.
+
+    Parameters
+    ----------
+    range_m
+        Distance from the camera.
+    gradient
+        (6,) its derivative by [rotation_rad, translation_m] of the pose, perturbed on the left, camera axes.
+    cos_incidence
+        Cosine of the angle between the facet's normal and the direction to the camera, above 0.
+    """
+
+    range_m: float
+    gradient: FloatArray
+    cos_incidence: float
+
+
+def boresight_range(mesh: TriangleMesh, T_cam_body: Pose) -> MeshRange | None:
+    """Predict the range along the boresight with its gradient; None where the boresight misses the mesh.
+
+    With n the facet's normal and p a point on it, both in camera axes, the range is r = n.p / n_z. A translation d of
+    the body changes it by n.d / n_z, a rotation w by n.(w x a) / n_z, where a is the point hit, relative to the body's
+    origin.
+    """
+    found = _first_hit(mesh, T_cam_body.camera_position_m, T_cam_body.rotation[2])
+    if found is None:
+        return None
+    range_m, facet = found
+    normal_cam = T_cam_body.rotate(mesh.normals[facet])
+    arm_m = np.array([0.0, 0.0, range_m]) - T_cam_body.translation_m
+    gradient = np.concatenate([np.cross(arm_m, normal_cam), normal_cam]) / normal_cam[2]
+    return MeshRange(range_m, gradient, float(-normal_cam[2]))
+
+
+def _first_hit(mesh: TriangleMesh, origin_m: FloatArray, direction: FloatArray) -> tuple[float, int] | None:
+    """Distance and facet of a ray's first hit on a facet that faces it (Moeller and Trumbore 1997)."""
+    first = mesh.corners_m[:, 0]
+    edge1, edge2 = mesh.corners_m[:, 1] - first, mesh.corners_m[:, 2] - first
+    entering = mesh.area_vectors_m2 @ direction < 0.0
+    p = np.cross(direction, edge2)
+    determinant = np.where(entering, np.einsum("fi,fi->f", edge1, p), np.nan)
+    offset = origin_m - first
+    q = np.cross(offset, edge1)
+    u = np.einsum("fi,fi->f", offset, p) / determinant
+    v = q @ direction / determinant
+    distance = np.einsum("fi,fi->f", edge2, q) / determinant
+    hit = np.flatnonzero((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0))
+    if not len(hit):
+        return None
+    nearest = int(hit[np.argmin(distance[hit])])
+    return float(distance[nearest]), nearest
+
+
+def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
+    """Estimate the RMS distance of the landmark mesh from the surface, along the normal, from the data base alone.
+
+    It is the root sum of squares of the landmarks' dispersion along the normal and of the relief between landmarks.
+    The relief is measured by the height of each landmark above the mean of its neighbours. Inside a facet the surface
+    departs from the mesh by a quarter of that height where it is smooth and evenly curved, and by all of it where it
+    is rough at every scale; half is used.
+    """
+    mesh = database.mesh()
+    normals = _vertex_normals(mesh)
+    scatter_m2 = np.einsum("ni,nij,nj->n", normals, database.covariances_m2, normals)
+    relief_m = np.einsum("ni,ni->n", normals, mesh.vertices_m - _neighbour_means(mesh))
+    return float(np.sqrt(scatter_m2.mean() + np.mean((0.5 * relief_m) ** 2)))
+
+
+def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
+    total = np.zeros_like(mesh.vertices_m)
+    for corner in mesh.faces.T:
+        np.add.at(total, corner, mesh.area_vectors_m2)
+    normals: FloatArray = total / np.linalg.norm(total, axis=1, keepdims=True)
+    return normals
+
+
+def _neighbour_means(mesh: TriangleMesh) -> FloatArray:
+    """Mean (V, 3) of the vertices that share an edge with each vertex.
+
+    Each edge is added once: the two facets that share it traverse it in opposite directions.
+    """
+    total, count = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
+    for tail, head in ((0, 1), (1, 2), (2, 0)):
+        np.add.at(total, mesh.faces[:, tail], mesh.vertices_m[mesh.faces[:, head]])
+        np.add.at(count, mesh.faces[:, tail], 1.0)
+    means: FloatArray = total / count[:, None]
+    return means
+
+
 class AltimeterEstimator:
-    """Another estimator's pose, fused with the altimeter's range; where there is no reading, the pose as it is."""
+    """The pose of another estimator, updated with the altimeter's range where there is one."""
 
     name: ClassVar[str] = "landmark-altimeter"
     version: ClassVar[int] = 2
@@ -171,14 +262,14 @@ class AltimeterEstimator:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
-        """Build from a campaign's options: the base first, by its name."""
-        from estimators.registry import estimator_class  # the registry names this module
+        """Build from a campaign's options, which name the base and give its options."""
+        from estimators.registry import estimator_class  # the registry imports this module by name
 
         parsed = parse_options(AltimeterOptions, options, cls.name)
         if parsed.base == cls.name:
             raise BoresightError(f"estimator {cls.name}: base: it cannot be its own: the range would count twice")
         base = estimator_class(parsed.base).from_options(parsed.options, assets)
-        if not isinstance(base, OnLandmarks):
+        if not isinstance(base, HasLandmarkDatabase):
             raise BoresightError(
                 f"estimator {cls.name}: base: {parsed.base} has no landmark data base to measure a range against:"
                 " choose an estimator on landmarks"
@@ -186,7 +277,7 @@ class AltimeterEstimator:
         return cls(base, base.database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Let the base estimate, then fuse the range where there is one."""
+        """Estimate with the base, then update with the range where there is one."""
         estimate = self._base.estimate(observation, rng=rng)
         if estimate.status != "ok" or estimate.pose is None:
             return estimate
@@ -203,27 +294,27 @@ class AltimeterEstimator:
             timings_s={**estimate.timings_s, **clock.seconds},
         )
 
-    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> Fusion | None:
+    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> RangeUpdate | None:
         if reading is None:
             return None
         return fuse_range((pose, covariance), reading, self._mesh, self._height_sigma_m, self._adaptive)
 
 
-def _with_range(estimate: Estimate, fused: Fusion) -> Estimate:
-    """Put the fused pose in place of the base's, and add the range's information to that of its observations."""
+def _with_range(estimate: Estimate, fused: RangeUpdate) -> Estimate:
+    """Replace the pose of the base by the updated one, and add the range's information to the base's bound."""
     bound = estimate.bound
     if bound is not None:
         bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
     return replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
 
 
-def _diagnostics(fused: Fusion | None) -> dict[str, float | int | str]:
+def _diagnostics(fused: RangeUpdate | None) -> dict[str, float | int | str]:
     if fused is None:
         return {"range_used": 0}
     return {
         "range_used": 1,
         "range_innovation_m": fused.innovation_m,
-        "range_contradiction": fused.contradiction,
+        "range_contradiction": fused.normalised_innovation,
         "range_sigma_m": fused.sigma_m,
         "range_inflation": fused.inflation,
     }

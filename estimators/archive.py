@@ -1,4 +1,4 @@
-"""The NumPy archive, with a head in JSON, that a data base of landmarks is stored in."""
+"""Store data bases of landmarks as NumPy archives with a JSON header."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """What the archives of one kind of data base are called.
+    """The archive format of one kind of data base.
 
     Parameters
     ----------
     file
-        Its name in the folder of the data base.
+        File name in the folder of the data base.
     what
-        What it holds, for errors.
+        Name of the content, for error messages.
     format, version
-        What its head says that it is.
+        Format and version that its header states.
     """
 
     file: str
@@ -44,12 +44,12 @@ class Archive:
         np.savez_compressed(folder / self.file, allow_pickle=False, **every)
 
     def load(self, folder: Path, make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T]) -> T:
-        """Make a data base of the head and the arrays that ``save`` wrote.
+        """Read an archive written by ``save`` and construct the data base by ``make(head, arrays)``.
 
         Raises
         ------
         BoresightError
-            If the file is missing, is another or its content is wrong; the message names it.
+            If the file is missing, has another format or its content is wrong; the message gives its path.
         """
         path = folder / self.file
         try:

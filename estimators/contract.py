@@ -1,10 +1,12 @@
-"""The contract of every estimator: an observation in, an estimate or a reasoned failure out."""
+"""The interface of every estimator: an observation in, an estimate or a failure with its reason out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +14,22 @@ from numpy.typing import NDArray
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View
 from scenarios.observation import Observation
+from scenarios.spec.base import SpecModel
 
+T = TypeVar("T")
 Table = Mapping[str, NDArray[np.generic]]
 
 
 class NoProductError(BoresightError):
-    """What an estimator is to be lent cannot be made of the scenario: too few landmarks, a shape that is too small.
+    """A product that an estimator needs cannot be built from the scenario: too few landmarks, too small a shape.
 
-    The scenario alone decides that, and no trial: all of the estimator's trials there are errors, others go on. The
-    message names the options that decide, with their values.
+    This depends on the scenario alone and not on a trial: all trials of the estimator in that scenario are errors, and
+    the other estimators continue. The message gives the options to change, with their values.
     """
 
 
 class ImageRenderer(Protocol):
-    """What an estimator needs of a renderer: noise-free images of a mesh."""
+    """A renderer of noise-free images of a mesh."""
 
     def render(self, view: View) -> NDArray[np.float32]:
         """(H, W) radiance factor of the mesh seen from ``view``; 0 off the body and in shadow."""
@@ -34,7 +38,7 @@ class ImageRenderer(Protocol):
 
 @runtime_checkable
 class DifferentiableRenderer(ImageRenderer, Protocol):
-    """A renderer that also tells how its images change with the pose, where its ``differentiable`` says so."""
+    """A renderer that also gives the derivatives of its images by the pose, if ``differentiable`` is true."""
 
     @property
     def differentiable(self) -> bool:
@@ -42,15 +46,15 @@ class DifferentiableRenderer(ImageRenderer, Protocol):
         ...
 
     def render_with_derivatives(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(H, W) as ``render`` but for rounding, and (6, H, W) its derivatives by the pose.
+        """(H, W) image of ``render``, to rounding, and (6, H, W) its derivatives by the pose.
 
-        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``; the Sun stands still in the camera.
+        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``; the Sun is fixed in camera axes.
         """
         ...
 
 
 class Assets(Protocol):
-    """What the campaign lends to an estimator when it is built; none of it knows a trial's truth."""
+    """The resources that a campaign gives to an estimator when it is built; none contains the truth of a trial."""
 
     @property
     def camera(self) -> Camera:
@@ -58,27 +62,27 @@ class Assets(Protocol):
         ...
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Lend a renderer of ``mesh`` in the BRDF that the spacecraft believes in, with self-shadowing."""
+        """Return a renderer of ``mesh`` with the onboard BRDF and self-shadowing."""
         ...
 
     def shape(self) -> TriangleMesh:
-        """Lend the full shape that the spacecraft carries, (metres, body frame)."""
+        """Return the full onboard shape (metres, body frame)."""
         ...
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Lend a product built beforehand from the scenario's shape, by kind (for example a landmark data base).
+        """Return a product built beforehand from the scenario, by its kind (for example ``landmark-database``).
 
         Raises
         ------
         NoProductError
-            If none can be made.
+            If it cannot be built.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """The pose after one stage of an estimator, so that a report can follow its progress."""
+    """The pose after one stage of an estimator, for reports of the errors by stage."""
 
     name: str
     T_cam_body: Pose
@@ -86,29 +90,28 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What an estimator returns.
+    """The result of an estimator for one observation.
 
     Parameters
     ----------
     status
-        ``ok`` or ``failed``; a hard image is a failure with a reason, not an exception.
+        ``ok`` or ``failed``; an image that cannot be solved is a failure with a reason, not an exception.
     reason
-        Why it failed; empty when ok.
+        Reason of the failure; empty when ok.
     pose
         T_cam_body; None when failed.
     covariance
-        (6, 6), [rotation_rad, translation_m] in camera axes: what the method believes its error to be, prior included
-        where it uses it; None where the method has none.
+        (6, 6) of [rotation_rad, translation_m] in camera axes: the covariance that the method states for its error,
+        including the prior where it uses one; None if the method gives none.
     bound
-        (6, 6), in the same parameters: the Cramer-Rao bound of the observations that the estimate rests on, under
-        their calibrated noise (with the prior's information where the method uses the prior); None where the method
-        has none.
+        (6, 6), same parameters: Cramer-Rao bound of the observations used, under their calibrated noise (including
+        the prior's information where the method uses the prior); None if the method gives none.
     stages
         Poses after the named stages, in order, also where a later stage failed.
     details
         Tables by name, each a mapping of equally long columns (for example recognised landmarks).
     diagnostics
-        Scalars by name that go into the row.
+        Scalars by name, stored with the row.
     timings_s
         Wall time by stage.
     """
@@ -125,11 +128,11 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """Anything that turns an observation into an estimate.
+    """An estimator of the pose from one observation.
 
-    ``version`` is part of every result's key: raise it when results change. Two things are optional: a class attribute
-    ``sensors``, the names of the sensors beside the camera that it needs, and a class attribute ``base``, the name of
-    another estimator that it builds on unless the option ``base`` says otherwise; its version is part of the key too.
+    ``version`` is part of the key of every result: raise it when results change. Two class attributes are optional:
+    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base``, the name of the
+    estimator that it builds on unless the option ``base`` names another; the version of the base is part of the key.
     """
 
     name: ClassVar[str]
@@ -137,9 +140,44 @@ class Estimator(Protocol):
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one, let NoProductError pass."""
+        """Build from a campaign's options; raise BoresightError on a wrong option, and pass on NoProductError."""
         ...
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of the frame. Must not change its input or keep state between calls."""
         ...
+
+
+def typed_product(assets: Assets, kind: str, options: SpecModel, expected: type[T], estimator: str) -> T:
+    """Return the product of a kind that was built with ``options``, for the estimator of that name.
+
+    Raises
+    ------
+    BoresightError
+        If the product is not an object of the class ``expected``.
+    """
+    product = assets.product(kind, options.model_dump(mode="json"))
+    if not isinstance(product, expected):
+        raise BoresightError(f"{estimator}: the product {kind!r} is a {type(product).__name__}")
+    return product
+
+
+class Stopwatch:
+    """Wall time of an estimate by stage, accumulated; each estimate needs its own."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time the body of a ``with`` statement."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds by stage so far."""
+        return dict(self._seconds)

@@ -1,4 +1,4 @@
-"""Options of an estimator as a campaign writes them, checked against the estimator's model."""
+"""Validate the options of an estimator given in a campaign."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError, printable
-from scenarios.load.partial import on_defaults
+from scenarios.load.merge import on_defaults
 from scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:
-    """Validate ``options`` by ``model``.
+    """Validate ``options`` by ``model``; options left out keep their default.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The control: what the prior alone is worth."""
+"""The control estimator, which returns the prior pose, and the treatment of priors with zero variances."""
 
 from __future__ import annotations
 
@@ -6,19 +6,37 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.contract import Assets, Estimate
 from estimators.options import parse_options
 from scenarios.observation import Observation
 from scenarios.spec.base import SpecModel
 
+FloatArray = NDArray[np.float64]
+
+# 1e-9 rad and 1e-6 m: far below what an image resolves, far above the rounding of a pose in double precision.
+_LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)
+
+
+def floor_variances(covariance: FloatArray) -> FloatArray:
+    """Floor zero variances so that a prior's covariance (6, 6) of [rotation_rad, translation_m] is invertible.
+
+    The variance of a component to which the scenario gives no error is 0. It becomes that of 1e-9 rad or 1e-6 m, which
+    keeps the component fixed in practice. A covariance without such components is returned unchanged.
+    """
+    variances = np.diag(covariance)
+    if (variances >= _LEAST_SIGMAS**2).all():
+        return covariance
+    return np.asarray(covariance + np.diag(np.where(variances < _LEAST_SIGMAS**2, _LEAST_SIGMAS**2, 0.0)))
+
 
 class PriorOptions(SpecModel):
-    """The prior has no options."""
+    """``prior`` has no options."""
 
 
 class PriorEstimator:
-    """Returns the prior pose and its covariance as they are, whatever the image shows."""
+    """The control estimator: returns the prior pose and covariance unchanged, without using the image."""
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1

@@ -1,1 +1,1 @@
-"""What the sensors give: rendered images, detector, real images."""
+"""Sensor images: rendering, detector noise, lens rectification, and readers of real images and SPICE kernels."""

@@ -1,4 +1,4 @@
-"""From radiance to digital numbers: point spread, electrons, noise, saturation, quantisation."""
+"""Frame detector: point spread, shot noise, saturation, read noise and quantisation of an image."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """A frame detector behind a Gaussian point spread function.
+    """Frame detector with a Gaussian point spread function.
 
-    ``version`` is part of every result's key: raise it when pixels change.
+    ``version`` enters the digest of every run: raise it when pixels change.
     """
 
     name: ClassVar[str] = "frame-detector"
@@ -34,14 +34,14 @@ class Detector:
         Parameters
         ----------
         radiance_factor
-            (H, W) radiance factor I/F, mean over each pixel; not changed.
+            (H, W) mean radiance factor I/F of each pixel; not modified.
         rng
             Source of the shot noise and the read noise.
 
         Returns
         -------
         ndarray
-            (H, W) float32 digital numbers, whole, 0 to 2**bits - 1.
+            (H, W) float32, whole digital numbers from 0 to 2**bits - 1.
 
         Raises
         ------
@@ -57,7 +57,7 @@ class Detector:
         return self.digitise(self.collect(image, rng), rng)
 
     def collect(self, radiance_factor: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the (H, W) electrons in the wells at the end of the exposure."""
+        """Return the (H, W) electrons collected in the exposure, limited to the full well."""
         spec = self.spec
         rate_e_per_s = spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px) + spec.dark_e_per_s
         expected_e = rate_e_per_s * spec.exposure_s
@@ -65,7 +65,7 @@ class Detector:
         return np.minimum(electrons, spec.full_well_e)
 
     def digitise(self, electrons: FloatArray, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Return the (H, W) digital numbers that wells with ``electrons`` are read out as."""
+        """Read out (H, W) electrons as digital numbers, with read noise, gain, offset and clipping."""
         spec = self.spec
         read_e = electrons + rng.normal(0.0, spec.read_noise_e, electrons.shape)
         numbers = np.rint(read_e / spec.gain_e_per_dn + spec.offset_dn)
@@ -73,11 +73,11 @@ class Detector:
 
 
 def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
-    """Spread an (H, W) image by a Gaussian; what lies beyond the edge is like the edge.
+    """Convolve an (H, W) image with a Gaussian, repeating the edge pixels beyond the edge.
 
-    The kernel is the discrete Gaussian exp(-t) I_n(t), t = sigma**2: it adds exactly sigma**2 to the variance of
-    any spot, also where sigma is less than a pixel, and two spreads make one of the summed variance, which a
-    sampled Gaussian does not (Lindeberg 1990).
+    The kernel is the discrete Gaussian exp(-t) I_n(t) with t = sigma**2 (Lindeberg 1990). Unlike a sampled Gaussian it
+    adds exactly sigma**2 to the variance of a spot even where sigma is below a pixel, and variances of successive
+    convolutions add.
     """
     if sigma_px == 0.0:
         return image
@@ -88,7 +88,7 @@ def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def point_spread(sigma_px: float) -> FloatArray:
-    """Return the (2 n + 1,) discrete Gaussian of standard deviation ``sigma_px``, of sum 1, out to 6 sigma."""
+    """Discrete Gaussian (2 n + 1,) of standard deviation ``sigma_px`` and sum 1, truncated beyond 6 sigma."""
     reach = int(np.ceil(6.0 * sigma_px)) + 4
     weights = ive(np.abs(np.arange(-reach, reach + 1)), sigma_px**2)
     return np.asarray(weights / weights.sum(), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Images of a real lens resampled to those of the ideal one."""
+"""Resampling of images of a distorting lens to those of a pinhole camera."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from scenarios.geometry import Camera, pixel_to_opencv
 
 
 def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Resample an image of ``camera`` once to what ``camera.pinhole`` would have seen.
+    """Resample an image of ``camera`` to that of ``camera.pinhole``.
 
     The interpolation is a cubic spline. Through AMICA's lens (1.5 pixels in the corners) its RMS error is 0.6 % of the
     amplitude of a wave of 4 pixels and 0.03 % of one of 8 pixels, and white noise keeps 84 % of its variance.
-    (OpenCV's remap would round positions to 1/32 pixel.) Beyond the edge the image is like its edge.
+    OpenCV's remap would round positions to 1/32 pixel. Edge pixels are repeated beyond the edge.
 
     Parameters
     ----------
     image
-        (H, W), any linear measure of radiance; not changed.
+        (H, W), proportional to radiance; not modified.
     camera
-        The camera that took it.
+        The camera of the image.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     Raises
     ------
     BoresightError
-        If the image is not of the camera's size, or the lens has no pixel for a part of the field.
+        If the image is not of the camera's size, or the distortion is not defined in a part of the pinhole's field.
     """
     if camera.distortion is None:
         return image

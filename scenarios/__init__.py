@@ -1,1 +1,1 @@
-"""What the world is: scenario files, their schema, geometry, bodies, lighting and error distributions."""
+"""Scenario files and the simulated world: schema, geometry, bodies, lighting, motion and error distributions."""

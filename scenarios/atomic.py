@@ -1,4 +1,4 @@
-"""Files that are either whole or absent."""
+"""Write files atomically: after a crash or power failure a file is either complete or absent."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenarios.errors import BoresightError
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, flush it to the disk, then rename it.
+    """Write a temporary file in the folder of ``path`` by ``write(temporary)``, flush it to the disk, then rename it.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         temporary.replace(path)
         _flush(path.parent)
     except OSError as error:
-        raise BoresightError(explain(path, error)) from error
+        raise BoresightError(explain_write_error(path, error)) from error
     finally:
         # A failed clean-up must not hide the fault above; the name marks the file as no result.
         with contextlib.suppress(OSError):
@@ -44,7 +44,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder that a power cut cannot take away any more: its name is flushed in the folder above."""
+    """Make a folder and flush its entry in the parent folder, so that it survives a power failure."""
     if folder.is_dir():
         return
     if folder.parent != folder:
@@ -61,8 +61,8 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def explain(path: Path | str, error: OSError) -> str:
-    """Say in one line why a file could not be written, and what to do."""
+def explain_write_error(path: Path | str, error: OSError) -> str:
+    """Return one line that states why a file could not be written, and what to do."""
     advice = {
         errno.ENOSPC: "the disk is full: free some space and run the same command again, it will continue",
         errno.EDQUOT: "the disk quota is used up: free some space and run the same command again, it will continue",

@@ -1,13 +1,12 @@
-"""A folder of things that are expensive to build, kept by content key.
+"""Cache of expensive results on disk, by content key.
 
-Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. An entry appears whole (built
-aside, then renamed) or not at all; one that is damaged is dropped and built again. Where nothing can be
-written the entry is built in a temporary folder of this process, and a warning is logged.
+Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. An entry is built in a separate folder
+and renamed, so that it is complete or absent; a damaged one is removed and built again. If the cache cannot be
+written, the entry is built in a temporary folder of this process, and a warning is logged.
 
-Room is made by what is largest and was not used for longest, size times time: a body that takes a minute to make is as
-large as a thousand images that take an hour. Entries of kinds in ``FOREIGN`` are written by other programs, which check
-them themselves: their folders ``ROOT/KIND/KEY`` have no manifest, but they are listed, counted and removed like the
-others.
+Eviction removes the entries with the largest product of size and time since the last use. Entries of the kinds in
+``FOREIGN`` are written and checked by other programs: their folders have no manifest, but they are listed, counted and
+removed like the others.
 """
 
 from __future__ import annotations
@@ -37,15 +36,16 @@ FOREIGN = frozenset({"kernels"})
 
 _MANIFEST = "manifest.json"
 _STALE_S = 24 * 3600.0
-# Who looks at the whole cache, which takes longer than a small write, puts a share of what was free before the next
-# look, as others put at the same time; and no less than a share of all, or a full cache would be looked at always.
+# Listing the whole cache takes longer than a small write. A process therefore writes up to a share of the free space
+# before it lists again (other processes write meanwhile), but at least a share of the limit, or a full cache would be
+# listed at each write.
 _SHARE_OF_FREE, _SHARE_OF_ALL = 1 / 4, 1 / 50
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
 @dataclass(frozen=True, slots=True)
 class CacheEntry:
-    """One kept thing: its kind, its key, its folder, its size and when it was last used (seconds since 1970)."""
+    """One entry: kind, key, folder, size and time of the last use (seconds since 1970)."""
 
     kind: str
     key: str
@@ -61,74 +61,74 @@ class Cache:
     Parameters
     ----------
     root
-        The folder; made when first needed.
+        The folder; created when first needed.
     limit_bytes
-        After a build the entries whose size times the time since their last use is largest are removed until the
-        rest fits.
+        After a build, entries are removed in descending order of size times time since the last use until the rest
+        fits.
     """
 
     root: Path
     limit_bytes: int
 
     def folder(self, kind: str, key: str, build: Callable[[Path], None]) -> Path:
-        """Return the folder of an entry, built by ``build(empty_folder)`` if it is not there or is damaged.
+        """Return the folder of an entry, built by ``build(empty_folder)`` if it is missing or damaged.
 
-        Safe when several processes ask for the same key at once: each builds aside, the first to finish wins.
+        Safe for concurrent processes: each builds in a folder of its own, and the first to finish is kept.
 
         Parameters
         ----------
         kind, key
-            Name of the entry: letters, digits and ``._-``. The key must stand for everything that the content
+            Name of the entry: letters, digits and ``._-``. The key must identify everything that the content
             depends on.
         build
-            Writes the entry's files into the folder that it is given.
+            Function that writes the entry's files into the given folder.
         """
         found = self.find(kind, key)
         if found is not None:
             return found
-        final = self._place(kind, key)
+        final = self._entry_folder(kind, key)
         _discard(final)
         try:
-            aside = self._aside()
+            build_folder = self._new_build_folder()
         except OSError as error:
             return self._uncached(error, build)
         try:
-            build(aside)
-            _write_manifest(aside)
-            self._publish(aside, final)
+            build(build_folder)
+            _write_manifest(build_folder)
+            self._publish(build_folder, final)
         except OSError as error:
             return self._uncached(error, build)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(build_folder, ignore_errors=True)
         self._evict(keep=final)
         return final
 
     def find(self, kind: str, key: str) -> Path | None:
-        """Return the folder of an entry; None if it is not there or is damaged."""
-        final = self._place(kind, key)
+        """Return the folder of an entry; None if it is missing or damaged."""
+        final = self._entry_folder(kind, key)
         return final if self._is_sound(final) else None
 
     def put(self, kind: str, key: str, write: Callable[[Path], None]) -> bool:
-        """Let ``write(empty_folder)`` make an entry, in place of an older one; tell whether it could be kept.
+        """Store an entry made by ``write(empty_folder)``, replacing an older one; return whether it was stored.
 
-        Unlike ``folder`` it keeps nothing where the cache cannot be written, and logs that.
+        If the cache cannot be written, log a warning and store nothing.
         """
-        final = self._place(kind, key)
+        final = self._entry_folder(kind, key)
         try:
-            aside = self._aside()
+            build_folder = self._new_build_folder()
             try:
-                write(aside)
-                size = sum(file.stat().st_size for file in _files(aside))
-                _write_manifest(aside)
+                write(build_folder)
+                size = sum(file.stat().st_size for file in _files(build_folder))
+                _write_manifest(build_folder)
                 _discard(final)
-                self._publish(aside, final)
+                self._publish(build_folder, final)
             finally:
-                shutil.rmtree(aside, ignore_errors=True)
+                shutil.rmtree(build_folder, ignore_errors=True)
         except OSError as error:
             _log.warning("%s cannot be written (%s): nothing is kept there", self.root, error.strerror or error)
             return False
-        _UNSEEN_BYTES[self] = _UNSEEN_BYTES.get(self, 0.0) - size
-        if _UNSEEN_BYTES[self] < 0.0:
+        _WRITABLE_BYTES[self] = _WRITABLE_BYTES.get(self, 0.0) - size
+        if _WRITABLE_BYTES[self] < 0.0:
             self._evict(keep=final)
         return True
 
@@ -146,36 +146,36 @@ class Cache:
         return tuple(sorted(found, key=lambda entry: (entry.used_s, entry.path)))
 
     def size_bytes(self, kind: str | None = None) -> int:
-        """Add up the sizes of all entries, or of those of a kind."""
+        """Return the total size of all entries, or of those of a kind."""
         return sum(entry.size_bytes for entry in self.entries() if kind in (None, entry.kind))
 
     def clear(self, kind: str | None = None) -> int:
-        """Remove all entries, or those of a kind, and the left-overs of killed builds; return how many they were."""
+        """Remove all entries, or those of a kind, and the remains of killed builds; return the number of entries."""
         entries = [entry for entry in self.entries() if kind in (None, entry.kind)]
         for entry in entries:
             _discard(entry.path)
-        for leftover in self._workshop().glob("*"):
+        for leftover in self._build_root().glob("*"):
             shutil.rmtree(leftover, ignore_errors=True)
         return len(entries)
 
-    def _place(self, kind: str, key: str) -> Path:
+    def _entry_folder(self, kind: str, key: str) -> Path:
         for name in (kind, key):
             if not _NAME.fullmatch(name):
                 raise BoresightError(f"cache entry {kind}/{key}: a name has only letters, digits and . _ -")
         return self.root / kind / key
 
-    def _workshop(self) -> Path:
+    def _build_root(self) -> Path:
         return self.root / ".building"
 
-    def _aside(self) -> Path:
-        self._workshop().mkdir(parents=True, exist_ok=True)
-        for leftover in self._workshop().iterdir():
+    def _new_build_folder(self) -> Path:
+        self._build_root().mkdir(parents=True, exist_ok=True)
+        for leftover in self._build_root().iterdir():
             with contextlib.suppress(OSError):
                 if time.time() - leftover.stat().st_mtime > _STALE_S:
                     shutil.rmtree(leftover, ignore_errors=True)
-        aside = self._workshop() / uuid.uuid4().hex
-        aside.mkdir()
-        return aside
+        build_folder = self._build_root() / uuid.uuid4().hex
+        build_folder.mkdir()
+        return build_folder
 
     def _is_sound(self, folder: Path) -> bool:
         try:
@@ -188,11 +188,11 @@ class Cache:
                 os.utime(folder / _MANIFEST)
         return sound
 
-    def _publish(self, aside: Path, final: Path) -> None:
-        """Rename into place; what another process has put there meanwhile stays."""
+    def _publish(self, build_folder: Path, final: Path) -> None:
+        """Rename into place; keep an entry that another process has stored meanwhile."""
         final.parent.mkdir(parents=True, exist_ok=True)
         try:
-            aside.rename(final)
+            build_folder.rename(final)
         except OSError:
             if not self._is_sound(final):
                 raise
@@ -220,15 +220,15 @@ class Cache:
                 _discard(entry.path)
                 total -= entry.size_bytes
         free = self.limit_bytes - total
-        _UNSEEN_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
+        _WRITABLE_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
 
 
-# What this process may still put into each cache before it looks at all of it again.
-_UNSEEN_BYTES: dict[Cache, float] = {}
+# Bytes that this process may still write to each cache before it lists the entries again.
+_WRITABLE_BYTES: dict[Cache, float] = {}
 
 
 def default_cache() -> Cache:
-    """Open the user's cache: $BORESIGHT_CACHE, else the platform's place; $BORESIGHT_CACHE_GB large, else 4 GB."""
+    """Open the user's cache: folder $BORESIGHT_CACHE or the platform's, limit $BORESIGHT_CACHE_GB or 4 GB."""
     place = os.environ.get("BORESIGHT_CACHE") or platformdirs.user_cache_dir("boresight")
     limit = os.environ.get("BORESIGHT_CACHE_GB") or "4"
     try:
@@ -255,7 +255,7 @@ def _write_manifest(folder: Path) -> None:
 
 
 def _discard(folder: Path) -> None:
-    """Remove an entry so that no other process ever sees half of it."""
+    """Rename an entry before removing it, so that no other process sees a part of it."""
     doomed = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
     with contextlib.suppress(OSError):
         folder.rename(doomed)

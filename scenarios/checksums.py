@@ -1,6 +1,6 @@
-"""Checksums of stored files in files of their own, in the format of ``sha256sum``.
+"""Checksums of the stored files of a run, in the format of ``sha256sum``.
 
-``FOLDER/*.sha256`` below a run folder name files of the run; ``cd RUN && sha256sum -c checksums/*`` checks them too.
+They lie in ``FOLDER/*.sha256`` below the run folder; ``cd RUN && sha256sum -c checksums/*`` verifies them too.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ _LINE = re.compile(r"(?P<sha256>[0-9a-f]{64})  (?P<name>[^/\n]+/[^/\n]+)\n")
 
 
 def checksum_text(contents: Mapping[str, bytes]) -> str:
-    """Write a line for each content by the name of its file, FOLDER/FILE."""
+    """Return one line for each content; keys are file names, FOLDER/FILE."""
     return "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in contents.items())
 
 
 def refuse_damaged(run: Path, table: str | None = None) -> None:
-    """Refuse a run, or one table of it, in which a file is not what was stored.
+    """Verify the checksums of a run, or of one table of it.
 
     Raises
     ------
     BoresightError
-        If one is not; it names the first.
+        If a file differs from its checksum; the message names the first.
     """
     found = list(damaged(run, table))
     if found:
@@ -40,14 +40,14 @@ def refuse_damaged(run: Path, table: str | None = None) -> None:
 
 
 def damaged(run: Path, table: str | None = None) -> Iterator[str]:
-    """Yield the files of a run that are not what they were when they were stored; what is unfinished has none yet.
+    """Yield the files of a run that differ from their checksums; unfinished blocks have none yet.
 
     Parameters
     ----------
     run
-        The run folder. What has no checksums, as runs of earlier versions, cannot be checked.
+        The run folder. Files without checksums (runs of earlier versions) are not checked.
     table
-        Only the files of this folder of it.
+        Check only the files of this subfolder.
     """
     for path in sorted((run / FOLDER).glob("*.sha256")):
         if (run / ROWS / path.with_suffix(".parquet").name).exists():
@@ -55,7 +55,7 @@ def damaged(run: Path, table: str | None = None) -> Iterator[str]:
 
 
 def damaged_of(run: Path, checksums: Path, table: str | None = None) -> Iterator[str]:
-    """Yield those files that one file of checksums names and that are not what it says; itself if it says nothing."""
+    """Yield the files that differ from their line in one checksum file; the checksum file itself if it is damaged."""
     text = _text(checksums)
     lines = list(_LINE.finditer(text))
     if not lines or sum(len(line[0]) for line in lines) != len(text):

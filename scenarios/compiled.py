@@ -1,7 +1,7 @@
-"""How kernels are compiled, and where their machine code is kept.
+"""Compilation of numerical kernels by Numba, with the machine code cached on disk.
 
-Strict arithmetic in the order in which it is written, without fused or reordered operations and on one thread: a kernel
-gives the same bits on every processor of an architecture.
+Arithmetic is strict: no fused or reordered operations, one thread. A kernel gives the same bits on every processor of
+an architecture.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 
 
 def compiler(*folders: Path) -> Callable[[_Kernel], _Kernel]:
-    """Return the decorator of kernels whose sources, and those of what they call, lie in ``folders``.
+    """Return a decorator for kernels; ``folders`` hold their sources and those of the functions that they call.
 
-    It compiles a function when it is first called; the machine code is kept between processes if it can be. It lies in
-    $NUMBA_CACHE_DIR, else in boresight's cache; where that cannot be written, where numba finds a place.
+    A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache; if
+    that cannot be written, in a folder that Numba chooses.
     """
     place = _folder(folders)
 
@@ -41,7 +41,7 @@ def compiler(*folders: Path) -> Callable[[_Kernel], _Kernel]:
 
 
 def _folder(folders: tuple[Path, ...]) -> Path:
-    """Name a folder for this state of all kernels: numba notices a change of a file, not of what it calls in others."""
+    """Return a folder keyed by all sources: Numba detects changes of a file, but not of functions that it calls."""
     sources = sorted(source for folder in folders for source in folder.glob("*.py"))
     content = hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
     chosen = os.environ.get("NUMBA_CACHE_DIR")

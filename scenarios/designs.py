@@ -1,4 +1,4 @@
-"""The scenarios of a grid: which levels of its axes are combined."""
+"""Experimental designs: the combinations of axis levels that a campaign's grid runs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from itertools import product
 from pydantic import JsonValue
 from scipy.linalg import hadamard
 
-from scenarios.spec.grid import GridSpec
+from scenarios.spec.campaign import GridSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class GridCell:
     """One scenario of a grid.
 
     Parameters
     ----------
     suffix
-        What its name adds to that of the scenario that it varies; '' for the reference of ``one-at-a-time``.
+        Suffix added to the name of the varied scenario; '' for the reference of ``one-at-a-time``.
     levels
         Level of each axis, by name.
     overrides
-        What each of the levels overrides, in the order of the axes.
+        Overrides of each level, in the order of the axes.
     """
 
     suffix: str
@@ -32,14 +32,14 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Variation:
-    """Where a scenario of a grid comes from: the scenario that it varies, and its level of each axis."""
+class GridVariation:
+    """Origin of a scenario of a grid: the scenario that it varies, and its level of each axis."""
 
     base: str
     levels: Mapping[str, str]
 
 
-def cells(grid: GridSpec) -> tuple[Cell, ...]:
+def grid_cells(grid: GridSpec) -> tuple[GridCell, ...]:
     """List the scenarios of a grid, the reference first."""
     names = {axis: tuple(spec.overrides) for axis, spec in grid.axes.items()}
     if grid.design == "full":
@@ -59,8 +59,8 @@ def cells(grid: GridSpec) -> tuple[Cell, ...]:
 def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     """Return the runs of a two-level design of resolution IV: whether each factor is at its high level.
 
-    A Hadamard matrix of order 2^m, at least the number of factors, folded over: its rows and their opposites. Main
-    effects are orthogonal to each other and to the products of two factors. The first run has all factors low.
+    The rows of a Hadamard matrix of order 2^m, at least the number of factors, and their negatives (fold-over). Main
+    effects are orthogonal to each other and to two-factor interactions. The first run has all factors low.
     """
     order = 1
     while order < factors:
@@ -69,6 +69,6 @@ def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     return tuple(tuple(bool(sign < 0) for sign in row) for half in (matrix, -matrix) for row in half)
 
 
-def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> Cell:
+def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> GridCell:
     overrides = tuple(axis.overrides[level] for axis, level in zip(grid.axes.values(), levels, strict=True))
-    return Cell(suffix, dict(zip(grid.axes, levels, strict=True)), overrides)
+    return GridCell(suffix, dict(zip(grid.axes, levels, strict=True)), overrides)

@@ -1,15 +1,16 @@
-"""What chance decides in a trial: where the camera and the Sun are, and how wrong the prior pose is."""
+"""Random streams of a trial, and random draws of camera pose, Sun direction and prior pose error."""
 
 from __future__ import annotations
 
 import hashlib
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View, look_at
+from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from scenarios.spec.distribution import Vector3
 from scenarios.spec.scenario import ScenarioSpec
 from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -17,9 +18,77 @@ from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec,
 FloatArray = NDArray[np.float64]
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
 
+BoolArray = NDArray[np.bool_]
+
+_LIMB_EMISSION_DEG = (50.0, 70.0)
+_TERMINATOR_INCIDENCE_DEG = (55.0, 75.0)
+_MOST_DEG = 80.0
+
+TargetKind = Literal["nadir", "limb", "terminator"]
+TARGET_KINDS: tuple[TargetKind, ...] = ("nadir", "limb", "terminator")
+
+
+def draw_aimed_view(
+    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, shape: TriangleMesh, rng: np.random.Generator
+) -> View:
+    """Draw a camera position and a Sun direction as `draw_lit_view` does, and point at a sunlit target.
+
+    Targets are those of Cheng et al. (2003): the nadir if it is lit, and regions near the lit limb and the terminator.
+    The target is a facet of ``shape``, drawn by area; occlusion by other parts is not checked. If no facet fits the
+    kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre.
+    """
+    view = draw_lit_view(viewpoint, lighting, camera, rng)
+    kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
+    position = view.T_cam_body.camera_position_m
+    places = shape.corners_m.mean(axis=1)
+    emission, incidence = emission_incidence_deg(places, shape.normals, position, view.sun_dir_body)
+    lit = is_lit_and_facing(emission, incidence)
+    chosen = lit & near_limb_or_terminator(kind, emission, incidence)
+    area = np.linalg.norm(shape.area_vectors_m2, axis=1)
+    if chosen.any():
+        total = np.cumsum(np.where(chosen, area, 0.0))
+        target = places[int(np.searchsorted(total, rng.uniform(0.0, total[-1]), side="right"))]
+    elif lit.any():
+        target = places[_nearest_to_nadir(places, position, lit)]
+    else:
+        target = np.zeros(3)
+    if kind == "nadir" and lit.any():
+        target = places[_nearest_to_nadir(places, position, lit)]
+    turned = look_at(position - target, turn_rad)
+    return View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
+
+
+def emission_incidence_deg(
+    points_m: FloatArray, normals: FloatArray, position_m: FloatArray, sun_dir_body: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) angles of emission and incidence of points (n, 3) with normals (n, 3) for a camera and a Sun, (3,) each."""
+    to_camera = position_m - points_m
+    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+    emission = np.degrees(np.arccos(np.clip(np.einsum("fi,fi->f", normals, to_camera), -1.0, 1.0)))
+    return emission, np.degrees(np.arccos(np.clip(normals @ sun_dir_body, -1.0, 1.0)))
+
+
+def is_lit_and_facing(emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+    """(n,) whether incidence and emission are both below 80 deg."""
+    return (emission_deg < _MOST_DEG) & (incidence_deg < _MOST_DEG)
+
+
+def near_limb_or_terminator(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+    """(n,) whether points lie near the limb or near the terminator, by ``kind``."""
+    if kind == "limb":
+        return (emission_deg > _LIMB_EMISSION_DEG[0]) & (emission_deg < _LIMB_EMISSION_DEG[1])
+    low, high = _TERMINATOR_INCIDENCE_DEG
+    return (incidence_deg > low) & (incidence_deg < high) & (emission_deg < _LIMB_EMISSION_DEG[0])
+
+
+def _nearest_to_nadir(places_m: FloatArray, position_m: FloatArray, lit: BoolArray) -> int:
+    """Return the index of the lit point whose direction from the origin is nearest to the camera's."""
+    cosine = places_m @ position_m / np.linalg.norm(places_m, axis=1)
+    return int(np.where(lit, cosine, -np.inf).argmax())
+
 
 class Stream(IntEnum):
-    """What a random stream is for. Only ever append: the numbers are part of every seed."""
+    """Purpose of a random stream. Append only: the numbers are part of every seed."""
 
     TRUTH = 0
     POSE_ERROR = 1
@@ -52,8 +121,8 @@ class Stream(IntEnum):
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:
     """Return the generator of one stream of one trial.
 
-    The address (seed, stream, trial) is all that it depends on: neither the order of trials nor the content of
-    the scenario, so that scenarios and estimators are compared on the same draws.
+    It depends on the address (seed, stream, trial) alone, not on the order of trials or the content of the scenario, so
+    that scenarios and estimators are compared on the same draws.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), trial)))
 
@@ -61,8 +130,8 @@ def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:
 def estimator_generator(seed: int, trial: int) -> np.random.Generator:
     """Return the generator that an estimator draws from in a trial.
 
-    It begins with a one-way hash of its address: from a generator of ``generator`` the campaign's seed could be read,
-    and with it the truth be drawn again. It cannot be read from this one, but whoever guesses it can try the guess.
+    Its seed is a one-way hash of its address. The campaign's seed, from which the truth could be drawn again, can be
+    read from a generator of ``generator`` but not from this one; a guess of the seed can still be verified.
     """
     address = f"boresight estimator {seed} {int(Stream.ESTIMATOR)} {trial}".encode()
     return np.random.default_rng(int.from_bytes(hashlib.blake2b(address, digest_size=16).digest(), "little"))
@@ -84,10 +153,10 @@ def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator) -> V
 
 
 def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator) -> View:
-    """Draw a camera that looks at the body's origin, and a Sun for it.
+    """Draw a camera pose with the boresight on the body's origin, and a direction to the Sun.
 
-    The direction of the camera is uniform over the area of the latitude band. The Sun stands at a phase angle
-    from that direction, seen from the body's origin, at an azimuth that is uniform about it.
+    The direction to the camera is uniform over the area of the latitude band. The direction to the Sun is at the phase
+    angle from it, at an azimuth uniform about it.
     """
     south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
     camera_dir_body = draw_direction((south_rad, north_rad), rng)
@@ -121,9 +190,9 @@ def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
 def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.random.Generator) -> Pose:
     """Degrade a true pose: shift its translation in camera axes and turn its attitude, independently.
 
-    This is the error of Rowell et al. (2015), section 4.2: the translation is T of equation (4), so that the
-    body moves in the image by the shift alone, and the camera's position in the body frame is wrong by the shift
-    and by the attitude error times the range.
+    This is the error of Rowell et al. (2015), section 4.2. The translation is T of equation (4): the shift alone moves
+    the body in the image, and the error of the camera's position in the body frame is the shift plus the attitude
+    error times the range.
     """
     range_m = float(np.linalg.norm(T_cam_body.translation_m))
     shift_m = _shift(spec, range_m, camera, rng)
@@ -140,7 +209,7 @@ def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> Flo
     range_m
         Distance from the camera to the body's origin: scales errors that are given in pixel sizes.
     camera
-        The camera, for the same.
+        The camera: scales them as well.
     """
     attitude = spec.attitude
     if attitude.rotation_vector_deg is not None:
@@ -159,7 +228,7 @@ def _shift(spec: PoseErrorSpec, range_m: float, camera: Camera, rng: np.random.G
 
 
 def _position(spec: PoseErrorSpec, range_m: float, camera: Camera) -> tuple[Vector3, float]:
-    """Return the law of the shift, and the metres of one of its units."""
+    """Return the distribution of the shift, and the metres of one of its units."""
     if spec.position_cam_m is not None:
         return spec.position_cam_m, 1.0
     if spec.position_cam_px is not None:

@@ -1,4 +1,4 @@
-"""The one exception root of boresight."""
+"""Exceptions of boresight, and the printable form of messages."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ _LONGEST = 2000
 
 
 class BoresightError(Exception):
-    """A fault that a user can mend: the message says what is wrong, where, and what to do.
+    """Base of all exceptions: an error that the user can correct. The message states what, where and what to do.
 
-    The command line prints the message as one line and exits with code 2. Words of a damaged file may be part of it:
-    what would steer a terminal is escaped, and what is too long to be read is cut out of the middle.
+    The command line prints the message as one line and exits with code 2. Text of a damaged file may be part of it:
+    control characters are escaped, and the middle of a very long line is left out.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -19,21 +19,21 @@ class BoresightError(Exception):
 
 
 class MachineError(BoresightError):
-    """The machine is at fault, and no input: the same command goes on when that is mended."""
+    """A fault of the machine, not of the input (disk full, process killed): the same command continues afterwards."""
 
 
 def printable(text: str) -> str:
-    """Escape what would break a line or steer a terminal."""
+    """Escape line breaks and control characters."""
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def one_line(error: object) -> str:
-    """Write what another library says as one line."""
+    """Return the message of another library's error as one line."""
     return " ".join(str(error).split())
 
 
 def text_of(error: BaseException) -> str:
-    """Return in one line what an error says: of ours the text, of others their type as well."""
+    """Return an error as one line: the message of a `BoresightError`, type and message of any other."""
     return one_line(error if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0])
 
 

@@ -1,22 +1,22 @@
-"""What no sound file exceeds, and no machine holds: checked before numbers overflow and before memory is taken."""
+"""Limits of valid input files, checked before numbers overflow and before memory is allocated."""
 
 import os
 
 LARGEST_NUMBER = 1e30
-"""A length of so many metres is beyond the universe; the squares and cubes of such numbers are finite."""
+"""Largest accepted magnitude of a number in a file; squares and cubes of it are still finite."""
 MOST_PIXELS = 1 << 26
-"""Of an image: 8192 x 8192, the largest camera of a scenario."""
+"""Largest image: 8192 x 8192, the largest camera of a scenario."""
 
 _MOST_BYTES = 1 << 28
 MOST_FOLD = 64
-"""So many bytes come out of one of a packed file."""
+"""Largest accepted ratio of the uncompressed to the compressed size of a file."""
 
 
 def may_unfold(stored_bytes: int, unfolded_bytes: int) -> bool:
-    """Tell whether so many bytes may come out of a file of so many: a small one that gives very many is a bomb."""
+    """Return whether the uncompressed size is plausible for the stored size (decompression bombs are not)."""
     return unfolded_bytes <= max(_MOST_BYTES, MOST_FOLD * stored_bytes)
 
 
 def installed_memory_bytes() -> int:
-    """Return the memory of this machine."""
+    """Return the installed memory of this machine."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

@@ -1,4 +1,4 @@
-"""What an estimator may see. Truth never enters here."""
+"""Input of single-image estimators: image, camera and a priori knowledge, without the truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenarios.geometry import Camera, Pose
 
 @dataclass(frozen=True, slots=True)
 class RangeReading:
-    """What an altimeter measured along the boresight, and the standard deviation of its error, m."""
+    """Altimeter measurement along the boresight, and the standard deviation of its error, m."""
 
     range_m: float
     sigma_m: float
@@ -20,23 +20,23 @@ class RangeReading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One image with what the spacecraft knows about it.
+    """One image with the a priori knowledge of the spacecraft.
 
     Parameters
     ----------
     image
         (H, W) float32, digital numbers or any linear measure of radiance.
     sun_dir_cam
-        (3,) unit vector towards the Sun in camera axes: known from the star tracker and the ephemeris,
-        whatever the error of the body's attitude.
+        (3,) unit vector towards the Sun in camera axes, from star tracker and ephemeris; it does not depend on the
+        error of the body's attitude.
     prior_T_cam_body
-        The degraded pose that the recogniser starts from.
+        The a priori pose, with errors.
     prior_covariance
         (6, 6) covariance of the prior's error [rotation_rad, translation_m] in camera axes.
     time_s
         Epoch of the exposure.
     altimeter
-        The distance to the surface along the boresight; None without an altimeter, or where it met nothing.
+        Range to the surface along the boresight; None without an altimeter, or if the boresight misses the body.
     """
 
     image: NDArray[np.float32]
@@ -49,7 +49,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """A camera, and the frame that it took."""
+    """A camera and one frame taken with it."""
 
     camera: Camera
     frame: Frame

@@ -1,4 +1,4 @@
-"""Parquet files of others' making: plain columns alone, no more memory than their size warrants, faults as one line."""
+"""Robust reading of Parquet files: plain columns only, bounded memory, one-line errors for damaged files."""
 
 from __future__ import annotations
 
@@ -22,46 +22,46 @@ PARQUET_FAULTS = (
     pa.ArrowException, AttributeError, LookupError, MemoryError, OSError, OverflowError, RecursionError, TypeError,
     ValueError,
 )  # fmt: skip
-"""What pyarrow and pandas raise for damaged files: a wrong byte may be in a name, a type, a length or a page."""
+"""Exceptions of pyarrow and pandas for damaged files: a wrong byte may be in a name, a type, a length or a page."""
 
 _AT_ONCE = 500
 
 
-class Layout(NamedTuple):
-    """What is known of a table before it is read.
+class TableLayout(NamedTuple):
+    """Expected columns of a table.
 
     Parameters
     ----------
     keys
-        Columns that it has, without gaps; those of numbers are whole.
+        Required columns without missing values; numeric ones hold integers.
     is_text
-        Tells of the name of a column whether it holds texts or numbers; None: either.
+        Function from a column name to whether the column holds text (True), numbers (False) or either (None).
     """
 
     keys: tuple[str, ...]
     is_text: Callable[[str], bool | None]
 
 
-def read_frame(folder: Path, layout: Layout) -> pd.DataFrame:
-    """Read the files ``*.parquet`` of a folder, which has some, as one table, in the order of their names.
+def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
+    """Read the files ``*.parquet`` of a folder (at least one) as one table, in the order of their names.
 
-    Nothing that pandas may have noted in them is heeded: an index is no column of a table.
+    Metadata of pandas in the files is ignored.
 
     Raises
     ------
     BoresightError
-        If one is damaged, has not the layout, or would unfold to far more than its size.
+        If a file is damaged, does not have the layout, or would expand to far more than its size.
     """
     with _explained(folder):
         frame: pd.DataFrame = _table(folder, sorted(folder.glob("*.parquet")), layout).to_pandas(ignore_metadata=True)
         return frame
 
 
-def read_where(path: Path, layout: Layout, values: Mapping[str, object]) -> pa.Table:
-    """Read the rows of a file whose keys have some values.
+def read_where(path: Path, layout: TableLayout, values: Mapping[str, object]) -> pa.Table:
+    """Read the rows of a file whose key columns have the given values.
 
-    All are read and then chosen from: pyarrow chooses by what a file says of its columns, and ends the process where
-    that is damaged.
+    All rows are read and then filtered: filters of pyarrow use the column statistics of the file and abort the process
+    if these are damaged.
 
     Raises
     ------
@@ -98,9 +98,9 @@ def _explained(place: Path) -> Iterator[None]:
         raise unreadable(place, "a stored table", error) from error
 
 
-def _table(place: Path, files: Sequence[Path], layout: Layout) -> pa.Table:
+def _table(place: Path, files: Sequence[Path], layout: TableLayout) -> pa.Table:
     table = _joined(_tables(files))
-    table.validate(full=True)  # texts that are none, for one, are noticed by nobody before they are printed
+    table.validate(full=True)  # invalid UTF-8, for example, would be detected only when it is printed
     missing = [name for name in layout.keys if name not in table.column_names]
     if missing:
         raise BoresightError(f"{place}: columns {', '.join(missing)} are missing: no such table of boresight")
@@ -110,7 +110,7 @@ def _table(place: Path, files: Sequence[Path], layout: Layout) -> pa.Table:
 
 
 def _check_column(what: str, column: pa.ChunkedArray, is_text: bool | None, is_key: bool) -> None:
-    """Refuse texts where numbers belong, numbers where texts do, and keys with gaps: no report can be made of them."""
+    """Raise an error for text in a numeric column, numbers in a text column, or a key with missing values."""
     if is_text is not None and is_text != _is_text(column.type) and not pa.types.is_null(column.type):
         raise BoresightError(f"{what} does not hold {'texts' if is_text else 'numbers'}: no table of boresight")
     if is_key and (column.null_count or not (is_text or pa.types.is_integer(column.type))):
@@ -118,7 +118,7 @@ def _check_column(what: str, column: pa.ChunkedArray, is_text: bool | None, is_k
 
 
 def _joined(tables: Iterable[pa.Table]) -> pa.Table:
-    """Lay tables one below the other; what a small one takes beside its values is given back in between."""
+    """Concatenate tables; intermediate copies release the per-table overhead of many small ones."""
     joined, few = [], []
     for table in tables:
         few.append(table)
@@ -129,9 +129,9 @@ def _joined(tables: Iterable[pa.Table]) -> pa.Table:
 
 
 def _tables(files: Sequence[Path], columns: list[str] | None = None) -> Iterator[pa.Table]:
-    """Read files one by one: pyarrow holds ten times their values in memory where it reads very many at once.
+    """Read files one by one: pyarrow needs ten times the memory of the values when it reads very many at once.
 
-    Refused are those that hold what no table of boresight does, or far more than they seem to: repetition is packed.
+    Raise an error for column types that no table of boresight has, and for implausible expansion ratios.
     """
     size = unfolded = 0
     for path in files:
@@ -160,9 +160,9 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _unfolded_bytes(file: pq.ParquetFile, path: Path) -> int:
-    """Add up what the columns take in memory, texts that are kept once in the file at each place where they stand.
+    """Estimate the memory that the columns need; dictionary-encoded text counts at each occurrence.
 
-    What the footer says of single columns is not asked for: where it is damaged, pyarrow ends the process.
+    Column metadata of the footer is not read: if it is damaged, pyarrow aborts the process.
     """
     about = file.metadata
     groups = [about.row_group(number) for number in range(about.num_row_groups)]
@@ -177,7 +177,7 @@ def _unfolded_bytes(file: pq.ParquetFile, path: Path) -> int:
 
 
 def _text_bytes(path: Path, texts: list[str]) -> int:
-    """Add up the lengths in columns of texts without unfolding them."""
+    """Sum the lengths of the values of text columns without expanding their dictionaries."""
     columns = pq.read_table(path, columns=texts, read_dictionary=texts, partitioning=None).columns
     chunks = [chunk for column in columns for chunk in column.chunks]
     return sum(int(pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)).as_py() or 0) for c in chunks)

@@ -1,4 +1,4 @@
-"""Readers of JSON and of NumPy archives that many files are made of."""
+"""Robust reading of JSON files and NumPy archives."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from scenarios.limits import may_unfold
 
 Model = TypeVar("Model", bound=BaseModel)
 
-# np.load documents ValueError and OSError alone; the others are what damaged headers and members were seen to raise.
+# np.load documents ValueError and OSError only; damaged headers and members raise the others too.
 _ARCHIVE_FAULTS = (
     ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
     SyntaxError, TypeError, ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
 CONTENT_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
-"""What making something of arrays and their head raises where they are sound but do not fit together."""
+"""Exceptions raised when valid arrays and headers are inconsistent with each other."""
 
 
 def read_json(path: Path, what: str) -> Any:
@@ -37,14 +37,14 @@ def read_json(path: Path, what: str) -> Any:
     path
         The file.
     what
-        What it should be, for the error.
+        Description of the expected content, for the error message.
 
     Raises
     ------
     FileNotFoundError
-        If there is none.
+        If the file does not exist.
     BoresightError
-        If it cannot be read or is no JSON.
+        If it cannot be read or is not JSON.
     """
     try:
         return plain_json(path)
@@ -55,7 +55,7 @@ def read_json(path: Path, what: str) -> Any:
 
 
 def plain_json(path: Path) -> Any:
-    """Read a JSON file whose faults the caller explains.
+    """Read a JSON file and raise plain exceptions for the caller to explain.
 
     Raises
     ------
@@ -71,12 +71,12 @@ def plain_json(path: Path) -> Any:
 
 
 def held_to(model: type[Model], plain: object) -> Model:
-    """Make what was read of a file a model.
+    """Validate the content of a file against a model.
 
     Raises
     ------
     ValueError
-        If it is none: the first fault in a line.
+        If it does not fit; the message is one line about the first fault.
     """
     try:
         return model.model_validate(plain)
@@ -87,7 +87,7 @@ def held_to(model: type[Model], plain: object) -> Model:
 
 
 def unreadable(path: Path, what: str, error: Exception) -> BoresightError:
-    """Say that a manifest, or a table that has no checksums, cannot be read as what it is, with the error's gist."""
+    """Return the error for an unreadable manifest or table without checksums, with the first sentence of the cause."""
     gist = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     gist = gist.splitlines()[0].partition(". ")[0].strip(" .:") if gist else type(error).__name__
     return BoresightError(
@@ -97,12 +97,12 @@ def unreadable(path: Path, what: str, error: Exception) -> BoresightError:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a NumPy archive, none of them made of pickled objects.
+    """Read the arrays of a NumPy archive without unpickling any object.
 
     Raises
     ------
     ValueError
-        If the file is missing, is none, or names more numbers than it can hold. The caller says what it should be.
+        If the file is missing, is not an archive, or declares implausibly many numbers. The caller adds the context.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -111,7 +111,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         names = [member.filename for member in members]
         if len(set(names)) < len(names) or not may_unfold(size, sum(member.file_size for member in members)):
             raise ValueError("an array is there twice, or much more is packed in it than a sound file holds")
-        # What NumPy warns of in a header is nothing that a user could mend.
+        # The user can do nothing about NumPy's warnings on headers.
         with warnings.catch_warnings(action="ignore"), np.load(path, allow_pickle=False) as stored:
             return {name: _sound(stored[name]) for name in stored.files}
     except _ARCHIVE_FAULTS as error:
@@ -119,7 +119,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _sound(array: object) -> NDArray[Any]:
-    """Refuse what is no array of numbers: a member that is not one comes as bytes."""
+    """Raise an error for a member that is not a numeric array; NumPy returns other members as bytes."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         raise ValueError("a member is no array of numbers")
     return array

@@ -1,4 +1,4 @@
-"""What an estimator sees of a sequence: tracks of points in images whose attitude is known, and predicted motion."""
+"""Input of sequence estimators: landmark tracks in images, measured attitudes, predicted motion, ranges and forces."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TrackRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forces:
-    """What the spacecraft knows of its motion about the body, in inertial axes: equation (6) of Delpech et al. (2015).
+    """A priori force model, inertial axes: equation (6) of Delpech et al. (2015).
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ class Forces:
     radiation_m_s2, radiation_sigma_m_s2
         (3,) acceleration by solar radiation pressure, and the standard deviation of the error of its size.
     noise_m_s2
-        Standard deviation of each coordinate of what is not modelled, constant between two frames and independent from
-        one interval to the next.
+        Standard deviation of each coordinate of the unmodelled acceleration, constant between two frames and
+        independent from one interval to the next.
     velocity_m_s, velocity_covariance_m2_s2
         (3,) and (3, 3): velocity at the first frame relative to the body's centre, and the covariance of its error.
     """
@@ -53,39 +53,38 @@ class Forces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackFrame:
-    """One image of a sequence, after the vision layer.
+    """Measurements of one image of a sequence, made by the vision front end.
 
     Parameters
     ----------
     time_s
         Epoch of the exposure; strictly increasing along a sequence.
     R_cam_body
-        (3, 3) rotation ``x_cam = R_cam_body (x_body - c_body)`` as the spacecraft knows it.
+        (3, 3) measured rotation ``x_cam = R_cam_body (x_body - c_body)``.
     tracks
-        (n,) numbers of the tracks that are seen, each once. A track that is lost never returns under its number.
+        (n,) distinct numbers of the tracks that are observed. The number of a lost track is never used again.
     uv_px
-        (n, 2) where they are seen.
+        (n, 2) measured pixels.
     sigma_px
         Standard deviation of the error of a coordinate.
     motion_m
-        (3,) predicted displacement of the camera since the frame before, as this frame's body axes see it against the
-        last frame's, so that it holds how the body turned as well; zero for the first frame.
+        (3,) predicted displacement of the camera since the previous frame: position in this frame's body axes minus
+        position in the previous frame's body axes, so that it includes the body's rotation; zero for the first frame.
     motion_covariance_m2
         (3, 3) covariance of its error.
     ranges
-        Distances measured at this frame.
+        Ranges measured at this frame.
     again
-        (k, 2) pairs (track of this frame, older track that was lost): landmarks that the vision layer takes for one and
-        the same, as where a revolution ends. It may be wrong.
+        (k, 2) loop closures: pairs (track of this frame, older lost track) that the front end identifies as the same
+        landmark, for example after a revolution. Some may be wrong.
     R_body_inertial
-        (3, 3) rotation ``x_body = R_body_inertial x_inertial`` as the spacecraft knows it; both have their origin at
-        the centre of mass.
+        (3, 3) rotation ``x_body = R_body_inertial x_inertial`` by the onboard spin model; both frames have their origin
+        at the centre of mass.
     attitude_sigma_rad
-        Standard deviation of the error of `R_cam_body` about each camera axis: that of the star tracker, independent
-        from frame to frame, that of the camera's attitude on it, always the same, and that of `R_body_inertial`, which
-        grows with time.
-    attitude_lasting_rad
-        The part of it that is not independent from frame to frame: the latter two.
+        Standard deviation of the error of `R_cam_body` about each camera axis: star-tracker noise, independent from
+        frame to frame, camera misalignment, constant, and the error of `R_body_inertial`, which grows with time.
+    attitude_bias_sigma_rad
+        The part of it that is correlated from frame to frame: misalignment and body rotation.
     """
 
     time_s: float
@@ -99,25 +98,25 @@ class TrackFrame:
     again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
     attitude_sigma_rad: float = 0.0
-    attitude_lasting_rad: float = 0.0
+    attitude_bias_sigma_rad: float = 0.0
 
     @property
     def attitude_noise_rad(self) -> float:
-        """Standard deviation of what is independent from frame to frame of the error of `R_cam_body`."""
-        return math.sqrt(max(self.attitude_sigma_rad**2 - self.attitude_lasting_rad**2, 0.0))
+        """Standard deviation of the part of the error of `R_cam_body` that is independent from frame to frame."""
+        return math.sqrt(max(self.attitude_sigma_rad**2 - self.attitude_bias_sigma_rad**2, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where an estimator expects its landmarks in the next image.
+    """Landmark positions in the next image as predicted by an estimator.
 
     Parameters
     ----------
     tracks, uv_px
         (n,), ascending, and (n, 2).
     covariance_px2
-        (2 n, 2 n) joint covariance of those pixels, without the noise of a sighting: landmarks share the error of the
-        camera's position.
+        (2 n, 2 n) joint covariance of those pixels without measurement noise; landmarks are correlated by the common
+        error of the camera's position.
     """
 
     tracks: IndexArray
@@ -125,23 +124,23 @@ class Prediction:
     covariance_px2: FloatArray
 
 
-Predict = Callable[[TrackFrame], Prediction | None]
+LandmarkPredictor = Callable[[TrackFrame], Prediction | None]
 
 
-class Eye(Protocol):
-    """A vision layer that looks where an estimator expects its landmarks."""
+class VisionFrontEnd(Protocol):
+    """A vision front end that searches landmarks at the positions predicted by an estimator."""
 
-    def frames(self, predict: Predict) -> Iterator[TrackFrame]:
+    def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
         """Yield the frames in the order of time.
 
-        Before each one ``predict`` is asked where tracks will be, with a frame that has no tracks yet.
+        Before each frame, ``predict`` is called with that frame without its tracks.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackSequence:
-    """Frames in the order of time, and what is known of the first camera position.
+    """Frames in the order of time, and a priori knowledge of the first camera position and the forces.
 
     Parameters
     ----------
@@ -153,10 +152,10 @@ class TrackSequence:
         (3,) and (3, 3): the first camera position in the body frame and the covariance of its error; all zero where
         it is known perfectly.
     forces
-        What is known of the forces on the camera; None where nothing is.
-    eye
-        Makes the frames while an estimator follows them; those of ``frames`` have no tracks then. None where all are
-        there beforehand.
+        A priori force model; None if there is none.
+    front_end
+        Produces the frames during the estimation (guided matching); those of ``frames`` have no tracks then. None if
+        all tracks are computed beforehand.
     """
 
     camera: Camera
@@ -164,4 +163,4 @@ class TrackSequence:
     position_m: FloatArray
     position_covariance_m2: FloatArray
     forces: Forces | None = None
-    eye: Eye | None = None
+    front_end: VisionFrontEnd | None = None

@@ -18,7 +18,7 @@ from campaign.runs.needs import data_needed
 from campaign.runs.resolve import CATALOG, campaign_names, resolve
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
-from scenarios.designs import cells
+from scenarios.designs import grid_cells
 from scenarios.load import (
     LoadedCampaign,
     canonical_json,
@@ -77,7 +77,7 @@ def _list(_: argparse.Namespace) -> int:
 def _campaign_entry(loaded: LoadedCampaign) -> Entry:
     """Tell of a campaign its size, its cost here and its data."""
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
-    scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(cells(spec.grid)))
+    scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
     size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
     time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
     return Entry((spec.name, size, time, ", ".join(map(str, data_needed(loaded))) or "-"), spec.title)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.terminal import console
 from estimators.craters.registry import crater_detector_class, crater_detector_names
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _craters(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and SPICE take a third of the start-up, and most commands need neither.
-    from campaign.data.craters.detection import detect_real, write_real
+    from campaign.data.named_craters import detect_real, write_real
 
     detector = crater_detector_class(arguments.detector).from_options({})
     found = detect_real(detector, arguments.image)
     try:
         written = write_real(found, arguments.out)
     except OSError as error:
-        raise BoresightError(explain(error.filename or arguments.out, error)) from error
+        raise BoresightError(explain_write_error(error.filename or arguments.out, error)) from error
     out = console()
     out.print(f"{found.image.name}: {len(found.detections.ellipses)} craters by {detector.name}")
     for line in found.summary():

@@ -11,7 +11,7 @@ from rich.progress import track
 
 from campaign.cli.runs import find_run, not_negative
 from campaign.cli.terminal import console
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def _export(arguments: argparse.Namespace) -> int:
     try:
         written = _tables(arguments) if arguments.to in ("csv", "parquet", "latex") else _poses(arguments)
     except OSError as error:
-        raise BoresightError(explain(error.filename or arguments.out, error)) from error
+        raise BoresightError(explain_write_error(error.filename or arguments.out, error)) from error
     if not written:
         raise BoresightError(f"{arguments.run}: nothing to export: no chosen trial has an estimate")
     console().print(
@@ -73,9 +73,7 @@ def _tables(arguments: argparse.Namespace) -> list[Path]:
 
 def _poses(arguments: argparse.Namespace) -> list[Path]:
     # Imported here, as above.
-    from campaign.export.colmap import write_model
-    from campaign.export.poses import check_posed, posed, stored_images, trajectories
-    from campaign.export.tum import write_trajectory
+    from campaign.export.poses import check_posed, posed, stored_images, trajectories, write_model, write_trajectory
     from campaign.inspection.case import Choice, cases_of, checked_trials, chosen_rows
     from campaign.inspection.recompute import reopened
     from reports.run.data import read_run

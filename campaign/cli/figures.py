@@ -17,7 +17,7 @@ from campaign.papers import PAPERS
 from campaign.pool.workers import in_order
 from campaign.runs.start import RUNS
 from renderers.mitsuba3 import choose_variant
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float
     try:
         place = write_paper(page, folder)
     except OSError as error:
-        raise BoresightError(explain(error.filename or folder, error)) from error
+        raise BoresightError(explain_write_error(error.filename or folder, error)) from error
     return _Written(place, page.lines, len(page.figures), page.refused, page.missing)
 
 

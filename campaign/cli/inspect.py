@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.runs import find_run, not_negative, positive
 from campaign.cli.terminal import console
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _look(arguments: argparse.Namespace) -> int:
         try:
             write_recording(look, arguments.rerun)
         except OSError as error:
-            raise BoresightError(explain(error.filename or arguments.rerun, error)) from error
+            raise BoresightError(explain_write_error(error.filename or arguments.rerun, error)) from error
         written.append(arguments.rerun)
     for path in written:
         console().print(f"look: {path}")
@@ -77,8 +77,7 @@ def _cases(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.imaging.image_store import store_switched
     from campaign.inspection.build import inspect_case, order_of
-    from campaign.inspection.case import Choice, chosen_rows, named_cases
-    from campaign.inspection.ranking import ORDER, worst_cases
+    from campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
     from campaign.inspection.recompute import reopened
     from reports.run.data import read_run
 
@@ -104,9 +103,9 @@ def _cases(arguments: argparse.Namespace) -> int:
             try:
                 found = inspect_case(campaign, folder, case, out)
             except OSError as error:
-                raise BoresightError(explain(error.filename or out, error)) from error
-            same = same and not found.sameness.differences
+                raise BoresightError(explain_write_error(error.filename or out, error)) from error
+            same = same and not found.comparison.differences
             reason = f" ({found.row['reason']})" if found.row["reason"] else ""
-            printer.print(f"{case}: {found.row['status']}{reason}; {found.sameness}")
+            printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")
             printer.print(f"  {found.page}")
     return 0 if same else 1

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from campaign.cli import bench, catalog, compare, craters, export, fetch, figures, inspect, machine, runs, sensitivity
 from campaign.cli.manual import write_manual
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return EXIT_OK
     except OSError as error:
-        _complain(explain(error.filename or "standard output", error))
+        _complain(explain_write_error(error.filename or "standard output", error))
         return EXIT_USER_ERROR
 
 

@@ -17,7 +17,7 @@ from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
 from campaign.runs.start import RUNS
 from renderers.mitsuba3 import choose_variant
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     try:
         page = write_sensitivity(run, found, grid, design.varied, design.samples, metric)
     except OSError as error:
-        raise BoresightError(explain(error.filename or folder.path, error)) from error
+        raise BoresightError(explain_write_error(error.filename or folder.path, error)) from error
     out.print(*rich_parts(grid))
     for one in found:
         for key in one.unmoved:

@@ -1,1 +1,1 @@
-"""Data sets of missions: fetched from the net, and craters named in their images."""
+"""Mission data: downloads of data sets, and crater detection in a real image with named craters."""

@@ -1,12 +1,15 @@
-"""Downloads of registered data sets: resumed where they broke off, checked, and whole or not there at all."""
+"""Downloads of registered data sets, resumable, verified by checksums and stored atomically."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
+import os
 import re
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from html.parser import HTMLParser
@@ -17,31 +20,150 @@ from urllib.parse import unquote, urljoin, urlparse
 import pooch
 import requests
 
-from campaign.data.download import TIMEOUT_S, Progress, ResumingDownloader, disk_fault, network_fault
 from scenarios.atomic import write_text
+from scenarios.data import DATA_VARIABLE
 from scenarios.data.datasets import FILE_NAME, DataSetSpec, FileSpec
 from scenarios.errors import BoresightError
 from scenarios.reading import read_json
 
-_LEDGER = ".boresight-fetched.json"
+_CHECKSUM_FILE = ".boresight-fetched.json"
 _REGISTERED, _FIRST, _NOTHING = "registration", "first fetch", "nothing"
+
+TIMEOUT_S = 30.0
+_CHUNK_BYTES = 1 << 16
+Progress = Callable[[str, int, int | None], None]
+
+
+class _BrokenOffError(requests.exceptions.RequestException):
+    """The server sent fewer bytes than announced."""
+
+
+class ResumingDownloader:
+    """Downloader into a partial file, which resumes an interrupted download.
+
+    It is resumed only if the file on the server is unchanged (HTTP header If-Range).
+
+    Parameters
+    ----------
+    part
+        The partial file; its version on the server is stored in a second file with the suffix ``-of``.
+    size_bytes
+        Size of the file, or None if it is unknown.
+    progress
+        Called with the name, the bytes received and the size of the file (None if unknown).
+    """
+
+    def __init__(self, part: Path, size_bytes: int | None, progress: Progress) -> None:
+        self._part = part
+        self._tag = part.with_name(f"{part.name}-of")
+        self._size_bytes = size_bytes
+        self._progress = progress
+
+    def __call__(self, url: str, output_file: str, _pooch: object) -> None:
+        """Download a file for pooch, which then verifies the checksum and moves the file to its destination."""
+        tag = self._tag.read_text(encoding="utf-8") if self._tag.is_file() else ""
+        have = self._part.stat().st_size if tag and self._part.is_file() else 0
+        headers = {"Range": f"bytes={have}-", "If-Range": tag} if have else {}
+        headers["Accept-Encoding"] = "identity"  # otherwise lengths and ranges refer to compressed data
+        with requests.get(url, headers=headers, stream=True, timeout=TIMEOUT_S) as answer:
+            if answer.status_code == requests.codes.requested_range_not_satisfiable:
+                self._delete_part()
+                return self(url, output_file, _pooch)
+            answer.raise_for_status()
+            start = _start(answer)
+            if start not in (0, have):
+                raise BoresightError(f"{url}: the server sent bytes from {start} on, not from {have}")
+            total = _total(answer, start)
+            self._check_size(url, total, start)
+            self._tag.write_text(_version_tag(answer), encoding="utf-8")
+            self._write(answer, start, total, url)
+        Path(self._part).replace(output_file)
+        self._tag.unlink(missing_ok=True)
+        return None
+
+    def _check_size(self, url: str, total: int | None, start: int) -> None:
+        if total is not None and self._size_bytes is not None and total != self._size_bytes:
+            raise BoresightError(f"{url}: has {total} bytes, not the registered {self._size_bytes}; nothing was kept")
+        free = shutil.disk_usage(self._part.parent).free
+        if total is not None and total - start > free:
+            raise BoresightError(
+                f"{self._part.parent}: {(total - start) / 2**20:.0f} MiB are to come, but the disk has"
+                f" {free / 2**20:.0f} MiB left"
+            )
+
+    def _write(self, answer: requests.Response, start: int, total: int | None, url: str) -> None:
+        done = start
+        with self._part.open("r+b" if start else "wb") as stream:
+            stream.seek(start)
+            for chunk in answer.iter_content(_CHUNK_BYTES):
+                stream.write(chunk)
+                done += len(chunk)
+                self._progress(self._part.name.removesuffix(".part"), done, total)
+            stream.truncate()
+            stream.flush()
+            os.fsync(stream.fileno())
+        if total is not None and done != total:
+            raise _BrokenOffError(f"{done} of {total} bytes came")
+
+    def _delete_part(self) -> None:
+        self._part.unlink(missing_ok=True)
+        self._tag.unlink(missing_ok=True)
+
+
+def _start(answer: requests.Response) -> int:
+    """Return the position in the file at which a response starts."""
+    if answer.status_code != requests.codes.partial_content:
+        return 0
+    match = re.match(r"bytes (\d+)-", answer.headers.get("Content-Range", ""))
+    return int(match.group(1)) if match else 0
+
+
+def _total(answer: requests.Response, start: int) -> int | None:
+    """Return the size of the whole file, or None if the server does not state it."""
+    length = answer.headers.get("Content-Length", "")
+    return start + int(length) if length.isdigit() else None
+
+
+def _version_tag(answer: requests.Response) -> str:
+    """Return an identifier of the file's version (ETag or modification time); '' if the server sends none."""
+    tag = answer.headers.get("ETag", "")
+    return tag if tag and not tag.startswith("W/") else answer.headers.get("Last-Modified", "")
+
+
+def network_fault(url: str, error: requests.exceptions.RequestException) -> str:
+    """Describe a network error in one line."""
+    if isinstance(error, requests.exceptions.HTTPError) and error.response is not None:
+        return f"{url}: the server says {error.response.status_code} {error.response.reason}"
+    reason = "no connection"
+    if isinstance(error, requests.exceptions.Timeout):
+        reason = f"no answer within {TIMEOUT_S:.0f} s"
+    elif isinstance(error, requests.exceptions.ChunkedEncodingError | _BrokenOffError):
+        reason = "the connection broke off"
+    return f"{url}: {reason}: check the network; the same command goes on where this one stopped"
+
+
+def disk_fault(path: Path, error: OSError) -> str:
+    """Describe in one line why a file could not be written."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{path}: the disk is full: free some space; the same command goes on where this one stopped"
+    return f"{path}: {error.strerror or error}: set {DATA_VARIABLE} to a folder that can be written"
 
 
 @dataclass(frozen=True, slots=True)
-class Fetched:
-    """A file that is now there.
+class FetchedFile:
+    """A file of a data set, downloaded or already present.
 
     Parameters
     ----------
     path
-        Where it lies.
+        Its path.
     sha256
         Its checksum.
     how
-        ``there`` already, or ``fetched`` now.
+        ``there`` if it was present, ``fetched`` if it was downloaded.
     trust
-        Whose checksum it was held against: ``registration``, ``first fetch``, or ``nothing``, because this is the first
-        fetch, whose checksum is kept and holds from now on.
+        Source of the checksum that it was compared with: ``registration``, ``first fetch``, or ``nothing`` if this is
+        the first download, whose checksum is stored for later ones.
     """
 
     path: Path
@@ -50,8 +172,8 @@ class Fetched:
     trust: str
 
 
-def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[Fetched]:
-    """Fetch what is not there yet of a data set.
+def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[FetchedFile]:
+    """Download the missing files of a data set, and verify those present.
 
     Parameters
     ----------
@@ -60,29 +182,29 @@ def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[Fetc
     root
         The data folder.
     progress
-        Told the file, the bytes that are here and those of the whole file, None where they are not known.
+        Called with the file name, the bytes received and the size of the file (None if unknown).
 
     Raises
     ------
     BoresightError
-        If the network, the server or the disk fails, or a file is not what it should be. What is whole stays; a part
-        of a file stays under another name, from which the next call goes on.
+        If the network, the server or the disk fails, or a checksum differs. Complete files remain, and a partial file
+        from which the next call resumes.
     """
     folder = root / dataset.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BoresightError(disk_fault(folder, error)) from error
-    ledger = _Ledger(folder / _LEDGER)
+    checksums = _ChecksumFile(folder / _CHECKSUM_FILE)
     for file in _files(dataset):
-        yield _fetch_file(file, folder, ledger, progress)
+        yield _fetch_file(file, folder, checksums, progress)
 
 
 def state(dataset: DataSetSpec, root: Path) -> str:
-    """Say how much of a data set is there, by the names of its files."""
+    """Describe how many files of a data set are present, by their names."""
     folder = root / dataset.folder
     if dataset.files is None:
-        known = _Ledger(folder / _LEDGER).names()
+        known = _ChecksumFile(folder / _CHECKSUM_FILE).names()
         there = sum((folder / name).is_file() for name in known)
         return f"{there} files" if there else "not there"
     there = sum((folder / file.file_name).is_file() for file in dataset.files)
@@ -91,9 +213,9 @@ def state(dataset: DataSetSpec, root: Path) -> str:
     )
 
 
-def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progress) -> Fetched:
+def _fetch_file(file: FileSpec, folder: Path, checksums: _ChecksumFile, progress: Progress) -> FetchedFile:
     path = folder / file.file_name
-    known, trust = (file.sha256, _REGISTERED) if file.sha256 else (ledger.sha256(path.name), _FIRST)
+    known, trust = (file.sha256, _REGISTERED) if file.sha256 else (checksums.sha256(path.name), _FIRST)
     if path.is_file():
         found = _sha256(path)
         if known is not None and found != known:
@@ -102,8 +224,8 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
                 " fetch it anew"
             )
         if known is None:
-            ledger.add(file, path, found)
-        return Fetched(path, found, "there", trust if known else _NOTHING)
+            checksums.add(file, path, found)
+        return FetchedFile(path, found, "there", trust if known else _NOTHING)
     getter = ResumingDownloader(path.with_name(f"{path.name}.part"), file.size_bytes, progress)
     pooch.get_logger().setLevel(logging.ERROR)
     try:
@@ -118,12 +240,12 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
     except OSError as error:
         raise BoresightError(disk_fault(path, error)) from error
     found = _sha256(path)
-    ledger.add(file, path, found)
-    return Fetched(path, found, "fetched", trust if known else _NOTHING)
+    checksums.add(file, path, found)
+    return FetchedFile(path, found, "fetched", trust if known else _NOTHING)
 
 
-class _Ledger:
-    """Keeps what was fetched into a folder, with the checksums that hold from the first fetch on."""
+class _ChecksumFile:
+    """JSON file in the folder of a data set with the checksums of the first downloads."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -153,7 +275,7 @@ class _Ledger:
 
 
 def _files(dataset: DataSetSpec) -> list[FileSpec]:
-    """List the files of a data set, asking the server where it says a folder."""
+    """Return the files of a data set, from the server's listing if it is registered as a folder."""
     if dataset.files is not None:
         return list(dataset.files)
     listing = dataset.listing
@@ -177,14 +299,14 @@ def _files(dataset: DataSetSpec) -> list[FileSpec]:
 
 
 class _Links(HTMLParser):
-    """Collects the links of a page."""
+    """Parser that collects the link targets of a page."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep the target of a link."""
+        """Store the target of a link."""
         self.found += [value for name, value in attrs if tag == "a" and name == "href" and value]
 
 

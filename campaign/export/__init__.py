@@ -1,1 +1,1 @@
-"""A stored run in the formats of others: TUM trajectories, COLMAP models, CSV, Parquet and LaTeX."""
+"""Export of stored runs as TUM trajectories, COLMAP models, CSV, Parquet and LaTeX."""

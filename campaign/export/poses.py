@@ -1,39 +1,54 @@
-"""Poses of a stored run, true and estimated, with what was seen of which landmark: what trajectories are made of."""
+"""Camera poses of stored runs, as COLMAP text models and as TUM trajectories.
+
+COLMAP (``cameras.txt``, ``images.txt``, ``points3D.txt``) has the conventions used here: x right, y down, z forward,
+the centre of the first pixel at (0.5, 0.5), and the rotation from world to camera with the scalar first. Identifiers
+begin at 1. A line of a TUM file, which evo reads, is ``timestamp tx ty tz qx qy qz qw``: seconds, camera position in
+the world, m, and the rotation from camera to world axes with the scalar last. Numbers have 17 digits, which preserves
+every bit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from campaign.inspection.case import Case
-from campaign.inspection.posed import PosedFrame, PosedFrames
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Show, show_of
+from campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.trial.pose_score import pose_of
+from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
+_CAMERA = 1
+_NO_POINT = -1
+_GREY = "160 160 160"
+_Track = list[tuple[int, int, float]]
+
 
 def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) -> Iterator[tuple[str, PosedFrames]]:
-    """Recompute cases and give their poses in the body's axes: a model of each sequence, or one of all single images.
+    """Recompute cases and yield their poses in body axes: one model for each sequence, or one for all single images.
 
     Yields
     ------
     name, frames
-        Name of the model, after its scenario and estimator, and of a sequence its trial.
+        Name of the model, from scenario and estimator (and trial, for a sequence), and its frames.
 
     Raises
     ------
     BoresightError
-        If what is recomputed is not what is stored.
+        If recomputed and stored rows differ.
     """
     show = _showing(campaign)
     together: dict[tuple[str, str], list[PosedFrames]] = {}
@@ -50,7 +65,7 @@ def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) 
 
 
 def check_posed(campaign: ResolvedCampaign) -> None:
-    """Refuse a campaign whose trials have no camera poses.
+    """Raise an error if the trials of a campaign have no camera poses.
 
     Raises
     ------
@@ -69,13 +84,13 @@ def _showing(campaign: ResolvedCampaign) -> Show:
 
 
 def _same(again: Recomputed) -> Recomputed:
-    if again.sameness.differences:
-        raise BoresightError(f"{again.case}: {again.sameness}: the run cannot be exported so")
+    if again.comparison.differences:
+        raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
     return again
 
 
 def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
-    """Return the trajectories of single images as their rows hold them; None where they hold no poses."""
+    """Yield the trajectories of single images from their stored rows; None if the rows have no poses."""
     solved = rows[rows["status"] == "ok"]
     if rows["true_qw"].isna().any() or solved["qw"].isna().any():
         return None
@@ -93,7 +108,7 @@ def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] 
 
 
 def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
-    """Name of the image of a row, and its epoch: the trial where images have none."""
+    """Name and epoch of the image of a row; for rendered images the epoch is the trial number."""
     name, trial = str(row["image"] or ""), int(row["trial"])
     return (name, float(row["time_s"])) if name else (f"{trial:07d}.tiff", float(trial))
 
@@ -101,7 +116,7 @@ def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
 def trajectories(
     campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]
 ) -> Iterator[tuple[str, Sequence[PosedFrame]]]:
-    """Give the trajectory of each case: of sequences in inertial space, without an estimator working again."""
+    """Yield the trajectory of each case; those of sequences are inertial and need no estimator to run again."""
     show = _showing(campaign)
     if show.trajectory is None:
         for name, found in posed(campaign, folder, cases):
@@ -109,3 +124,67 @@ def trajectories(
         return
     for case in cases:
         yield case.stem, show.trajectory(campaign, folder, case)
+
+
+def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
+    """Write a COLMAP model of the estimated poses, and of the landmarks observed in images with a pose."""
+    tracks: dict[int, _Track] = {}
+    lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for image, frame in enumerate(posed.frames, start=1):
+        lines += _image(image, frame, posed, tracks)
+    texts = {
+        "cameras.txt": ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", _camera(posed.camera)],
+        "images.txt": lines,
+        "points3D.txt": [
+            "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)",
+            *(_point(number, posed.places_m[number], track) for number, track in sorted(tracks.items())),
+        ],
+    }
+    for name, text in texts.items():
+        write_text(folder / name, "\n".join(text) + "\n")
+    return [folder / name for name in texts]
+
+
+def _camera(camera: Camera) -> str:
+    numbers = _numbers(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+    return f"{_CAMERA} PINHOLE {camera.width_px} {camera.height_px} {numbers}"
+
+
+def _image(image: int, frame: PosedFrame, posed: PosedFrames, tracks: dict[int, _Track]) -> list[str]:
+    """Return the two lines of an image, and add its observations and reprojection errors to ``tracks``."""
+    pose, points = frame.estimated, []
+    for row, (number, uv_px) in enumerate(zip(frame.landmarks.tolist(), frame.uv_px, strict=True)):
+        place = posed.places_m.get(number)
+        if place is not None:
+            error_px = float(np.linalg.norm(posed.camera.project(pose.transform(place)) - uv_px))
+            tracks.setdefault(number, []).append((image, row, error_px))
+        points.append(f"{_numbers(*uv_px)} {_NO_POINT if place is None else number + 1}")
+    head = f"{image} {_numbers(*pose.quat_wxyz, *pose.translation_m)} {_CAMERA} {frame.name}"
+    return [head, " ".join(points)]
+
+
+def _point(number: int, place_m: FloatArray, track: _Track) -> str:
+    """Return the line of a landmark with its mean reprojection error; 0 if it is behind every camera."""
+    errors = [error for _, _, error in track if np.isfinite(error)]
+    error = float(np.mean(errors)) if errors else 0.0
+    seen = " ".join(f"{image} {row}" for image, row, _ in track)
+    return f"{number + 1} {_numbers(*place_m)} {_GREY} {_numbers(error)} {seen}"
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(f"{value:.17g}" for value in values)
+
+
+def write_trajectory(name: str, frames: Sequence[PosedFrame], out: Path) -> list[Path]:
+    """Write ``NAME.truth.tum`` and ``NAME.estimate.tum``, with the same timestamps."""
+    ordered = sorted(frames, key=lambda frame: frame.time_s)
+    paths = [out / f"{name}.{what}.tum" for what in ("truth", "estimate")]
+    for path, poses in zip(paths, zip(*[(f.true, f.estimated) for f in ordered], strict=True), strict=True):
+        lines = [_line(frame.time_s, pose) for frame, pose in zip(ordered, poses, strict=True)]
+        write_text(path, "# timestamp tx ty tz qx qy qz qw\n" + "".join(lines))
+    return paths
+
+
+def _line(time_s: float, T_cam_world: Pose) -> str:
+    quat_xyzw = Rotation.from_matrix(T_cam_world.rotation.T).as_quat(canonical=True)
+    return " ".join(f"{x:.17g}" for x in np.concatenate([[time_s], T_cam_world.camera_position_m, quat_xyzw])) + "\n"

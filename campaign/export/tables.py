@@ -1,4 +1,4 @@
-"""Stored tables as single CSV or Parquet files, and the printed tables of a report as LaTeX."""
+"""Export of stored tables as CSV or Parquet, and of the tables of a report as LaTeX."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from scenarios.atomic import write_atomically, write_text
 def write_tables(
     folder: RunFolder, kind: str, trials: Sequence[int] | None, only: dict[str, str], out: Path
 ) -> list[Path]:
-    """Write every stored table that holds a row into one file of its own, and what its columns mean.
+    """Write every table that is not empty to a file, and a file with the meaning of the columns.
 
     Parameters
     ----------
     kind
-        ``csv`` or ``parquet``; numbers come back bit for bit from both.
+        ``csv`` or ``parquet``; both preserve every bit of the numbers.
     trials
-        Which trials; None for all.
+        Trials to export; None for all.
     only
-        The value that a column must have, where a table has that column.
+        Required value by column, for tables that have the column.
     """
     written, meanings = [], []
     for name in TABLES:

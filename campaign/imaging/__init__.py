@@ -1,1 +1,1 @@
-"""Images of a scenario, rendered or real, and the store of rendered ones."""
+"""Images of a scenario, rendered or real, and the observations made of them."""

@@ -1,8 +1,8 @@
-"""Rendered images kept between runs: what changes no pixel renders nothing again.
+"""Rendered images of a scenario, stored in the cache between runs.
 
-The store holds radiance factors, before the detector: exposing one again costs little and has a random stream of its
-own, so that a changed detector reads the same images. It lives in the cache, which bounds its size; damaged or missing
-images are rendered. Images from the store are those of the renderer, bit for bit.
+The store contains radiance factors before the detector, which is fast and has a random stream of its own, so that a
+changed detector reads the same images. The cache bounds its size; missing or damaged images are rendered again. Images
+from the store equal rendered ones bit for bit.
 """
 
 from __future__ import annotations
@@ -21,9 +21,18 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from campaign.machine import package_versions, processor
-from renderers.mitsuba3 import choose_variant, code_generator, renderer_version
+from renderers.detector import Detector
+from renderers.mitsuba3 import (
+    BodyRenderer,
+    MitsubaRenderer,
+    TiledRenderer,
+    choose_variant,
+    code_generator,
+    renderer_version,
+)
+from scenarios.bodies import load_body
 from scenarios.cache import Cache, default_cache
-from scenarios.craters import shape_digest
+from scenarios.craters import cratered_surface, shape_digest
 from scenarios.draw import Stream
 from scenarios.geometry import View
 from scenarios.limits import MOST_PIXELS
@@ -35,7 +44,7 @@ KIND = "images"
 SWITCH = "BORESIGHT_IMAGE_STORE"
 _FORMAT = 1
 _FILE = "images.parquet"
-# A chunk is read and written whole: as many images as a block of trials, but no more pixels than this.
+# A chunk is read and written as a whole: as many images as a block of trials, but at most this many pixels.
 _CHUNK_IMAGES = 10
 _CHUNK_PIXELS = 1 << 25
 
@@ -53,19 +62,19 @@ _SCHEMA = pa.schema(
 )
 
 _MOST_BYTES = 5 * MOST_PIXELS
-"""Values of 4 bytes and a bit in the map for each pixel, and some room for indices and fingerprints."""
+"""Largest uncompressed file: 4 bytes and one bit for each pixel, and room for indices and fingerprints."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeptImage:
-    """An image (H, W) float32 with the fingerprint of its view."""
+class StoredImage:
+    """Image (H, W) float32 with the fingerprint of its view."""
 
     image: Image
     view: bytes
 
 
-def write_images(path: Path, images: Mapping[int, KeptImage]) -> None:
-    """Write images by their index; every bit comes back, negative zeros and NaN included."""
+def write_images(path: Path, images: Mapping[int, StoredImage]) -> None:
+    """Write images by index, without loss of any bit, including negative zeros and NaN."""
     rows = []
     for index, kept in sorted(images.items()):
         pixels = np.ascontiguousarray(kept.image, dtype=np.float32)
@@ -84,15 +93,15 @@ def write_images(path: Path, images: Mapping[int, KeptImage]) -> None:
     )
 
 
-def read_images(path: Path) -> dict[int, KeptImage]:
-    """Read all images of a file; they are read-only.
+def read_images(path: Path) -> dict[int, StoredImage]:
+    """Read all images of a file as read-only arrays.
 
     Raises
     ------
-    ValueError, KeyError, TypeError, OSError or one of pyarrow's
+    ValueError, KeyError, TypeError, OSError, or an error of pyarrow
         If the file is damaged.
     """
-    images: dict[int, KeptImage] = {}
+    images: dict[int, StoredImage] = {}
     for batch in _stored(path).to_batches():
         for row in range(batch.num_rows):
             index, view, height, width, lit = (batch.column(name)[row].as_py() for name in _SCHEMA.names[:-1])
@@ -100,12 +109,12 @@ def read_images(path: Path) -> dict[int, KeptImage]:
             mask = np.unpackbits(np.frombuffer(lit, np.uint8), count=height * width).reshape(height, width)
             image[mask.view(np.bool_)] = batch.column("values")[row].values.to_numpy()
             image.setflags(write=False)
-            images[index] = KeptImage(image, view)
+            images[index] = StoredImage(image, view)
     return images
 
 
 def _stored(path: Path) -> pa.Table:
-    """Read the rows of a file, before any image is unfolded: all of them are no larger than the largest is."""
+    """Read the rows of a file, checking the sizes before any image is decompressed."""
     with pq.ParquetFile(path) as file:
         about = file.metadata
         unfolded = sum(about.row_group(number).total_byte_size for number in range(about.num_row_groups))
@@ -123,13 +132,13 @@ def _pixels(size: Mapping[str, int]) -> int:
 
 
 def store_is_on() -> bool:
-    """Whether images are kept: $BORESIGHT_IMAGE_STORE is not ``off``."""
+    """Return whether the store is in use: $BORESIGHT_IMAGE_STORE is not ``off``."""
     return os.environ.get(SWITCH) != "off"
 
 
 @contextmanager
 def store_switched(on: bool) -> Iterator[None]:
-    """Keep and take images, or not."""
+    """Switch the store on or off inside the context, for child processes too."""
     before = os.environ.get(SWITCH)
     os.environ[SWITCH] = "on" if on else "off"
     try:
@@ -141,7 +150,7 @@ def store_switched(on: bool) -> Iterator[None]:
 
 
 def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: Sequence[SpecModel]) -> str:
-    """Return the content hash of all that decides a set of rendered images, but for each image's own view.
+    """Return the hash of everything that determines a set of rendered images, except the view of each image.
 
     Parameters
     ----------
@@ -150,7 +159,7 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
     variant
         The Mitsuba variant.
     stream, laws
-        What the views are drawn from: keeps sets of different views apart.
+        Random stream and distributions of the views, to distinguish sets of different views.
     """
     spec = scenario.spec
     versions = package_versions()
@@ -168,7 +177,7 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
 
 
 def fingerprint(view: View) -> bytes:
-    """Hash camera, pose and Sun of a view, to the last bit."""
+    """Hash camera, pose and Sun of a view, exactly."""
     numbers = (view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body)
     parts = [repr(view.camera).encode(), *(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)]
     return hashlib.sha256(b"|".join(parts)).digest()[:16]
@@ -176,34 +185,34 @@ def fingerprint(view: View) -> bytes:
 
 @dataclass(slots=True, eq=False)
 class ImageStore:
-    """One set of images, numbered from 0 under each seed; a process holds one chunk of it at a time.
+    """Stored images of one set, numbered from 0 for each seed; a process loads one chunk at a time.
 
     Parameters
     ----------
     key
-        Of the set, from ``image_set_key``.
+        Hash of the set, from ``image_set_key``.
     chunk_images
-        Images of a chunk.
+        Images per chunk.
     """
 
     key: str
     chunk_images: int
     _chunk: str = ""
-    _images: dict[int, KeptImage] = field(default_factory=dict)
+    _images: dict[int, StoredImage] = field(default_factory=dict)
     _fresh: set[int] = field(default_factory=set)
     _writable: bool = True
 
     @classmethod
     def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> ImageStore:
-        """Open the set of images of a scenario whose views are drawn from a stream by some laws; reads nothing yet."""
+        """Open the images of a scenario with views drawn from a stream by given distributions, without reading yet."""
         camera = scenario.spec.camera
         chunk_images = min(_CHUNK_IMAGES, max(1, _CHUNK_PIXELS // (camera.width_px * camera.height_px)))
         return cls(image_set_key(scenario, variant, stream, laws), chunk_images)
 
     def image(self, seed: int, index: int, view: View, render: Callable[[View], Image]) -> tuple[Image, bool]:
-        """Return an image, rendered if it is not in the store, and whether it came from there.
+        """Return an image, rendered if it is not stored, and whether it came from the store.
 
-        What is rendered is kept when its chunk is left, and on ``flush``.
+        Rendered images are written when another chunk is needed, and by ``flush``.
         """
         chunk = f"{self.key}-{seed:x}-{index // self.chunk_images:07d}"
         if chunk != self._chunk:
@@ -215,12 +224,12 @@ class ImageStore:
             return kept.image, index not in self._fresh
         image = render(view)
         image.setflags(write=False)
-        self._images[index] = KeptImage(image, wanted)
+        self._images[index] = StoredImage(image, wanted)
         self._fresh.add(index)
         return image, False
 
     def flush(self) -> None:
-        """Keep what was rendered since the last time, and hold nothing in memory."""
+        """Write the images rendered since the last call, and release the memory."""
         images, cache = self._images, _cache()
         if self._fresh and self._writable and cache is not None:
             self._writable = cache.put(KIND, self._chunk, lambda folder: write_images(folder / _FILE, images))
@@ -231,15 +240,67 @@ def _cache() -> Cache | None:
     return default_cache() if store_is_on() else None
 
 
-def _read(chunk: str) -> dict[int, KeptImage]:
+def _read(chunk: str) -> dict[int, StoredImage]:
     cache = _cache()
     folder = None if cache is None else cache.find(KIND, chunk)
     return {} if folder is None else read_chunk(folder / _FILE)
 
 
-def read_chunk(path: Path) -> dict[int, KeptImage]:
-    """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
+def read_chunk(path: Path) -> dict[int, StoredImage]:
+    """Read a chunk; empty if it is damaged, or if another process has just removed it from the cache."""
     try:
         return read_images(path)
     except PARQUET_FAULTS:
         return {}
+
+
+def open_renderer(scenario: LoadedScenario, variant: str) -> BodyRenderer:
+    """Create the renderer of a scenario's true body, including its craters."""
+    spec = scenario.spec
+    samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
+    if spec.craters is not None:
+        surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
+        return TiledRenderer(surface, spec.brdf, samples, chosen)
+    mesh = load_body(spec.body, scenario.search_dirs).mesh
+    return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imager:
+    """Renderer, store and detector of a scenario's camera; without a detector, images are radiance factors."""
+
+    renderer: BodyRenderer
+    detector: Detector | None
+    store: ImageStore
+
+    @classmethod
+    def open(
+        cls, scenario: LoadedScenario, variant: str, renderer: BodyRenderer, stream: Stream, *laws: SpecModel
+    ) -> Imager:
+        """Open the camera of a scenario for views drawn from a stream by given distributions."""
+        detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
+        return cls(renderer, detector, ImageStore.open(scenario, variant, stream, *laws))
+
+    def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
+        """Image a view.
+
+        Parameters
+        ----------
+        view
+            Camera, pose and Sun.
+        seed, index
+            Seed and number of the image in the store.
+        noise
+            Random generator of the detector.
+
+        Returns
+        -------
+        image, from_store
+            (H, W) float32, and whether the image came from the store.
+        """
+        radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
+        return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
+
+    def flush(self) -> None:
+        """Write the rendered images to the store."""
+        self.store.flush()

@@ -1,4 +1,4 @@
-"""Observations for estimators: the image, the Sun in the camera and a degraded pose."""
+"""Observations for estimators: image, direction to the Sun in camera axes, prior pose and sensor readings."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.world import Sight, World
+from campaign.imaging.world import TrialImage, World
 from renderers.rectify import rectify
-from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.geometry import View
 from scenarios.observation import Frame, Observation, RangeReading
+from scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
 
 T = TypeVar("T", bound=np.generic)
 
@@ -22,7 +22,7 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
 
     Returns
     -------
-    The reading; None where the scenario has no altimeter, or the boresight misses the body.
+    The reading; None if the scenario has no altimeter or the boresight misses the body.
     """
     altimeter = world.scenario.spec.sensors.altimeter
     if altimeter is None:
@@ -35,25 +35,25 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
     return RangeReading(range_m + float(rng.normal(0.0, altimeter.sigma_m)), altimeter.sigma_m)
 
 
-def observe(world: World, sight: Sight, seed: int, trial: int) -> Observation:
-    """Make what an estimator may see of a sight.
+def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Observation:
+    """Create the observation of a trial: what an estimator may use of it.
 
-    The image of a lens is resampled to the pinhole that the spacecraft takes it for, once for all estimators.
+    An image with distortion is resampled, once for all estimators, to the pinhole camera that the spacecraft assumes.
     """
     spec = world.scenario.spec
-    true = sight.view.T_cam_body
+    true = trial_image.view.T_cam_body
     prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial))
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
-    prior = believed_attitude(prior, spec.onboard, knowledge)
+    prior = onboard_attitude(prior, spec.onboard, knowledge)
     range_m = float(np.linalg.norm(prior.translation_m))
-    camera = believed_camera(spec)
+    camera = onboard_camera(spec)
     frame = Frame(
-        image=_read_only(rectify(sight.image, camera)),
-        sun_dir_cam=_read_only(believed_sun(true.rotate(sight.view.sun_dir_body), spec.onboard, knowledge)),
+        image=_read_only(rectify(trial_image.image, camera)),
+        sun_dir_cam=_read_only(onboard_sun_dir(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
         prior_T_cam_body=prior,
         prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, world.camera)),
-        time_s=sight.time_s,
-        altimeter=altimeter_reading(world, sight.view, generator(seed, Stream.ALTIMETER, trial)),
+        time_s=trial_image.time_s,
+        altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
     )
     return Observation(camera.pinhole, frame)
 

@@ -1,4 +1,4 @@
-"""The real images of a scenario, whatever poses them."""
+"""Real images of a scenario, with poses from a table or from SPICE kernels."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from scenarios.load import LoadedScenario
 
 
 def images_digest(scenario: LoadedScenario) -> str:
-    """Digest the real images of a scenario; empty where images are rendered."""
+    """Digest the real images of a scenario; '' if images are rendered."""
     return "" if scenario.spec.images is None else _all_images(scenario).content_digest()
 
 
 def open_images(scenario: LoadedScenario) -> ImageSet:
-    """Open the real images of a scenario that can be used.
+    """Open the usable real images of a scenario.
 
     Raises
     ------
     BoresightError
         If the scenario has none, or a file is missing or wrong.
     """
-    # A file that changed under the same name is another set.
+    # The digests are part of the cache's key, as a file may change under the same name.
     return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))
 
 
 def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
-    """Yield the files that the real images of a scenario are read from: as the scenario names them, and where."""
+    """Yield the files of a scenario's real images: name in the scenario, and path."""
     spec = scenario.spec.images
     if spec is None:
         return
@@ -43,7 +43,7 @@ def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
 
 
 def left_out_notes(scenario: LoadedScenario) -> list[str]:
-    """Say which real images of a scenario are not used and why; nothing where all are."""
+    """Describe the real images of a scenario that are left out, with the reasons; empty if none are."""
     if scenario.spec.images is None:
         return []
     images = open_images(scenario)
@@ -69,7 +69,7 @@ def _all_images(scenario: LoadedScenario) -> ImageSet:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     if spec.images.spice is None:
         return PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
-    # Imported here: most runs need no SPICE.
+    # Imported here, as most runs need no SPICE.
     from renderers.spice import SpiceImageSet
 
     return SpiceImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)

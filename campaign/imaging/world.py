@@ -1,4 +1,4 @@
-"""One scenario made real in this process: body, renderer, detector or image set."""
+"""Simulated or real world of a scenario in this process: body, renderer, and the source of its images."""
 
 from __future__ import annotations
 
@@ -9,39 +9,38 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.imager import Imager, open_renderer
+from campaign.imaging.image_store import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
-from renderers.images import ImageSet, reach
+from renderers.images import ImageSet, keep_clear_violation
 from renderers.mitsuba3 import BodyRenderer
-from scenarios.aim import draw_aimed_view
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, load_body
 from scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
-from scenarios.draw import Stream, draw_view, generator
+from scenarios.draw import Stream, draw_aimed_view, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
 from scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """What a camera saw in one trial, with the truth of it: for experiments only, never for an estimator.
+class TrialImage:
+    """Image of one trial with its true view. Only experiments may use it, never an estimator.
 
     Parameters
     ----------
     image
         (H, W) float32.
     view
-        The true view (for real images the reference pose).
+        The true view; for real images that of the reference pose.
     further
-        Other poses to score against, by name.
+        Views of other poses to score against, by name.
     image_name
-        File name of a real image, or ''.
+        File name of a real image, else ''.
     time_s
-        Epoch of a real image, or 0.
+        Epoch of a real image, else 0.
     from_store
         Whether the image was rendered in an earlier run.
     """
@@ -54,43 +53,43 @@ class Sight:
     from_store: bool = False
 
 
-class Source(Protocol):
-    """Where the images of an experiment come from."""
+class ImageSource(Protocol):
+    """Source of the images of an experiment."""
 
-    def sight(self, seed: int, trial: int) -> Sight:
-        """Produce the image and the truth of one trial."""
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
+        """Return image and true view of one trial."""
         ...
 
     def view(self, seed: int, trial: int) -> View:
-        """Tell the true view of one trial without its image."""
+        """Return the true view of one trial without its image."""
         ...
 
     def flush(self) -> None:
-        """Keep what was rendered, at the end of a block of trials."""
+        """Write rendered images to the store, at the end of a block of trials."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RenderedSource:
-    """Images rendered from views drawn at random, or taken from the store of those."""
+class RenderedImageSource:
+    """Source of images of random views, rendered or read from the store."""
 
     scenario: LoadedScenario
     camera: Camera
     shape: TriangleMesh
     imager: Imager
 
-    def sight(self, seed: int, trial: int) -> Sight:
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Draw a view, render it and expose the detector."""
         view = self.view(seed, trial)
         image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
-        return Sight(image, view, {}, from_store=from_store)
+        return TrialImage(image, view, {}, from_store=from_store)
 
     def flush(self) -> None:
-        """Keep what was rendered."""
+        """Write rendered images to the store."""
         self.imager.flush()
 
     def view(self, seed: int, trial: int) -> View:
-        """Draw views until one has the body clear of the parts of the detector that are to stay clear."""
+        """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
         rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
         clear = () if viewpoint is None else viewpoint.keep_clear_px
         for _ in range(_MOST_DRAWS):
@@ -98,7 +97,7 @@ class RenderedSource:
                 view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng)
             else:
                 view = draw_view(self.scenario.spec, self.camera, rng)
-            if not clear or not reach(view, self.imager.renderer.outline_m, clear):
+            if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(
             f"{self.scenario.path}: viewpoint.keep_clear_px: the body reached into it in {_MOST_DRAWS} views of trial"
@@ -107,15 +106,15 @@ class RenderedSource:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RealSource:
-    """Real images: trial t looks at image t modulo their number, so that few trials cover many images."""
+class RealImageSource:
+    """Source of real images: trial t has image t modulo their number, so that few trials cover many images."""
 
     images: ImageSet
     truth: str
     further: tuple[str, ...]
     realisations: int
 
-    def sight(self, seed: int, trial: int) -> Sight:
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Read the trial's image."""
         if trial >= len(self.images) * self.realisations:
             raise BoresightError(
@@ -123,7 +122,7 @@ class RealSource:
                 f" realisations: ask for at most {len(self.images) * self.realisations} trials"
             )
         index = trial % len(self.images)
-        return Sight(
+        return TrialImage(
             self.images.image(index),
             self.images.view(index, self.truth),
             {name: self.images.view(index, name) for name in (self.truth, *self.further)},
@@ -132,35 +131,35 @@ class RealSource:
         )
 
     def view(self, seed: int, trial: int) -> View:
-        """Tell the reference pose of the trial's image."""
+        """Return the view of the reference pose of the trial's image."""
         del seed
         return self.images.view(trial % len(self.images), self.truth)
 
     def flush(self) -> None:
-        """Do nothing: real images are on the disk already."""
+        """Do nothing, as real images are files already."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A scenario with everything that it takes to see it; ``ground`` is the surface of a cratered body."""
+    """A scenario with its body, renderer and image source; ``ground`` is the surface of a cratered body."""
 
     scenario: LoadedScenario
     camera: Camera
     body: Body
     renderer: BodyRenderer
-    source: Source
+    source: ImageSource
     ground: CrateredSurface | None = None
 
 
 def believed(scenario: LoadedScenario) -> LoadedScenario:
-    """Return a scenario as the spacecraft knows it."""
-    return replace(scenario, spec=believed_spec(scenario.spec))
+    """Return a scenario as the spacecraft believes it to be."""
+    return replace(scenario, spec=onboard_spec(scenario.spec))
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:
-    """Return how many trials a scenario's real images are good for; None where images are rendered.
+    """Return the number of trials that a scenario's real images allow; None if images are rendered.
 
-    Every image is read once on the way, so that a damaged one is found before a campaign starts.
+    Every image is read once, so that a damaged one is found before a campaign starts.
     """
     spec = scenario.spec
     if spec.images is None:
@@ -171,7 +170,7 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
 
 
 def check_craters(scenario: LoadedScenario) -> None:
-    """Refuse a cratered body that this machine has no room for, before a campaign starts."""
+    """Refuse a cratered body too large for this machine's memory, before a campaign starts."""
     spec = scenario.spec
     if spec.craters is None:
         return
@@ -183,19 +182,19 @@ def check_craters(scenario: LoadedScenario) -> None:
 
 
 def check_bodies(scenario: LoadedScenario) -> None:
-    """Refuse a body that cannot be read, the true one and the believed one, and views from inside it.
+    """Refuse a true or believed body that cannot be read, and views from inside the body.
 
-    Whatever is made of them would fail, and that would be taken for the fault of the method that asks for it.
+    Otherwise everything built from them would fail, and the failure would be attributed to the method that needs it.
     """
     spec = scenario.spec
     mesh = load_body(spec.body, scenario.search_dirs).mesh
-    load_body(believed_spec(spec).body, scenario.search_dirs)
+    load_body(onboard_spec(spec).body, scenario.search_dirs)
     if spec.viewpoint is not None:
         _check_range(scenario, mesh, spec.viewpoint)
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:
-    """Return the range of a scenario's views: of its viewpoint, or the median over its real images."""
+    """Range of a scenario's views, m: that of its viewpoint, or the median over its real images."""
     spec = scenario.spec
     if spec.viewpoint is not None:
         return spec.viewpoint.range_m
@@ -204,8 +203,8 @@ def typical_range_m(scenario: LoadedScenario) -> float:
 
 
 def open_world(scenario: LoadedScenario, variant: str) -> World:
-    """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
-    # A file that changed under the same name is another world.
+    """Open a scenario's world, cached per process: scenes cannot be pickled, so every worker builds its own."""
+    # The digests are part of the cache's key, as a file may change under the same name.
     return _built(scenario, variant, shape_digest(scenario.spec, scenario.search_dirs), images_digest(scenario))
 
 
@@ -218,18 +217,20 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     renderer = open_renderer(scenario, variant)
     if spec.images is not None:
         images = open_images(scenario)
-        source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
+        source: ImageSource = RealImageSource(
+            images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations
+        )
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    source = RenderedSource(scenario, camera, body.mesh, imager)
+    source = RenderedImageSource(scenario, camera, body.mesh, imager)
     return World(scenario, camera, body, renderer, source, ground)
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
-    """Refuse a range at which some of the drawn views would be from inside the body, before the first of them."""
+    """Refuse a range at which a drawn view could be inside the body."""
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
     south_deg, north_deg = viewpoint.latitude_deg.uniform

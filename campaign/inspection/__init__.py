@@ -1,5 +1,5 @@
-"""One case of a stored run: recomputed from its seed, held against what is stored, kept whole and drawn.
+"""Inspection of single cases of a stored run: recomputed, compared with the stored rows, drawn and written.
 
-``case`` and ``ranking`` say which trial, ``recompute`` works it out again, ``same`` compares it bit by bit, ``draw``
-finds what draws its kind (``single``, ``sequence``, ``craters``, ``orbit``), ``keep`` writes all that came about.
+`case` selects cases by name or rank, `recompute` runs and compares one, `show` defines the displays of a kind of trial,
+`look` collects a three-dimensional view of a run, and `build` writes a page for each case.
 """

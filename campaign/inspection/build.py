@@ -1,4 +1,4 @@
-"""Inspect cases of a stored run: recompute, compare, keep, draw, and write a page for each."""
+"""Pages of inspected cases: recompute a case, compare it with the stored one, write its data and draw it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from campaign.inspection.case import Case, Choice
-from campaign.inspection.ranking import ORDER, worst_cases
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.same import Sameness
-from campaign.inspection.show import Drawn, Kept, Show, show_of
+from campaign.inspection.case import ORDER, Case, Choice, worst_cases
+from campaign.inspection.recompute import Recomputed, StoredComparison, recompute
+from campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.trial.kept_images import write_image
@@ -30,11 +28,11 @@ from reports.schema.tables import TABLES, schema
 from scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
-"""Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
+"""Tables with few rows per case, shown on its page; longer ones are only written as Parquet."""
 
 
 def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:
-    """Draw the first picture of each of the worst cases; none where one alone takes minutes to make again."""
+    """Draw the first figure of each of the worst cases; none if recomputing a case takes minutes."""
     show = show_of(campaign.spec.experiment)
     if count == 0 or (show is not None and show.long(campaign)):
         return
@@ -52,9 +50,9 @@ def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> 
 
 
 def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
-    """Write the tables of a case as Parquet, what its estimator saw as TIFF, and what it returned as JSON."""
+    """Write the tables of a case as Parquet, its images as TIFF, and the estimate as JSON."""
     kept = [_table(name, records, folder) for name, records in again.records.items() if records]
-    shown = Kept() if show is None else show.kept(again.shown)
+    shown = CaseFiles() if show is None else show.kept(again.shown)
     for name, image in shown.images.items():
         kept.append(folder / f"{name}.tiff")
         write_image(kept[-1], image)
@@ -73,21 +71,21 @@ def _table(name: str, records: Sequence[Record], folder: Path) -> Path:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspected:
-    """A case that was inspected, and where its page is."""
+    """An inspected case with its row, its comparison with the stored one, and its page."""
 
     case: Case
     row: Record
-    sameness: Sameness
+    comparison: StoredComparison
     page: Path
 
 
 def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path) -> Inspected:
-    """Recompute one case, write all of it into a folder of its own below ``out``, and draw its stages.
+    """Recompute one case, write its data to a folder below ``out``, and draw its stages.
 
     Raises
     ------
     BoresightError
-        If its world cannot be made again, or a file cannot be written.
+        If its world cannot be rebuilt, or a file cannot be written.
     """
     again = recompute(campaign, folder, case)
     place = out / case.stem
@@ -105,27 +103,27 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         credits=drawn.credits,
     )
     path = write_case(page, drawn.figures, place)
-    return Inspected(case, again.row, again.sameness, path)
+    return Inspected(case, again.row, again.comparison, path)
 
 
-def draw_case(again: Recomputed, show: Show | None, kind: str) -> Drawn:
-    """Draw the stages of a case, as far as they came; where there is nothing to draw, a note says so."""
+def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
+    """Draw the completed stages of a case, or return a note that there is nothing to draw."""
     drawn = None if show is None else show.draw(again)
     if drawn is not None:
         return drawn
     why = f"trials of {kind} hold numbers alone" if show is None else "the trial ended before an estimator saw anything"
-    return Drawn([], notes=[f"There is nothing to draw: {why}."])
+    return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 
 
 def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
-    """Say what the case is, as names and values."""
+    """Describe a case by names and values."""
     manifest: dict[str, Any] = folder.read_manifest() or {}
     row = again.row
     facts = [
         ("Run", str(folder.path)),
         ("Campaign", campaign.spec.title or campaign.spec.name),
         ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
-        ("Recomputed", str(again.sameness)),
+        ("Recomputed", str(again.comparison)),
         ("Seed", str(campaign.seed)),
         ("Commit", str(manifest.get("commit") or "")),
         ("Image", str(row.get("image") or "")),
@@ -134,7 +132,7 @@ def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> 
 
 
 def _row_grid(row: Record) -> Grid:
-    """List what the row of a case holds, with what each number means."""
+    """Table of the values of a case's row and their meaning."""
     meanings = {column.name: column.meaning for column in TABLES["rows"]}
     key = ("trial", "scenario", "estimator", "status", "reason", "image")
     cells = [
@@ -144,7 +142,7 @@ def _row_grid(row: Record) -> Grid:
 
 
 def _grids(again: Recomputed) -> list[Grid]:
-    """Print the short tables of a case."""
+    """Return the short tables of a case for its page."""
     grids = []
     for name in (name for name in _SHORT if again.records.get(name)):
         records = again.records[name]
@@ -167,6 +165,6 @@ def _command(folder: RunFolder, case: Case) -> str:
 
 
 def order_of(cases: Sequence[Case]) -> list[Case]:
-    """Sort cases so that those of one scenario follow each other: its world is built once."""
+    """Sort cases by scenario, so that each world is built once."""
     scenarios = list(dict.fromkeys(case.scenario for case in cases))
     return sorted(cases, key=lambda case: scenarios.index(case.scenario))

@@ -1,17 +1,24 @@
-"""Which cases of a stored run are meant: names that it has, and one clear line where it has not."""
+"""Selection of cases of a stored run, by name, by number, or as the worst; a failure is worse than any error."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
+from reports.compare.metrics import N_FINDABLE, Metric, choose_metric, detection_counts, metric_names, metric_values
+from reports.run.data import TRIAL_KEY, RunData, in_order_of
 from reports.schema.named_figure import file_stem
 from scenarios.errors import BoresightError
 
 CONTROLS = ("prior", "dead-reckoning")
-"""Estimators that do nothing, so that others can be held against them: the worst of them teaches nothing."""
+"""Baseline estimators that use no measurement, whose worst cases are of no interest."""
+
+ORDER = "estimators that raised, then failures by their prior error, then solved trials by"
+MISSED_OR_WRONG = "n_missed_or_wrong"
+"""Number of missed and of wrong craters in a trial, by which detection and matching are ranked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +31,7 @@ class Case:
 
     @property
     def stem(self) -> str:
-        """Name of its folder."""
+        """Name of the folder of the case."""
         return file_stem(self.scenario, self.estimator, f"{self.trial:07d}")
 
     def __str__(self) -> str:
@@ -33,19 +40,19 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which scenarios and estimators of a run a user asked for; None for all."""
+    """Scenario and estimator selected by the user; None for all."""
 
     scenario: str | None = None
     estimator: str | None = None
 
 
 def chosen_rows(rows: pd.DataFrame, choice: Choice, run: str) -> pd.DataFrame:
-    """Keep the rows of a choice.
+    """Return the rows of a choice.
 
     Raises
     ------
     BoresightError
-        If the run has no such scenario or estimator; the message lists those that it has.
+        If the run has no such scenario or estimator; the message lists the existing ones.
     """
     for column, wanted in (("scenario", choice.scenario), ("estimator", choice.estimator)):
         there = list(dict.fromkeys(rows[column].astype(str)))
@@ -57,17 +64,17 @@ def chosen_rows(rows: pd.DataFrame, choice: Choice, run: str) -> pd.DataFrame:
 
 
 def unknown(column: str, wanted: str, there: Sequence[str], run: str) -> BoresightError:
-    """Say that a run has no scenario or estimator of a name."""
+    """Return the error for a scenario or estimator that the run does not have."""
     return BoresightError(f"--{column} {wanted}: {run} has none of that name: choose one of {', '.join(there)}")
 
 
 def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Case]:
-    """List the cases of numbered trials, of all estimators of one scenario.
+    """Return the cases of given trials, for all estimators of one scenario.
 
     Raises
     ------
     BoresightError
-        If several scenarios are left, or a trial is not stored.
+        If the rows are of several scenarios, or a trial is not stored.
     """
     scenarios = list(dict.fromkeys(rows["scenario"].astype(str)))
     if len(scenarios) > 1:
@@ -77,7 +84,7 @@ def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Cas
 
 
 def checked_trials(rows: pd.DataFrame, trials: Sequence[int] | None, run: str) -> list[int]:
-    """Return the trials that were asked for, all that are stored for None.
+    """Return the requested trials, or all stored ones for None.
 
     Raises
     ------
@@ -92,6 +99,59 @@ def checked_trials(rows: pd.DataFrame, trials: Sequence[int] | None, run: str) -
 
 
 def cases_of(rows: pd.DataFrame) -> list[Case]:
-    """List the cases of stored rows, in their order."""
+    """Return the cases of stored rows, in order."""
     keys = rows[["scenario", "estimator", "trial"]].itertuples(index=False, name=None)
     return [Case(str(scenario), str(estimator), int(trial)) for scenario, estimator, trial in keys]
+
+
+def worst_cases(run: RunData, count: int, choice: Choice, metric: str | None) -> tuple[list[Case], str]:
+    """Rank the trials of a run, the worst first.
+
+    Errors come first, then failures, both by decreasing prior error, then solved trials without the metric, then solved
+    trials by decreasing metric; ties by trial number. `CONTROLS` are left out unless ``choice`` names one.
+
+    Returns
+    -------
+    cases
+        ``count`` cases, or all if there are fewer.
+    name
+        Name of the metric.
+    """
+    rows = run.rows.reset_index(drop=True)
+    values, name = _badness(run, metric)
+    ranked = rows.assign(_badness=values.abs().to_numpy())
+    ranked = chosen_rows(ranked, choice, str(run.folder))
+    others = ranked[~ranked["estimator"].isin(CONTROLS)]
+    if choice.estimator is None and not others.empty:
+        ranked = others
+    solved = ranked["status"] == "ok"
+    rank = ranked["status"].map({"error": 0, "failed": 1}).fillna(2)
+    number = np.where(solved, ranked["_badness"], ranked["prior_position_error_m"].astype(float))
+    # A trial without the number cannot be judged, so it is ranked before the others of its status.
+    ranked = ranked.assign(_rank=rank, _number=np.nan_to_num(number, nan=np.inf))
+    ranked = ranked.sort_values(["_rank", "_number", "trial"], ascending=[True, False, True], kind="stable")
+    return cases_of(ranked.head(count)), name
+
+
+def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
+    """Return the metric by which trials are ranked, in the order of the rows, and its name."""
+    faults = crater_faults(run)
+    if faults is not None and metric in (None, MISSED_OR_WRONG):
+        return faults, MISSED_OR_WRONG
+    if metric is None and not metric_names(run):
+        return pd.Series(np.nan, index=run.rows.index), "nothing: no trial has a number"
+    chosen: Metric = choose_metric(metric, [run])
+    return metric_values(run, chosen), chosen.name
+
+
+def crater_faults(run: RunData) -> pd.Series | None:
+    """Count missed and wrong craters of each row; None for a run without craters in images."""
+    if not run.table("crater_matches").empty:
+        matched = run.table("crater_matches")
+        counted = matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
+    elif not run.table("crater_images").empty:
+        counts = detection_counts(run)
+        counted = counts.assign(faults=counts[N_FINDABLE] - counts["n_hits"] + counts["n_false"])
+    else:
+        return None
+    return pd.Series(in_order_of(run.rows, counted.set_index(TRIAL_KEY)["faults"]), index=run.rows.index)

@@ -1,72 +1,79 @@
-"""A case of a stored run, worked out again from its seed with all that came about on the way."""
+"""Recomputation of a case of a stored run from its seed, and its comparison with the stored tables bit by bit."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+
 from campaign.inspection.case import Case
-from campaign.inspection.same import Sameness, compare_with_stored
 from campaign.pool.guard import STOPPED, Call, Loss, guarding
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.resolve import reload, unlike
 from campaign.runs.worker import trials_of
-from campaign.store import RunFolder
+from campaign.store import TABLES, RunFolder
 from campaign.trial.kind import Bench, Record, Records, Trials
+from reports.schema.tables import schema
 from scenarios.errors import BoresightError
 
 _MOST_NAMED = 3
 
+NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
+"""Tables not compared: times vary, tracebacks contain file paths, and the output of methods is arbitrary."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recomputed:
-    """A case as it came out again.
+    """Result of recomputing a case.
 
     Parameters
     ----------
     case
-        Which one.
+        The case.
     trials
         The trials of its estimator alone.
     records
-        Its stored tables, made again.
+        Its tables, recomputed.
     shown
-        What its witness was shown; None of a kind that shows nothing, or where there was no such trial.
-    sameness
-        Against what is stored.
+        Intermediate results passed to the observer of the trial; None if the kind of trial provides none, or the trial
+        ended before.
+    comparison
+        Comparison with the stored tables.
     """
 
     case: Case
     trials: Trials
     records: Records
     shown: object | None
-    sameness: Sameness
+    comparison: StoredComparison
 
     @property
     def row(self) -> Record:
-        """Its row."""
+        """Row of the case."""
         return self.records["rows"][0]
 
     @property
     def traceback(self) -> str:
-        """Of an estimator that raised; '' of others."""
+        """Traceback of an estimator that raised, else ''."""
         return "\n".join(str(record["traceback"]) for record in self.records.get("tracebacks", []))
 
     @property
     def said(self) -> dict[str, str]:
-        """What its method wrote, by stream."""
+        """Captured output of the method, by stream."""
         return {str(record["stream"]): str(record["text"]) for record in self.records.get("said", [])}
 
 
 def reopened(folder: RunFolder) -> ResolvedCampaign:
-    """Resolve the campaign of a stored run again, to recompute its trials.
+    """Resolve the campaign of a stored run, to recompute its trials.
 
     Raises
     ------
     BoresightError
-        If no run has started there, or code or data are not those that it was made with.
+        If there is no run, or code or data differ from those that it was made with.
     """
     manifest = folder.read_manifest()
     if manifest is None:
@@ -89,7 +96,7 @@ def _why(manifest: Mapping[str, Any]) -> str:
 
 
 def _remake(manifest: Mapping[str, Any]) -> str:
-    """Write the command that runs the campaign of a manifest again, into the folder of its new digest."""
+    """Return the command that runs the campaign of a manifest with the present code."""
     began = _words(manifest.get("command") or "")
     given = began[:2] == ["boresight", "run"] and len(began) > 2 and not began[2].startswith("-")
     name = began[2] if given else str(manifest.get("name", "NAME"))
@@ -105,7 +112,7 @@ def _words(command: str) -> list[str]:
 
 
 def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
-    """Tell that a method was stopped in a case: it would take as long again, or this process with it."""
+    """Return the loss of a case whose method was stopped, so that it is not run again: it could end this process."""
     rows = folder.of_trial("rows", case.scenario, case.estimator, case.trial).to_pylist()
     reasons = [str(row.get("reason")).partition(STOPPED)[2] for row in rows if row["status"] == "error"]
     traces = folder.of_trial("tracebacks", case.scenario, case.estimator, case.trial).to_pylist()
@@ -117,11 +124,67 @@ def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
 
 
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
-    """Run one case again, with a witness, and compare it with what is stored."""
+    """Run one case again, observed, and compare it with the stored tables."""
     bench = Bench(folder.path, jobs=1, keep_images=False)
     shown: list[object] = []
     watched = trials_of(campaign, case.scenario, bench).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
-    sameness = compare_with_stored(folder, case, records)
-    return Recomputed(case, watched, records, shown[-1] if shown else None, sameness)
+    comparison = compare_with_stored(folder, case, records)
+    return Recomputed(case, watched, records, shown[-1] if shown else None, comparison)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredComparison:
+    """Result of comparing a recomputed trial with the stored one.
+
+    Parameters
+    ----------
+    values
+        Number of compared values.
+    differences
+        One line for each table and column that differs.
+    """
+
+    values: int
+    differences: tuple[str, ...]
+
+    def __str__(self) -> str:
+        if self.differences:
+            return f"NOT the same as stored: {'; '.join(self.differences)}"
+        return f"the same as stored, bit for bit ({self.values:,} values)"
+
+
+def compare_with_stored(folder: RunFolder, case: Case, records: Records) -> StoredComparison:
+    """Compare every reproducible table of a case with the recomputed one."""
+    values, differences = 0, []
+    for name in (name for name in TABLES if name not in NOT_REPRODUCIBLE):
+        stored = folder.of_trial(name, case.scenario, case.estimator, case.trial)
+        again = pa.Table.from_pylist([dict(record) for record in records.get(name, [])], schema=schema(name))
+        if stored.num_rows != again.num_rows:
+            differences.append(f"{name}: {again.num_rows} rows, {stored.num_rows} stored")
+            continue
+        values += stored.num_rows * len(stored.column_names)
+        differences += _differences(name, stored, again)
+    return StoredComparison(values, tuple(differences))
+
+
+def _differences(name: str, stored: pa.Table, again: pa.Table) -> Sequence[str]:
+    """Describe the columns that differ, ignoring columns that an earlier version did not store."""
+    found = []
+    for column in (column for column in again.column_names if column in stored.column_names):
+        rows = np.count_nonzero(_differs(stored[column], again[column]))
+        if rows:
+            found.append(f"{name}.{column} in {rows} of {stored.num_rows} rows")
+    return found
+
+
+def _differs(one: pa.ChunkedArray, other: pa.ChunkedArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """(n,) where two columns differ, numbers by their bits: NaN equals NaN, and -0 differs from 0."""
+    left, right = (_bits(column) for column in (one, other))
+    return np.array([a != b for a, b in zip(left, right, strict=True)], dtype=np.bool_)
+
+
+def _bits(column: pa.ChunkedArray) -> list[object]:
+    values = column.to_pylist()
+    return [value.hex() if isinstance(value, float) else value for value in values]

@@ -1,4 +1,4 @@
-"""The displays of a kind of trial: pictures and files of a case, a run in space, poses to export."""
+"""Displays of a kind of trial: figures and files of a case, a three-dimensional view of a run, poses for export."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.posed import PosedFrame, PosedFrames
 from campaign.inspection.recompute import Recomputed
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.worker import opened
@@ -21,14 +20,51 @@ from campaign.trial.kind import module_of
 from reports.pages.view3d import View3D
 from reports.run.data import RunData
 from reports.schema.named_figure import NamedFigure
-from scenarios.geometry import Pose
+from scenarios.geometry import Camera, Pose
 
 T = TypeVar("T")
 
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """Figures of a case, the credits that they carry, and sentences above them."""
+class PosedFrame:
+    """One image of a trajectory.
+
+    Parameters
+    ----------
+    name
+        Name of its file.
+    time_s
+        Epoch, s; the trial number for images without an epoch.
+    true, estimated
+        T_cam_world. The world frame is the body frame for single images; for sequences it is inertial in a trajectory
+        and the believed body frame in a model.
+    landmarks, uv_px
+        (n,) numbers of the observed landmarks, and (n, 2) their positions.
+    """
+
+    name: str
+    time_s: float
+    true: Pose
+    estimated: Pose
+    landmarks: IndexArray
+    uv_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedFrames:
+    """Frames of one camera in order of time, and estimated positions of landmarks by number, world axes, m."""
+
+    camera: Camera
+    frames: Sequence[PosedFrame]
+    places_m: dict[int, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaseFigures:
+    """Figures of a case, their credits, and the notes above them."""
 
     figures: Sequence[NamedFigure]
     credits: Sequence[str] = ()
@@ -36,16 +72,16 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kept:
-    """Files to write next to the page of a case: images that a method saw, by name, and what it returned."""
+class CaseFiles:
+    """Files for the page of a case: images used by the method, by name, and its estimate."""
 
     images: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     estimate: Mapping[str, object] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """One scenario and estimator of a stored run, to be looked at in space."""
+class EstimatorRun:
+    """One scenario and one estimator (``label``) of a stored run."""
 
     campaign: ResolvedCampaign
     folder: RunFolder
@@ -59,37 +95,37 @@ class Scene:
         return f"{self.scenario} / {self.label}"
 
     def opened(self, kind: type[T]) -> T:
-        """Open the trials of the scenario, with the first data base, which are of a class that their kind knows."""
+        """Open the trials of the scenario with the first data base; ``kind`` is their class."""
         return opened(self.campaign, self.scenario, self.folder.path, kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Show:
-    """The displays of a kind of trial; None for one that it lacks.
+    """Displays of a kind of trial; None for those that it lacks.
 
     Parameters
     ----------
     draw
-        Draws a recomputed case, None where its witness was shown nothing.
+        Draws a recomputed case; returns None if it has no intermediate results.
     kept
-        Returns what is kept of what a witness was shown.
+        Returns the files to write from the intermediate results of a case.
     look
-        Collects what is to be seen of a run in space.
+        Collects the three-dimensional view of a run.
     examples
         Draws typical trials for the report of a run.
     posed
-        Returns the camera poses of a recomputed case in the body's axes.
+        Returns the camera poses of a recomputed case in body axes.
     trajectory
-        Returns the trajectory of a stored case without an estimator working again; None where ``posed`` gives it.
+        Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
     pooled
-        Whether the poses of all trials are of one body at rest and make one model.
+        Whether the poses of all trials refer to the same fixed body, and form one model.
     long
-        Whether a case of a campaign takes minutes to make again.
+        Whether recomputing a case of a campaign takes minutes.
     """
 
-    draw: Callable[[Recomputed], Drawn | None] = lambda again: None
-    kept: Callable[[object], Kept] = lambda shown: Kept()
-    look: Callable[[Scene], View3D] | None = None
+    draw: Callable[[Recomputed], CaseFigures | None] = lambda again: None
+    kept: Callable[[object], CaseFiles] = lambda shown: CaseFiles()
+    look: Callable[[EstimatorRun], View3D] | None = None
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
@@ -108,11 +144,11 @@ def listed(matrix: NDArray[np.float64] | None) -> object:
 
 
 def plain(value: float | str) -> object:
-    """Return a number or a text that JSON can hold."""
+    """Return a number or a text for JSON."""
     return value if isinstance(value, str) else float(value)
 
 
 def show_of(kind: str) -> Show | None:
-    """Look up what a kind of trial shows; None of one that holds numbers alone."""
+    """Return the displays of a kind of trial; None if it has none."""
     module = f"{module_of(kind)}.show"
     return None if find_spec(module) is None else cast("Show", import_module(module).SHOW)

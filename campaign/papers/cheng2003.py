@@ -1,4 +1,4 @@
-"""The figures of Cheng et al. (2003), each drawn from the newest finished runs of its campaigns."""
+"""Figures and tables of Cheng et al. (2003), from the newest finished runs of its campaigns."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 from campaign.kinds.crater_detection.examples import detected, stages_of
 from campaign.kinds.crater_matching.show import matching_example
 from campaign.papers.gather import FinishedRun
-from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
-from estimators.craters.planning.plan import PLANNER
+from campaign.papers.page import Draw, Paper, PaperFigure, Runs
+from estimators.craters.planning import PLANNER
 from reports.kinds.crater_navigation import counts_figure
 from reports.kinds.image_survey import survey_figures
 from reports.kinds.orbit_determination import reference_scenarios, residual_figure
@@ -49,7 +49,7 @@ def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 
 
 def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
-    """Draw a pair for the paper's way of matching by invariants, and one for the hybrid of all."""
+    """Draw one image pair matched by the paper's invariants, and one by the hybrid method."""
     campaign, data = run.campaign(), run.content.run
     scenario = campaign.scenarios[0].spec.name
     for label in (label for method in _MATCHERS for label in run.labels(method)[:1]):
@@ -59,7 +59,7 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
 
 
 def _survey(wanted: int) -> Draw:
-    """Draw one of the histograms of an arc of planned images."""
+    """Return the drawing function of one histogram of an arc of planned images."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -93,10 +93,10 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
-    """Return what a run tells beside the published numbers."""
+    """Return the tables of a run that accompany the published numbers."""
     name = str(run.manifest["name"])
-    told = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
-    return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]
+    grids = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
+    return [replace(grid, title=f"{name}: {grid.title}") for grid in grids[: _TABLES_OF.get(name)]]
 
 
 _ORDER = ("detection", "matching", "matching-images", "invariants", "survey", "orbit", "endtoend")

@@ -1,4 +1,4 @@
-"""The figures of Delpech et al. (2015), each drawn from the newest finished runs of its campaigns."""
+"""Figures and tables of Delpech et al. (2015), from the newest finished runs of its campaigns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.papers.gather import FinishedRun
-from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
+from campaign.papers.page import Draw, Paper, PaperFigure, Runs
 from reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.tables import (
@@ -36,14 +36,14 @@ _SENSITIVITY = "delpech2015-sensitivity"
 def first_image(
     scenario: LoadedScenario, variant: str, seed: int, count: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
-    """Return the image (H, W) of trial 0, its ``count`` strongest features (n, 2) px, and how many were found."""
+    """Return the image (H, W) of trial 0, its ``count`` strongest features (n, 2), px, and their total number."""
     images = OrbitImages.open(scenario, variant, seed)
     features = images.found(0, 0).features
     return images.image(0, 0), features.uv_px[:count], len(features)
 
 
 def _trace(method: str, panel: str) -> Draw:
-    """Draw one panel of the errors of a method along the frames."""
+    """Return the drawing function of one panel of the errors of a method over the frames."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -56,7 +56,7 @@ def _trace(method: str, panel: str) -> Draw:
 
 
 def _series(abscissa: str) -> Draw:
-    """Draw the errors after one and two revolutions over a series."""
+    """Return the drawing function of the errors after one and two revolutions over a series."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -71,7 +71,7 @@ def _series(abscissa: str) -> Draw:
 
 
 def _starts(method: str) -> Draw:
-    """Draw the errors of a method from every start on the images."""
+    """Return the drawing function of the errors of a method for all starting images."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -84,7 +84,7 @@ def _starts(method: str) -> Draw:
 
 
 def _image(features: int) -> Draw:
-    """Draw the first image, with its strongest features or without."""
+    """Return the drawing function of the first image with its strongest features (0 for none)."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -104,7 +104,7 @@ def _image(features: int) -> Draw:
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
-    """Return what a run tells beside the published numbers: all statistics, and the ratios between its methods."""
+    """Return the tables that accompany the published numbers: statistics, and ratios between the methods."""
     content = run.content
     records = pooled_alone(content.run, content.records)
     found = [*ratio_grids(records), *sign_grids(records, content.run)]

@@ -1,4 +1,4 @@
-"""The newest finished run of each campaign, and what cannot be read of those that are stored."""
+"""Search for the newest finished run of each campaign of a paper."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from scenarios.reading import plain_json
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A stored run that holds all the trials that it was asked for.
+    """A stored run that contains all requested trials.
 
     Parameters
     ----------
     folder
-        Where it lies.
+        Folder of the run.
     manifest
-        How it was made.
+        Content of its manifest.
     """
 
     folder: RunFolder
@@ -37,21 +37,21 @@ class FinishedRun:
 
     @cached_property
     def data(self) -> RunData:
-        """Its tables; raises BoresightError if they are damaged, or those of another version."""
+        """Tables of the run; raises BoresightError if they are damaged or of another version."""
         return read_run(self.folder.path)
 
     @cached_property
     def content(self) -> Content:
-        """What its report says."""
+        """Content of its report."""
         return content_of(self.data)
 
     def labels(self, method: str) -> list[str]:
-        """List the labels under which an estimator ran, by its name."""
+        """Return the labels of an estimator in the run, by its name."""
         entries = [entry for each in self.manifest["campaign"]["estimators"] for entry in each.items()]
         return [str(options.get("label", name)) for name, options in entries if name == method]
 
     def campaign(self) -> ResolvedCampaign:
-        """Resolve its campaign again, to draw what is not stored.
+        """Resolve its campaign, to draw what is not stored.
 
         Raises
         ------
@@ -68,25 +68,25 @@ class FinishedRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
-    """What there is of some campaigns.
+class GatheredRuns:
+    """Runs found for some campaigns.
 
     Parameters
     ----------
     found
-        The newest finished run of each campaign that has one which can be read.
+        The newest readable finished run of each campaign that has one.
     refused
-        A line for each run that was passed over because it is damaged or of another format.
+        A line for each run that was skipped because it is damaged or of another format.
     """
 
     found: dict[str, FinishedRun]
     refused: tuple[str, ...]
 
 
-def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> Gathered:
-    """Find the newest finished run of each campaign among some folders; one that cannot be read gives way to an older.
+def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> GatheredRuns:
+    """Find the newest readable finished run of each campaign among some folders.
 
-    With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
+    With ``draft`` below 1, a draft of that scale is used where there is no full run.
     """
     found: dict[str, FinishedRun] = {}
     refused: list[str] = []
@@ -98,25 +98,24 @@ def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) 
             if run is not None:
                 found[name] = run
                 break
-    return Gathered(found, tuple(dict.fromkeys(refused)))
+    return GatheredRuns(found, tuple(dict.fromkeys(refused)))
 
 
 def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
-    """Return the finished run of a campaign that was started last among some folders; None without any."""
+    """Return the most recently started finished run of a campaign among some folders, or None."""
     return next(iter(finished_runs(runs, name, draft)[0]), None)
 
 
 def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[list[FinishedRun], list[str]]:
-    """List the finished runs of a campaign among some folders, the last that was started first.
+    """Return the finished runs of a campaign among some folders, the most recently started first.
 
-    Drafts are runs of fewer trials and smaller data bases: those of a scale are asked for by it.
-
-    Runs with ``--set`` are of another world than the paper's, whatever campaign they began from.
+    ``draft`` selects drafts of that scale (fewer trials and smaller data bases). Runs with ``--set`` are ignored, as
+    they differ from the paper's.
 
     Returns
     -------
     finished, refused
-        The runs, and a line for each that may be one of them and whose manifest or rows cannot be read.
+        The runs, and a line for each run that may be of the campaign but cannot be read.
     """
     finished, refused = [], []
     for path in runs:
@@ -135,7 +134,7 @@ def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[
 
 
 def _first_sound(runs: Sequence[FinishedRun]) -> tuple[FinishedRun | None, list[str]]:
-    """Return the first run that can be read and held against what it names, and a line for each before it."""
+    """Return the first run whose tables and published values can be read, and a line for each run before it."""
     refused = []
     for run in runs:
         try:
@@ -154,12 +153,12 @@ def _left_out(path: Path, error: BoresightError) -> str:
 
 
 def _may_be_of(path: Path, name: str) -> bool:
-    """Whether a run that cannot be read may be of a campaign: by its manifest, or else by the name of its folder."""
+    """Return whether an unreadable run may be of a campaign, by its manifest or the name of its folder."""
     try:
-        told = plain_json(path / "manifest.json")
+        content = plain_json(path / "manifest.json")
     except (OSError, ValueError):
-        told = None
-    own = told.get("name") if isinstance(told, dict) else None
+        content = None
+    own = content.get("name") if isinstance(content, dict) else None
     if isinstance(own, str):
         return own == name
     known = [one for one in campaign_names() if path.name.startswith(f"{one}-")]
@@ -167,7 +166,7 @@ def _may_be_of(path: Path, name: str) -> bool:
 
 
 def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:
-    """Tell whether all trials are there: a finished run may have been asked for more afterwards."""
+    """Return whether all trials are stored: more may have been requested after the run finished."""
     if not manifest.get("finished"):
         return False
     rows = folder.table("rows")
@@ -176,5 +175,5 @@ def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:
 
 
 def run_folders(runs: Path) -> list[Path]:
-    """List the folders below ``runs`` that hold a manifest, by name."""
+    """Return the folders below ``runs`` that contain a manifest, by name."""
     return sorted(path.parent for path in runs.glob("*/manifest.json"))

@@ -1,15 +1,15 @@
-"""The page of a paper, put together from what has been run."""
+"""Definition of a paper (campaigns, figures, methods), and the page composed from its finished runs."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from campaign.papers.gather import FinishedRun, Gathered, gather_runs, run_folders
-from campaign.papers.kinds import Paper, PaperFigure
+from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.runs.start import RUNS
 from reports.figures.provenance import add_provenance, with_trial_counts
@@ -17,10 +17,59 @@ from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure
 from reports.published import load_published
 from reports.run.known import short_line
+from reports.schema.grid import Grid
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
+
+Runs = Mapping[str, FinishedRun]
+Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
+"""Draws figures of runs; rebuilds use the given number of workers, None for one for each core or GPU."""
+
+
+@dataclass(frozen=True, slots=True)
+class PaperFigure:
+    """A figure of a paper: its number, the campaigns it can be drawn from, and the drawing function.
+
+    Each run is drawn separately, unless one drawing shows all of them ``together``.
+    """
+
+    number: str
+    campaigns: tuple[str, ...]
+    draw: Draw
+    together: bool = False
+
+    def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
+        """Return a figure with the paper's number in file name and caption."""
+        return replace(
+            figure, stem=f"figure_{self.number:0>2}{suffix}", caption=f"Figure {self.number}. {figure.caption}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """Definition of a paper's page.
+
+    Parameters
+    ----------
+    title
+        Heading of the page.
+    campaigns
+        Names of its campaigns, in the order of its sections; those missing from the catalogue are ignored.
+    methods
+        Names of the methods of the paper; other estimators of a run are not compared with it.
+    figures
+        Its figures.
+    grids
+        Returns further tables of a run.
+    """
+
+    title: str
+    campaigns: tuple[str, ...]
+    methods: tuple[str, ...]
+    figures: tuple[PaperFigure, ...]
+    grids: Callable[[FinishedRun], list[Grid]]
 
 
 def paper_called(name: str) -> Paper:
@@ -34,15 +83,15 @@ def paper_campaigns(paper: Paper) -> list[str]:
     return [name for name in paper.campaigns if name in known]
 
 
-def gather(paper: Paper, runs: Path, draft: float = 1.0) -> Gathered:
-    """Find the newest finished run of each campaign of the paper, drafts of a scale where nothing else is there."""
+def gather(paper: Paper, runs: Path, draft: float = 1.0) -> GatheredRuns:
+    """Find the newest finished run of each campaign of the paper, or drafts of a scale if there is no full run."""
     return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
 
 
 def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0) -> PaperPage:
-    """Draw all figures and set all numbers of the paper beside ours, as far as they have been run.
+    """Draw all figures and compare all numbers of the paper, as far as its campaigns have been run.
 
-    What is built again for a figure takes ``jobs`` workers; None for one for each core, or GPU.
+    Rebuilds for figures use ``jobs`` workers; None for one for each core or GPU.
     """
     gathered = gather(paper, runs, draft)
     found = gathered.found
@@ -78,9 +127,10 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
 
 
 def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:
-    """Draw one figure of the paper; the first of its campaigns gives it its number, further ones stand beside it.
+    """Draw one figure of the paper for each of its campaigns that has been run.
 
-    A drawing whose stem begins with an underscore says itself what is put behind the number.
+    The first drawing is named by the number, further ones also by campaign, or by their stem if it begins with an
+    underscore.
 
     Raises
     ------
@@ -96,8 +146,8 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
         for drawing in figure.draw(group, jobs):
             shown = [run.content.run for run in group.values()]
             add_provenance(drawing.figure, shown)
-            beside = f"_{next(iter(group))}" if named else ""
-            suffix = drawing.stem if drawing.stem.startswith("_") else beside
+            campaign = f"_{next(iter(group))}" if named else ""
+            suffix = drawing.stem if drawing.stem.startswith("_") else campaign
             named.append(figure.named(with_trial_counts(drawing, shown), suffix))
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
@@ -105,12 +155,12 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
 
 
 def _command(name: str, runs: Path) -> str:
-    """Write the command that leaves a run of a campaign where it is looked for."""
+    """Return the command that runs a campaign into the searched folder."""
     return shlex.join(["boresight", "run", name, *([] if runs == RUNS else ["--out", str(runs / name)])])
 
 
 def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
-    """Draw the tables of the paper of which something has been run, and say of the others what they need."""
+    """Draw the tables of the paper that have finished runs, and describe what the others need."""
     tables, missing = [], []
     for number, own in lines_by_table(lines).items():
         campaigns = dict.fromkeys(line.campaign for line in own)

@@ -1,4 +1,4 @@
-"""The ten figures of Rowell et al. (2015), each drawn from the newest finished runs of its campaigns."""
+"""The ten figures of Rowell et al. (2015), from the newest finished runs of its campaigns."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from campaign.kinds.single_image.examples import (
 )
 from campaign.machine import workers
 from campaign.papers.gather import FinishedRun
-from campaign.papers.kinds import Paper, PaperFigure, Runs
+from campaign.papers.page import Paper, PaperFigure, Runs
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
-from estimators.landmark.build import BuiltDatabase, DatabaseOptions
+from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild
 from reports.figures import (
     draw_alignment_panels,
     draw_centroid_offsets,
@@ -67,17 +67,17 @@ _FIGURE_5 = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rebuilt:
-    """The data base of a run's first trial, made again, and a view of its body."""
+    """Rebuilt data base of a run's first trial, and a view of the body."""
 
     world: World
-    built: BuiltDatabase
+    built: LandmarkDatabaseBuild
     view: View
     name: str
 
 
 @lru_cache(maxsize=1)
 def _rebuilt(run: FinishedRun, jobs: int | None) -> _Rebuilt:
-    """Make the data base of a run's first trial again; figures 1 and 2 show the same."""
+    """Rebuild the data base of a run's first trial, which figures 1 and 2 share."""
     campaign = run.campaign()
     scenario, entry = campaign.scenarios[0], campaign.spec.estimators[0]
     options = DatabaseOptions.model_validate(dict(entry.options))
@@ -244,7 +244,7 @@ def _scenario(run: FinishedRun, label: str) -> str:
 
 
 def _look(run: FinishedRun, label: str, rows: pd.DataFrame) -> tuple[SecondLook, str, Sequence[str]]:
-    """Look again at the median trial of some rows; also say what it is, and whom to credit."""
+    """Recompute the median trial of some rows; also return its description and the image credits."""
     campaign, name = run.campaign(), _scenario(run, label)
     trial = median_trial(rows[(rows["scenario"] == name) & (rows["estimator"] == label)])
     look = None if trial is None else second_look(campaign, run.folder, Case(name, label, trial))
@@ -255,7 +255,7 @@ def _look(run: FinishedRun, label: str, rows: pd.DataFrame) -> tuple[SecondLook,
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
-    """Return the tables of a run that varies what the paper leaves open."""
+    """Return the tables of a run that varies what the paper does not specify."""
     if run.manifest["name"] not in _SENSITIVITY:
         return []
     content, paper = run.content, load_published("rowell2015-simulated")

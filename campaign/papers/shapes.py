@@ -1,4 +1,4 @@
-"""Data bases as a camera sees them: what figures 1 and 2 of Rowell et al. (2015) show."""
+"""Projections of a landmark data base for figures 1 and 2 of Rowell et al. (2015)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from campaign.imaging.world import World
-from campaign.products.landmark_candidates import candidates_of
-from estimators.landmark.build import BuiltDatabase, DatabaseOptions, build_database
-from estimators.landmark.clustering import Cluster
+from campaign.products.landmark_database import landmark_candidates
+from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
+from estimators.landmark.clustering import PointCluster
 from estimators.landmark.database import LandmarkDatabase
 from reports.figures import ClusterView, SurfaceView
 from scenarios.geometry import TriangleMesh, View, look_at
@@ -17,18 +17,18 @@ from scenarios.geometry import TriangleMesh, View, look_at
 FloatArray = NDArray[np.float64]
 
 _PHASE_DEG = 35.0
-# A candidate is on the near side where the surface that the camera sees is this near to it.
+# A candidate is on the near side if the visible surface at its pixel is within this distance.
 _NEAR_M = 3.0
 _NORMAL_SHARE = 0.06
 
 
-def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> BuiltDatabase:
-    """Make a data base again, with what it was made of; its candidates come from the cache where they are in it."""
-    return build_database(candidates_of(world.scenario, options, jobs, variant).by_image, options)
+def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> LandmarkDatabaseBuild:
+    """Rebuild a data base with its intermediate results; its candidates come from the cache if they are there."""
+    return build_database(landmark_candidates(world.scenario, options, jobs, variant).by_image, options)
 
 
 def broadside_view(world: World, range_m: float) -> View:
-    """Look at the body along its shortest principal axis, its longest one across, the Sun from the upper left."""
+    """View of the body along its shortest principal axis, the longest one horizontal, the Sun from the upper left."""
     centred = world.body.mesh.vertices_m - world.body.mesh.vertices_m.mean(axis=0)
     axes = np.linalg.eigh(centred.T @ centred)[1].T
     shortest, longest = axes[0], axes[2]
@@ -40,8 +40,8 @@ def broadside_view(world: World, range_m: float) -> View:
     return View(world.camera.pinhole, turned, turned.inverse().rotate(sun_dir_cam))
 
 
-def cluster_view(world: World, built: BuiltDatabase, view: View) -> ClusterView:
-    """Project the points of seed and merged clusters that the camera can see, and render the body."""
+def cluster_view(world: World, built: LandmarkDatabaseBuild, view: View) -> ClusterView:
+    """Project the visible points of seed and merged clusters, and render the body."""
     uv_px = view.camera.project(view.T_cam_body.transform(built.points_m))
     seen_m = world.renderer.surface(view, uv_px).points_body_m
     near = np.linalg.norm(seen_m - built.points_m, axis=1) < _NEAR_M  # NaN, off the body, is not
@@ -50,8 +50,8 @@ def cluster_view(world: World, built: BuiltDatabase, view: View) -> ClusterView:
     return ClusterView(uv_px[seeds], seed_of[seeds], uv_px[merged], merged_of[merged], world.renderer.render(view))
 
 
-def _cluster_of(points: int, clusters: list[Cluster]) -> NDArray[np.intp]:
-    """Return the number of each point's cluster; -1 for none."""
+def _cluster_of(points: int, clusters: list[PointCluster]) -> NDArray[np.intp]:
+    """Return the index of each point's cluster; -1 for none."""
     cluster_of = np.full(points, -1, dtype=np.intp)
     for number, cluster in enumerate(clusters):
         cluster_of[cluster.members] = number
@@ -83,7 +83,7 @@ def _pixels(view: View, points_body_m: FloatArray) -> FloatArray:
 
 
 def _far_to_near(mesh: TriangleMesh, view: View) -> NDArray[np.intp]:
-    """Order the facets that face the camera so that near ones are drawn over far ones."""
+    """Return the facets that face the camera, ordered from far to near, for drawing."""
     to_camera = view.T_cam_body.camera_position_m - mesh.corners_m.mean(axis=1)
     facing = np.flatnonzero(np.einsum("fi,fi->f", to_camera, mesh.normals) > 0.0)
     return facing[np.argsort(-np.linalg.norm(to_camera[facing], axis=1), kind="stable")]

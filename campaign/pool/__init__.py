@@ -1,1 +1,1 @@
-"""Worker processes, and the limits that a method works under."""
+"""Worker processes, and time limits and output capture for methods."""

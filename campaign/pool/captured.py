@@ -1,10 +1,10 @@
-"""Captures what a method prints and warns of while it works: stored with its trial, and not shown on the terminal.
+"""Capture of the output and warnings of a method during a trial, which are stored with the trial and not printed.
 
-What goes through Python's streams and handlers of logs is captured where the method's own threads write it. What goes
-to the descriptors 1 and 2 themselves (of compiled code, of processes that the method starts, of streams kept from
-before) is captured where the method works in the main thread, which is everywhere but in a worker of Dask whose trials
-have no limit of time: there it goes where it went before. It follows what came through Python, and is the method's
-whichever thread wrote it. What a process writes while it crashes is lost with it.
+Output through Python's streams and log handlers is captured for the threads of the method. Output written directly to
+descriptors 1 and 2 (by compiled code, by subprocesses, or through streams saved earlier) is captured only where the
+method runs in the main thread, which is everywhere except in a Dask worker whose trials have no time limit; there it is
+not captured. It is stored after the output through Python, and counts as the method's whichever thread wrote it. Output
+of a process that crashes is lost.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from functools import cache
 from typing import IO, Any
 
 MOST_CHARACTERS = 4000
-"""Kept of each stream in a trial; the rest is counted."""
+"""Limit of the text stored for each stream of a trial; the rest is only counted."""
 
 _MOST_BYTES = 4 * MOST_CHARACTERS
-"""No character of UTF-8 has more than four."""
+"""A character has at most four bytes in UTF-8."""
 
 
-class Aside:
-    """Writes to where a descriptor led before it was led away; what it is given at other times it leaves."""
+class _OriginalOutput:
+    """Original destination of a descriptor while the descriptor is redirected."""
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
         self._lock = threading.Lock()
 
     def write(self, text: str) -> bool:
-        """Write a text, and tell whether it is written."""
+        """Write a text and return True; return False if the descriptor is not redirected."""
         with self._lock:
             if self._descriptor is None:
                 return False
@@ -47,12 +47,12 @@ class Aside:
             return True
 
     def begin(self, descriptor: int) -> None:
-        """Write to this one from now on."""
+        """Start writing to a copy of the original descriptor."""
         with self._lock:
             self._descriptor = descriptor
 
     def end(self) -> None:
-        """Write nothing any more, and close the descriptor."""
+        """Stop writing, and close the copy."""
         with self._lock:
             if self._descriptor is not None:
                 os.close(self._descriptor)
@@ -60,8 +60,8 @@ class Aside:
 
 
 @dataclass(frozen=True, slots=True)
-class Led:
-    """A descriptor (1 or 2) that is to be led away.
+class _RedirectedDescriptor:
+    """Redirection of descriptor 1 or 2.
 
     Parameters
     ----------
@@ -69,27 +69,27 @@ class Led:
         The descriptor.
     stream
         Python's stream that writes to it.
-    aside
-        Is given where it led before.
-    tell
-        Is told the text that came, and how many bytes more than ``most_bytes`` were left out.
+    original
+        Gives access to the original destination meanwhile.
+    record
+        Called with the captured text, and the number of bytes beyond ``most_bytes``.
     most_bytes
-        So much is told at most.
+        Limit of the captured text.
     """
 
     number: int
     stream: IO[str]
-    aside: Aside
-    tell: Callable[[str, int], None]
+    original: _OriginalOutput
+    record: Callable[[str, int], None]
     most_bytes: int
 
 
 @contextmanager
-def descriptors_led_away(every: Sequence[Led]) -> Iterator[None]:
-    """Lead descriptors of this process to files, and tell what came there.
+def _redirected_descriptors(every: Sequence[_RedirectedDescriptor]) -> Iterator[None]:
+    """Redirect descriptors of this process to files, and record what is written there.
 
-    Only in the main thread. Where a method works in another, as in a worker of Dask, the main thread writes logs of its
-    own all the while, which would be taken for the method's.
+    Done only in the main thread: where a method runs in another thread, as in a Dask worker, the main thread writes
+    logs meanwhile, which would count as the method's.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -97,7 +97,7 @@ def descriptors_led_away(every: Sequence[Led]) -> Iterator[None]:
     opened = [(one, *files) for one in every if (files := _opened(one.number)) is not None]
     try:
         for one, _, before in opened:
-            one.aside.begin(before)
+            one.original.begin(before)
         _flush(every)
         for one, file, _ in opened:
             os.dup2(file, one.number)
@@ -106,12 +106,12 @@ def descriptors_led_away(every: Sequence[Led]) -> Iterator[None]:
         _flush(every)
         for one, file, before in opened:
             os.dup2(before, one.number)
-            one.aside.end()
-            _tell(file, one)
+            one.original.end()
+            _record_file(file, one)
 
 
 def _opened(number: int) -> tuple[int, int] | None:
-    """Return the file to lead a descriptor to, and a copy of the descriptor; None where it stays as it is."""
+    """Open the file for a descriptor and copy the descriptor; None if it cannot be redirected."""
     try:
         return _file(number, os.getpid()), os.dup(number)
     except OSError:  # no folder for temporary files, or the descriptor is closed
@@ -120,14 +120,14 @@ def _opened(number: int) -> tuple[int, int] | None:
 
 @cache
 def _file(number: int, process: int) -> int:
-    """Open the file of a descriptor, which has no name and goes with its process; a fork of it has another."""
+    """Open an unnamed temporary file for a descriptor, one for each process, so that a fork gets another."""
     del number, process
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
 
 
-def _flush(every: Sequence[Led]) -> None:
-    """Write what Python and the C library still hold."""
+def _flush(every: Sequence[_RedirectedDescriptor]) -> None:
+    """Flush the buffers of Python and of the C library."""
     for stream in {sys.__stdout__, sys.__stderr__, *(one.stream for one in every)}:
         if stream is not None:
             with suppress(OSError, ValueError, AttributeError):
@@ -137,7 +137,7 @@ def _flush(every: Sequence[Led]) -> None:
 
 @cache
 def _c_flush() -> Callable[[], object]:
-    """Return what flushes the standard output of the C library, which is held back where it is no terminal."""
+    """Return a function that flushes the C library's standard output, which is buffered unless it is a terminal."""
     try:
         library = ctypes.CDLL(None)
         held = ctypes.c_void_p.in_dll(library, "stdout")
@@ -147,28 +147,28 @@ def _c_flush() -> Callable[[], object]:
     return lambda: flush(held)
 
 
-def _tell(file: int, led: Led) -> None:
+def _record_file(file: int, redirected: _RedirectedDescriptor) -> None:
     size = os.lseek(file, 0, os.SEEK_END)
     if size == 0:
         return
-    kept = os.pread(file, led.most_bytes, 0)
-    # Copies of the descriptor share the place at which the next is written.
+    kept = os.pread(file, redirected.most_bytes, 0)
+    # Copies of a descriptor share the file position, so it is reset for the next trial.
     os.ftruncate(file, 0)
     os.lseek(file, 0, os.SEEK_SET)
-    led.tell(kept.decode("utf-8", "replace"), size - len(kept))
+    redirected.record(kept.decode("utf-8", "replace"), size - len(kept))
 
 
 @contextmanager
-def logs_led_away(away: Callable[[object], Any], back: Callable[[object], Any]) -> Iterator[None]:
-    """Lead handlers of logs from streams to others: they were made when a module was imported, and keep their stream.
+def _redirected_log_handlers(away: Callable[[object], Any], back: Callable[[object], Any]) -> Iterator[None]:
+    """Redirect the streams of log handlers, which keep the stream that they were created with.
 
     Parameters
     ----------
     away
-        Returns the stream that a handler of another is to write to; None for one that is to stay.
+        Returns the replacement of a handler's stream; None to keep it.
     back
-        Returns the stream that such a one stands for, and None for others. A handler that is made while a method works
-        gets its stream back too, or it would go on writing for a trial that is over.
+        Returns the original of a replaced stream, and None for others. It also restores handlers created meanwhile by
+        the method, which would otherwise continue to write to the finished trial.
     """
     _give_streams(away)
     try:
@@ -185,26 +185,26 @@ def _give_streams(other: Callable[[object], Any]) -> None:
 
 
 def _handlers() -> list[logging.StreamHandler[Any]]:
-    """List the handlers that keep a stream of their own."""
+    """Return the log handlers that hold a stream of their own."""
     known = (reference() for reference in getattr(logging, "_handlerList", ()))
     return [one for one in known if isinstance(one, logging.StreamHandler) and "stream" in vars(one)]
 
 
-class Captured:
-    """Collects what one method says in one trial."""
+class CapturedOutput:
+    """Collector of the output and warnings of one method in one trial."""
 
     def __init__(self) -> None:
-        self._streams = {"stdout": _Bounded(), "stderr": _Bounded(), "warnings": _Bounded()}
+        self._streams = {"stdout": _BoundedText(), "stderr": _BoundedText(), "warnings": _BoundedText()}
 
     @contextmanager
     def capturing(self) -> Iterator[None]:
-        """Capture what is written in here; filters of warnings stay as they are, but each place may warn again."""
+        """Capture output inside the context; warning filters are kept, but each code location may warn again."""
         out, err = sys.stdout, sys.stderr
-        asides = {1: Aside(), 2: Aside()}
-        to_out = _Redirected(out, self._streams["stdout"], asides.get(_descriptor(out)))
-        to_err = _Redirected(err, self._streams["stderr"], asides.get(_descriptor(err)))
+        originals = {1: _OriginalOutput(), 2: _OriginalOutput()}
+        to_out = _CapturedStream(out, self._streams["stdout"], originals.get(_descriptor(out)))
+        to_err = _CapturedStream(err, self._streams["stderr"], originals.get(_descriptor(err)))
 
-        def away(stream: object) -> _Redirected | None:
+        def away(stream: object) -> _CapturedStream | None:
             own = _own(stream) or stream
             return to_out if own in (out, sys.__stdout__) else to_err if own in (err, sys.__stderr__) else None
 
@@ -212,12 +212,12 @@ class Captured:
             caught = stack.enter_context(warnings.catch_warnings(record=True))
             stack.enter_context(redirect_stdout(to_out))
             stack.enter_context(redirect_stderr(to_err))
-            stack.enter_context(logs_led_away(away, _own))
-            led = (
-                Led(1, out, asides[1], self._streams["stdout"].add, _MOST_BYTES),
-                Led(2, err, asides[2], self._streams["stderr"].add, _MOST_BYTES),
+            stack.enter_context(_redirected_log_handlers(away, _own))
+            redirected = (
+                _RedirectedDescriptor(1, out, originals[1], self._streams["stdout"].add, _MOST_BYTES),
+                _RedirectedDescriptor(2, err, originals[2], self._streams["stderr"].add, _MOST_BYTES),
             )
-            stack.enter_context(descriptors_led_away(led))
+            stack.enter_context(_redirected_descriptors(redirected))
             try:
                 yield
             finally:
@@ -226,49 +226,49 @@ class Captured:
                     self._streams["warnings"].add(f"{where}: {one.category.__name__}: {one.message}\n")
 
     def records(self) -> dict[str, list[dict[str, object]]]:
-        """Return the table ``said`` without its key; nothing where nothing was said."""
-        told = {name: stream.text() for name, stream in self._streams.items()}
-        said: list[dict[str, object]] = [{"stream": name, "text": text} for name, text in told.items() if text]
+        """Return the table ``said`` without its key columns; empty if there was no output."""
+        texts = {name: stream.text() for name, stream in self._streams.items()}
+        said: list[dict[str, object]] = [{"stream": name, "text": text} for name, text in texts.items() if text]
         return {"said": said} if said else {}
 
 
-class _Bounded:
-    """Keeps the beginning of a text, and how long all of it was."""
+class _BoundedText:
+    """The beginning of a text, and its whole length."""
 
     def __init__(self) -> None:
         self._kept = ""
         self._length = 0
 
     def add(self, text: str, more: int = 0) -> None:
-        """Add a text, of which ``more`` bytes are not given; they are counted as characters."""
+        """Append a text, and count ``more`` bytes that were left out as characters."""
         self._length += len(text) + more
         self._kept += text[: MOST_CHARACTERS - len(self._kept)]
 
     def text(self) -> str:
-        # A file of tables holds no lone surrogates.
+        # Parquet strings cannot contain lone surrogates.
         kept = self._kept.encode("utf-8", "replace").decode("utf-8")
         left = self._length - len(self._kept)
         return f"{kept}\n[cut here: {left:,} more characters]" if left else kept
 
 
-class _Redirected:
-    """Stands for a stream: takes what this thread and those that it starts write, and passes on what others do.
+class _CapturedStream:
+    """Replacement of a stream that captures the output of this thread and those it starts, and forwards that of others.
 
-    A bar of progress, for one, is drawn by a thread that was there before.
+    A progress bar, for example, is drawn by a thread that existed before.
     """
 
-    def __init__(self, stream: IO[str], kept: _Bounded, aside: Aside | None) -> None:
+    def __init__(self, stream: IO[str], kept: _BoundedText, original: _OriginalOutput | None) -> None:
         self._stream = stream
         self._kept = kept
-        self._aside = aside or Aside()
-        # Threads themselves, whose numbers go to others when they end.
+        self._original = original or _OriginalOutput()
+        # Thread objects rather than their identifiers, which are reused.
         self._others = {*threading.enumerate()} - {threading.current_thread()}
 
     def write(self, text: str) -> int:
         if not isinstance(text, str):
             raise TypeError(f"write() argument must be str, not {type(text).__name__}")
         if threading.current_thread() in self._others:
-            return len(text) if self._aside.write(text) else self._stream.write(text)
+            return len(text) if self._original.write(text) else self._stream.write(text)
         self._kept.add(text)
         return len(text)
 
@@ -281,24 +281,24 @@ class _Redirected:
             self._stream.flush()
 
     def close(self) -> None:
-        """Leave the stream open, which is not the method's."""
+        """Do nothing, as the stream does not belong to the method."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     @property
-    def stands_for(self) -> IO[str]:
-        """The stream itself."""
+    def replaced(self) -> IO[str]:
+        """The replaced stream."""
         return self._stream
 
 
 def _own(stream: object) -> IO[str] | None:
-    """Return the stream that one of ours stands for, None for others."""
-    return stream.stands_for if isinstance(stream, _Redirected) else None
+    """Return the stream that a captured stream replaces; None for other streams."""
+    return stream.replaced if isinstance(stream, _CapturedStream) else None
 
 
 def _descriptor(stream: IO[str]) -> int:
-    """Return the descriptor that a stream writes to, -1 for one without."""
+    """Return the descriptor that a stream writes to, or -1."""
     try:
         return stream.fileno()
     except (OSError, ValueError, AttributeError):

@@ -1,9 +1,9 @@
-"""Watches a method at its work: for how long it may work, and whether its process has survived it before.
+"""Time limit of method calls, and a record of the current call for when its process ends.
 
-A method that takes too long is stopped in two ways. An alarm raises in it, which ends all that comes back to the
-interpreter now and then. What does not, a loop in compiled code that may even hold the interpreter's lock, costs the
-process: a watchdog that is no thread of Python (`faulthandler`) writes down where it hangs and ends the process, whose
-parent reads what was under way and goes on without it (`campaign.runs.losses`).
+A method that exceeds its time limit is stopped in two ways. A timer signal raises an exception in it, which ends Python
+code. Compiled code that does not return to the interpreter, and may hold its lock, cannot be interrupted:
+`faulthandler`, whose watchdog is not a Python thread, writes the traceback and ends the process. The parent then reads
+from the note file which call it was, and continues without it (`campaign.runs.losses`).
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _AGAIN_S = 1.0
-"""An alarm that is swallowed rings again."""
+"""Interval of repeated alarms, in case the method catches one."""
 
 _GRACE, _LEAST_GRACE_S = 0.25, 1.0
-"""The process is ended this much later than the alarm, as a share of the limit."""
+"""Delay from the alarm to the end of the process: a fraction of the limit, and its least value in s."""
 
 
 STOPPED = "was stopped: "
-"""Begins, after the method's name, the reason of a row whose method took too long or ended its process."""
+"""Start, after the method's name, of the reason in a row whose method exceeded its limit or ended its process."""
 
 ENDED = "its process ended under it, and once more when it was tried again"
-"""Why a method was stopped that was killed, or crashed, or took all memory."""
+"""Reason for a method that was killed, crashed or ran out of memory twice."""
 
 
 class StoppedError(Exception):
-    """A method took longer than it may, or ended the process that it worked in."""
+    """A method exceeded its time limit, or ended its process."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Call:
-    """One method at work in one trial."""
+    """Call of one method, by its label, in one trial of a scenario."""
 
     scenario: str
     trial: int
@@ -52,7 +52,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Why a method was stopped, and where it was (a trace, or '')."""
+    """Reason why a call was lost, and the traceback of where it was stopped (or '')."""
 
     reason: str
     trace: str
@@ -60,16 +60,16 @@ class Loss:
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """How methods are watched.
+    """Limits and records for method calls.
 
     Parameters
     ----------
     limit_s
-        How long a method may work in a trial; None for as long as it likes.
+        Time limit of a method in a trial; None for no limit.
     note
-        File that tells the parent of this process which call is under way; None where nobody outlives this process.
+        File in which the current call is recorded for the parent process; None where there is no parent to read it.
     lost
-        Calls that took their process with them: they are not made again.
+        Calls that ended their process before; they are not made again.
     """
 
     limit_s: float | None = None
@@ -82,7 +82,7 @@ _GUARD: ContextVar[Guard] = ContextVar("guard", default=Guard())  # noqa: B039  
 
 @contextmanager
 def guarding(**changes: Any) -> Iterator[None]:
-    """Let all calls in here be watched as before but for what is given: fields of `Guard`."""
+    """Change fields of the current `Guard` for the calls inside the context."""
     token = _GUARD.set(replace(_GUARD.get(), **changes))
     try:
         yield
@@ -91,12 +91,12 @@ def guarding(**changes: Any) -> Iterator[None]:
 
 
 def guarded(call: Call, work: Callable[[], T]) -> T:
-    """Return what a method answers.
+    """Call a method under the current `Guard` and return its result.
 
     Raises
     ------
     StoppedError
-        If it takes too long, or has taken its process with it before.
+        If it exceeds its time limit, or ended its process before.
     """
     guard = _GUARD.get()
     if call in guard.lost:
@@ -105,13 +105,13 @@ def guarded(call: Call, work: Callable[[], T]) -> T:
         with _noted(guard, call), _alarm(guard.limit_s):
             return work()
     except _Alarm as alarm:
-        # It may have rung while the alarm was being switched off.
+        # The signal may arrive while the timer is being switched off, and leave it running.
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         raise StoppedError(over_time(guard.limit_s)).with_traceback(alarm.__traceback__) from None
 
 
 def over_time(limit_s: float | None) -> str:
-    """Say why a method was stopped that took too long."""
+    """Return the reason for a method that exceeded its time limit."""
     return f"it took longer than the limit of {limit_s or 0.0:g} s for a trial"
 
 
@@ -123,9 +123,9 @@ def _stopped(loss: Loss) -> StoppedError:
 
 
 def last_call(note: Path) -> tuple[Call, str] | None:
-    """Read from the note of a process that has ended what it was doing; None where no method was at work.
+    """Read the current call of an ended process from its note file; None if no method was running.
 
-    With the call comes the trace of where it hung when its time was over, '' where the process ended otherwise.
+    Also return the traceback that `faulthandler` wrote at the time limit, '' if the process ended otherwise.
     """
     try:
         first, _, rest = note.read_text(encoding="utf-8", errors="replace").partition("\n")
@@ -137,7 +137,7 @@ def last_call(note: Path) -> tuple[Call, str] | None:
 
 @contextmanager
 def _noted(guard: Guard, call: Call) -> Iterator[None]:
-    """Write down which call is under way, and have the process ended if it hangs."""
+    """Record the current call in the note file, and end the process if the call hangs."""
     if guard.note is None:
         yield
         return
@@ -155,11 +155,11 @@ def _noted(guard: Guard, call: Call) -> Iterator[None]:
 
 
 class _Alarm(BaseException):
-    """Not an `Exception`, so that a method that catches all of those does not catch this."""
+    """Raised by the timer; not an `Exception`, so that a method's ``except Exception`` does not catch it."""
 
 
 def _alarm(limit_s: float | None) -> AbstractContextManager[object]:
-    """Raise after so many seconds, and again until this is left; signals reach the main thread alone."""
+    """Raise `_Alarm` after ``limit_s`` and repeatedly until exit; only in the main thread, which receives signals."""
     if limit_s is None or threading.current_thread() is not threading.main_thread():
         return nullcontext()
     return _ringing(limit_s)

@@ -1,4 +1,4 @@
-"""Work spread over processes, its results in order; a process that ends under its work is replaced."""
+"""Calls distributed over worker processes, with results in order; a worker that ends during a call is replaced."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from joblib.externals.loky import ProcessPoolExecutor
 
 from campaign.imaging.image_store import store_is_on, store_switched
 from campaign.pool.guard import guarding
-from renderers.mitsuba3.gpus import gpu_of_worker
+from renderers.mitsuba3.variant import gpu_of_worker
 from scenarios.errors import MachineError
 
 T = TypeVar("T")
 Call = tuple[object, ...]
 AfterDeath = Callable[[Sequence[Call], Path], Sequence[Call]]
-"""Gets the calls that a process took with it, the one under way first, and the note that it left; returns those that
-are to be made instead, as many."""
+"""Called with the calls that a process did not finish, the current one first, and its note file; returns as many calls
+to make instead."""
 
 MOST_CALLS = 1_000_000
 _SHORT_S = 1.0
-"""A process whose last call was shorter is given a second one, which begins while the results of the first are stored;
-behind a long one it would wait for it, be another process idle or not."""
+"""A worker whose last call was shorter than this gets a second call in advance, which starts while the results of the
+first are stored. After a long call it would wait although another worker may be idle."""
 
 _AHEAD = 8
-"""Results for each process that may wait for an earlier one."""
+"""Results per worker that may wait for the result of an earlier call."""
 
 _IDLE_S = 60.0
 
 
 def no_replacement(lost: Sequence[Call], note: Path) -> Sequence[Call]:
-    """Give up when a process ends under its work."""
+    """Raise an error when a worker process ends during a call."""
     del lost, note
     raise MachineError(
         "a worker process was killed, most likely because memory ran out: use fewer --jobs; the same command"
@@ -63,27 +63,27 @@ def in_order(
     renew_after: int = MOST_CALLS,
     after_death: AfterDeath = no_replacement,
 ) -> Iterator[T]:
-    """Yield ``function(*call)`` for each call, in order, holding only what is in flight.
+    """Yield ``function(*call)`` for each call, in order, keeping only results that wait for an earlier one.
 
     Parameters
     ----------
     jobs
-        Worker processes; with one the calls are made in this process.
+        Number of worker processes; with one, the calls are made in this process.
     function
-        A function of a module, so that it can be sent to a worker.
+        A module-level function, so that it can be pickled.
     calls
         Arguments of each call.
     apart
-        Whether a single job is a process of its own too, which this one outlives.
+        Whether a single job runs in a worker process too, so that this process survives a crash.
     renew_after
-        Calls after which a process makes room for a fresh one: what leaks, in whatever library, is given back.
+        Number of calls after which a worker process is replaced, which releases memory leaked by libraries.
     after_death
-        Says what becomes of calls whose process has ended.
+        Decides which calls replace those whose process has ended.
 
     Raises
     ------
     BoresightError
-        If a worker dies and ``after_death`` gives up; what a call raises is raised as it is.
+        If a worker ends and ``after_death`` raises it. Exceptions of a call are re-raised unchanged.
     """
     if jobs == 1 and not apart:
         return (function(*call) for call in calls)
@@ -93,129 +93,131 @@ def in_order(
 def _spread(
     jobs: int, function: Callable[..., T], calls: Iterable[Call], renew_after: int, after_death: AfterDeath
 ) -> Iterator[T]:
-    hands = _rested().taken(jobs)
+    workers = _idle_workers().taken(jobs)
     waiting, again = enumerate(calls), deque[tuple[int, Call]]()
     results: dict[int, object] = {}
-    told = 0
+    next_index = 0
     try:
         while True:
-            for hand in hands:
-                hand.renew(renew_after)
-                while hand.has_room(renew_after) and (again or _started(hands, results) < _AHEAD * jobs):
+            for worker in workers:
+                worker.renew(renew_after)
+                while worker.has_room(renew_after) and (again or _count_started(workers, results) < _AHEAD * jobs):
                     item = again.popleft() if again else next(waiting, None)
                     if item is None:
                         break
-                    if not hand.give(item, function):
+                    if not worker.give(item, function):
                         again.appendleft(item)
                         break
-            if told in results:
-                yield cast("T", results.pop(told))
-                told += 1
-            elif any(hand.given for hand in hands):
-                wait([future for hand in hands for _, future in hand.given], return_when=FIRST_COMPLETED)
-                for hand in hands:
-                    results.update(hand.answers())
-                    again.extend(_made_good(hand, after_death))
+            if next_index in results:
+                yield cast("T", results.pop(next_index))
+                next_index += 1
+            elif any(worker.in_flight for worker in workers):
+                wait([future for worker in workers for _, future in worker.in_flight], return_when=FIRST_COMPLETED)
+                for worker in workers:
+                    results.update(worker.answers())
+                    again.extend(_calls_to_repeat(worker, after_death))
             elif not again:
-                _rested().put_back(hands)
-                hands = []
+                _idle_workers().put_back(workers)
+                workers = []
                 return
     finally:
-        # What was under way when the consumer stopped is not stored, which is as it should be.
-        for hand in hands:
-            hand.close(kill=True)
+        # Results of calls in flight when the consumer stops are discarded: it stores whole blocks only.
+        for worker in workers:
+            worker.close(kill=True)
 
 
-def _started(hands: Sequence[_Hand], results: dict[int, object]) -> int:
-    return len(results) + sum(len(hand.given) for hand in hands)
+def _count_started(workers: Sequence[_Worker], results: dict[int, object]) -> int:
+    return len(results) + sum(len(worker.in_flight) for worker in workers)
 
 
-def _made_good(hand: _Hand, after_death: AfterDeath) -> list[tuple[int, Call]]:
-    """Replace a process that has ended; return the calls that it took with it as they are to be made again."""
-    lost = hand.lost()
+def _calls_to_repeat(worker: _Worker, after_death: AfterDeath) -> list[tuple[int, Call]]:
+    """Return the calls to make again if the worker's process has ended."""
+    lost = worker.lost()
     if not lost:
         return []
-    instead = after_death([call for _, call in lost], hand.note)
-    hand.note.unlink(missing_ok=True)  # the next process may end before any method is at work, which is not to blame
+    instead = after_death([call for _, call in lost], worker.note)
+    worker.note.unlink(
+        missing_ok=True
+    )  # or a later end of the process outside a method would be attributed to this call
     return [(index, call) for (index, _), call in zip(lost, instead, strict=True)]
 
 
-class _Hand:
-    """One worker process: started when there is work, replaced when it has ended.
+class _Worker:
+    """One worker process: started with its first call, replaced when it has ended.
 
     Parameters
     ----------
-    place
-        Its number among those that are kept, from 0, by which it gets its GPU.
+    index
+        Its index among the workers, from 0, which selects its GPU.
     """
 
-    def __init__(self, place: int) -> None:
-        self.place = place
+    def __init__(self, index: int) -> None:
+        self.index = index
         descriptor, name = tempfile.mkstemp(prefix="boresight-worker-")
         os.close(descriptor)
         self.note = Path(name)
-        self.given: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
+        self.in_flight: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
         self._executor: ProcessPoolExecutor | None = None
-        self._made = 0
+        self._calls_made = 0
         self._last_s = math.inf
 
     def has_room(self, renew_after: int) -> bool:
-        """Whether it can be given a call now."""
-        return len(self.given) < (2 if self._last_s < _SHORT_S else 1) and self._made < renew_after
+        """Return whether it can accept a call now."""
+        return len(self.in_flight) < (2 if self._last_s < _SHORT_S else 1) and self._calls_made < renew_after
 
     def rest(self) -> None:
-        """Forget how long its calls took: the next may be of another kind."""
+        """Reset the duration of the last call, as the next may be of another kind."""
         self._last_s = math.inf
 
     def renew(self, renew_after: int) -> None:
-        """Let a process that has worked enough end, so that the next call starts another."""
-        if self._made >= renew_after and not self.given:
+        """End a process that has made ``renew_after`` calls, so that the next call starts another."""
+        if self._calls_made >= renew_after and not self.in_flight:
             self._end(kill=False)
 
     def give(self, item: tuple[int, Call], function: Callable[..., object]) -> bool:
-        """Give it a call; tell whether it took it, which it does not if it has just ended with others in hand."""
-        call = (_made, store_is_on(), self.note, function, item[1])
-        with _may_have_children(), _interrupts_held_back():
+        """Submit a call; return False if the process has just ended with other calls in flight."""
+        call = (_timed_call, store_is_on(), self.note, function, item[1])
+        with _allow_child_processes(), _sigint_deferred():
             try:
                 future = self._started().submit(*call)
             except BrokenProcessPool:
-                if self.given:
+                if self.in_flight:
                     return False
                 self._end(kill=True)
                 future = self._started().submit(*call)
-        self._made += 1
-        self.given.append((item, future))
+        self._calls_made += 1
+        self.in_flight.append((item, future))
         return True
 
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
-            # loky replaces a process that has grown by 300 MB since its first call, which is no news for a terminal.
+            # loky replaces a process that has grown by 300 MB since its first call, and warns of it.
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             self._executor = ProcessPoolExecutor(
-                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(), self.note),
-                env=gpu_of_worker(self.place),
+                max_workers=1, timeout=_IDLE_S, initializer=_end_with_parent, initargs=(os.getpid(), self.note),
+                env=gpu_of_worker(self.index),
             )  # fmt: skip
         return self._executor
 
     def answers(self) -> Iterator[tuple[int, object]]:
-        """Yield what has come back; raise what a call has raised."""
-        while self.given and self.given[0][1].done() and not self._is_lost():
-            (index, _), future = self.given.popleft()
+        """Yield the available results in order; re-raise the exception of a call."""
+        while self.in_flight and self.in_flight[0][1].done() and not self._is_lost():
+            (index, _), future = self.in_flight.popleft()
             self._last_s, answer = future.result()
             yield index, answer
 
     def lost(self) -> list[tuple[int, Call]]:
-        """Return the calls of a process that has ended, and be ready for a new one; none while it lives."""
+        """Return the unfinished calls of a process that has ended, and discard it; empty while it is alive."""
         if not self._is_lost():
             return []
-        lost = [item for item, _ in self.given]
-        self.given.clear()
+        lost = [item for item, _ in self.in_flight]
+        self.in_flight.clear()
         self._end(kill=True)
         return lost
 
     def _is_lost(self) -> bool:
-        """Whether the process ended before it answered the first of its calls."""
-        first = self.given[0][1] if self.given else None
+        """Return whether the process ended before it returned the first of its calls."""
+        first = self.in_flight[0][1] if self.in_flight else None
         return first is not None and first.done() and isinstance(first.exception(), BrokenProcessPool)
 
     def close(self, kill: bool) -> None:
@@ -226,51 +228,51 @@ class _Hand:
     def _end(self, kill: bool) -> None:
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=kill)
-        self._executor, self._made = None, 0
+        self._executor, self._calls_made = None, 0
 
 
-class _Rested:
-    """Processes without work, kept for the next: to start one and open a world in it takes as long as many trials."""
+class _IdleWorkers:
+    """Idle worker processes, kept because starting one and opening a world in it takes as long as many trials."""
 
     def __init__(self) -> None:
-        self._hands: list[_Hand] = []
-        atexit.register(self._forget)
+        self._workers: list[_Worker] = []
+        atexit.register(self._remove_notes)
 
-    def taken(self, count: int) -> list[_Hand]:
-        """Take so many."""
-        kept, self._hands = self._hands[:count], self._hands[count:]
-        places = (place for place in naturals() if place not in {hand.place for hand in kept})
-        return [*kept, *(_Hand(next(places)) for _ in range(count - len(kept)))]
+    def taken(self, count: int) -> list[_Worker]:
+        """Take ``count`` workers, new ones where too few are idle."""
+        kept, self._workers = self._workers[:count], self._workers[count:]
+        indices = (index for index in naturals() if index not in {worker.index for worker in kept})
+        return [*kept, *(_Worker(next(indices)) for _ in range(count - len(kept)))]
 
-    def put_back(self, hands: Sequence[_Hand]) -> None:
-        """Keep some for later."""
-        for hand in hands:
-            hand.rest()
-        self._hands = sorted([*self._hands, *hands], key=lambda hand: hand.place)
+    def put_back(self, workers: Sequence[_Worker]) -> None:
+        """Return workers that are idle again."""
+        for worker in workers:
+            worker.rest()
+        self._workers = sorted([*self._workers, *workers], key=lambda worker: worker.index)
 
-    def _forget(self) -> None:
-        for hand in self._hands:
-            hand.note.unlink(missing_ok=True)
+    def _remove_notes(self) -> None:
+        for worker in self._workers:
+            worker.note.unlink(missing_ok=True)
 
 
 @cache
-def _rested() -> _Rested:
-    return _Rested()
+def _idle_workers() -> _IdleWorkers:
+    return _IdleWorkers()
 
 
-def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
-    """Make a call in a worker, which may have started before the store of images was switched; time it, in s."""
+def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
+    """Make a call in a worker, with the parent's switch of the image store; return its duration, s, and result."""
     with store_switched(images_kept), guarding(note=note):
         start = time.perf_counter()
         answer = function(*call)
         return time.perf_counter() - start, answer
 
 
-def _follow_parent(parent: int, note: Path) -> None:
-    """Ignore SIGINT, and end this worker soon after its parent.
+def _end_with_parent(parent: int, note: Path) -> None:
+    """Initialise a worker process: ignore SIGINT, and exit within a second of the parent's end.
 
-    A worker that outlives a killed run would take cores from the next start of it, and nobody else is left then to
-    remove its note.
+    A worker that survived a killed run would take cores from the next one. It removes its note file, as the parent no
+    longer can.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -284,8 +286,8 @@ def _follow_parent(parent: int, note: Path) -> None:
 
 
 @contextmanager
-def _may_have_children() -> Iterator[None]:
-    """Let a worker of Dask start a process: it may be a daemon, to which Python forbids that; ours end on their own."""
+def _allow_child_processes() -> Iterator[None]:
+    """Allow a Dask worker, which may be a daemon process, to start child processes; ours exit with their parent."""
     this = multiprocessing.current_process()
     before = this.daemon
     this.daemon = False
@@ -296,11 +298,11 @@ def _may_have_children() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Let SIGINT wait while a process may start, and keep it from the child, which inherits the mask.
+def _sigint_deferred() -> Iterator[None]:
+    """Defer SIGINT while a process may start; the child inherits the mask and does not receive it.
 
-    A terminal sends Ctrl-C to all processes of its group, but the parent ends the workers. The mask alone would not
-    make it wait here: another thread, one of BLAS say, takes the signal, and Python raises in the middle of the start.
+    A terminal sends Ctrl-C to all processes of its group, but only the parent may end the workers. The mask alone does
+    not defer it here: another thread, for example of BLAS, receives the signal, and Python raises during the start.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,6 +1,6 @@
-"""Things that are built once from a scenario's shape and lent to estimators: landmark data bases."""
+"""Products that are built once from a scenario and used by estimators, such as landmark data bases."""
 
 from campaign.products import landmark_database
-from campaign.products.shelf import BuiltProduct, MissingProduct, Shelf, product_key
+from campaign.products.assets import BuiltAssets, BuiltProduct, MissingProduct, product_key
 
-__all__ = ["BuiltProduct", "MissingProduct", "Shelf", "landmark_database", "product_key"]
+__all__ = ["BuiltAssets", "BuiltProduct", "MissingProduct", "landmark_database", "product_key"]

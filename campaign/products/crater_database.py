@@ -1,4 +1,4 @@
-"""The crater data base of a scenario: rendered images, detection, matching, numbering, triangulation."""
+"""Crater data base of a scenario: image rendering, crater detection, matching, numbering, triangulation."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from campaign.imaging.world import open_world
-from campaign.products.database_images import DatabaseImage, database_images
-from campaign.products.spread import over_images
+from campaign.products.database_images import DatabaseImage, database_images, map_images
+from campaign.products.databases import checked_options
 from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
+from estimators.craters.database.build import build_database, triangulate_landmarks
 from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.triangulation import build_database, triangulated
 from estimators.craters.matching.preliminary import PreliminaryOptions
-from estimators.craters.pose.options import PRODUCT, CraterDatabaseOptions
+from estimators.craters.pose import PRODUCT, CraterDatabaseOptions
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -27,7 +27,7 @@ KIND = PRODUCT
 VERSION = 2
 
 _MATCHER = "vote"
-# Images of a data base have poses from orbit determination over all of them: far better than a pixel.
+# Poses of the images are assumed to come from orbit determination over all of them: rad and m, far below a pixel.
 _POSE_SIGMAS = np.array([1e-7, 1e-7, 1e-7, 1.0, 1.0, 1.0])
 
 
@@ -37,32 +37,32 @@ def parse(options: Mapping[str, object]) -> CraterDatabaseOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     detectors = [crater_detector_class(name).version for name in crater_detector_names()]
     return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
-    return f"{_checked(options).images} images"
+    """Describe the effort of a build."""
+    return f"{checked_options(KIND, options, CraterDatabaseOptions).images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` as the spacecraft knows it, and store it in ``folder``.
 
-    The images see the body's craters, which only the camera knows of; the poses they were taken from are known.
+    The images show the body's true craters, which are not part of the believed shape; their poses are known exactly.
     """
-    wanted, world = _checked(options), open_world(scenario, variant)
+    wanted, world = checked_options(KIND, options, CraterDatabaseOptions), open_world(scenario, variant)
     if world.ground is None:
         raise NoProductError("it is made of the section craters, which is missing: add it, or leave the estimator out")
-    found = over_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
+    found = map_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
     images = [image for image, _ in found]
     matcher = crater_matcher_class(_MATCHER).from_options(
         {"height_sigma_m": wanted.height_sigma_m, "association": wanted.association.model_dump()}
     )
     preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
     built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
-    triangulated(built.database, wanted.height_sigma_m, wanted.association).save(folder)
+    triangulate_landmarks(built.database, wanted.height_sigma_m, wanted.association).save(folder)
     return {
         "images": wanted.images,
         "images_from_store": sum(stored for _, stored in found),
@@ -85,7 +85,7 @@ def about(folder: Path) -> dict[str, object]:
 def _of_images(
     scenario: LoadedScenario, wanted: CraterDatabaseOptions, variant: str, images: Sequence[int]
 ) -> list[tuple[CraterImage, bool]]:
-    """Look for craters in some images; whether each image came from the store."""
+    """Detect craters in some images; also return whether each image came from the store."""
     finder = crater_detector_class(wanted.detector).from_options({})
     pictured = database_images(scenario, images, wanted.phase_deg, wanted.seed, variant)
     return [
@@ -95,19 +95,13 @@ def _of_images(
 
 
 def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most_detections: int) -> CraterImage:
-    """Look for craters in an image of the data base."""
+    """Detect craters in an image of the data base."""
     view, camera = pictured.view, pictured.view.camera
     pose = view.T_cam_body
     frame = Frame(pictured.pixels, pose.rotate(view.sun_dir_body), pose, np.diag(_POSE_SIGMAS**2), float(number))
     try:
         found = finder.detect(frame, camera)
-    except BoresightError:  # a black image has no craters: the data base goes without it
+    except BoresightError:  # a black image has no craters
         return CraterImage(number, frame, camera, CraterDetections.none())
     kept = slice(0, most_detections)
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
-
-
-def _checked(options: SpecModel) -> CraterDatabaseOptions:
-    if not isinstance(options, CraterDatabaseOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not CraterDatabaseOptions")
-    return options

@@ -1,17 +1,19 @@
-"""Images that data bases are made of: rendered from random directions under a random Sun, and kept."""
+"""Images from which data bases are built, rendered with random directions of camera and Sun, by several workers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from campaign.imaging.image_store import ImageStore
 from campaign.imaging.world import open_world, typical_range_m
-from scenarios.aim import draw_aimed_view
-from scenarios.draw import Stream, draw_lit_view, generator
+from campaign.machine import use_threads
+from campaign.pool.workers import in_order
+from scenarios.draw import Stream, draw_aimed_view, draw_lit_view, generator
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario
 from scenarios.spec.camera import CameraSpec
@@ -20,10 +22,45 @@ from scenarios.spec.world import LightingSpec, ViewpointSpec
 
 FloatArray = NDArray[np.float64]
 
+T = TypeVar("T")
+
+IN_THIS_PROCESS = 0
+"""Value of ``jobs`` inside a worker process, whose number of threads is already set."""
+
+_CHUNK_IMAGES = 10
+
+
+def map_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
+    """Apply ``function(*arguments, numbers)`` to chunks of image numbers in workers; return all results in order.
+
+    Parameters
+    ----------
+    jobs
+        Number of workers, or ``IN_THIS_PROCESS``.
+    images
+        Number of images, which are numbered from 0.
+    function
+        A module-level function, so that it can be pickled; it returns one result for each number.
+    arguments
+        Its first arguments, the same for all chunks.
+    """
+    chunks = [range(i, min(i + _CHUNK_IMAGES, images)) for i in range(0, images, _CHUNK_IMAGES)]
+    if jobs == IN_THIS_PROCESS:
+        return [result for chunk in chunks for result in function(*arguments, chunk)]
+    calls = ((jobs, function, arguments, chunk) for chunk in chunks)
+    return [result for chunk in in_order(jobs, _in_worker, calls) for result in chunk]
+
+
+def _in_worker(
+    jobs: int, function: Callable[..., list[T]], arguments: tuple[object, ...], numbers: Sequence[int]
+) -> list[T]:
+    use_threads(jobs)
+    return function(*arguments, numbers)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseImage:
-    """An image of the believed body, its view, what takes its pixels back to the surface, and whether it was kept."""
+    """Image of the believed body with its view, and whether it came from the store."""
 
     pixels: NDArray[np.float32]
     view: View
@@ -32,7 +69,7 @@ class DatabaseImage:
     from_store: bool
 
     def deproject(self, uv_px: FloatArray) -> FloatArray:
-        """Points of the surface (N, 3), body frame, m, at pixel positions (N, 2); NaN where a pixel sees the sky."""
+        """Points of the surface (N, 3), body frame, m, at pixel positions (N, 2); NaN off the body."""
         return open_world(self.scenario, self.variant).renderer.surface(self.view, uv_px).points_body_m
 
 
@@ -45,12 +82,12 @@ def database_images(
     range_m: float | None = None,
     camera: CameraSpec | None = None,
 ) -> Iterator[DatabaseImage]:
-    """Yield noise-free images of the scenario's own body and BRDF.
+    """Yield noise-free images of the scenario's believed body and BRDF.
 
-    From random directions, at a range and by a camera of their own (without distortion), with the Sun anywhere within
-    a range of phase angles (Rowell et al. 2015, section 4.1). Where the scenario aims its images at lit ground, so are
-    these: a camera that always looks at the centre would never see the ends of a long body from near. They are kept, so
-    that another data base of the same views renders nothing again.
+    Directions are random, the camera has no distortion, and the phase angle is uniform in an interval (Rowell et al.
+    2015, section 4.1). If the scenario aims its images at lit ground, so do these: a camera pointed at the centre would
+    never see the ends of a long body from a short range. The images are stored, so that another data base of the same
+    views renders nothing again.
 
     Parameters
     ----------
@@ -59,11 +96,11 @@ def database_images(
     images
         Numbers of the images, from 0.
     phase_deg, seed
-        Of their Suns, uniform, and of their views.
+        Interval of the phase angle, and seed of the views.
     variant
         The Mitsuba variant.
     range_m, camera
-        Those of the scenario where they are left out.
+        Range and camera; None for those of the scenario.
     """
     world, camera = open_world(scenario, variant), camera or scenario.spec.camera
     spec = scenario.spec.viewpoint

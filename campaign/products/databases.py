@@ -1,55 +1,97 @@
-"""Several data bases of one campaign: what is drawn once in a run, and not in each trial, is drawn for each of them.
+"""Identity of data bases: their content hash, and the seeds of several data bases in one campaign.
 
-Data base 0 is that of a campaign with a single one, bit for bit.
+What is drawn once per run rather than in each trial (craters, errors of the believed shape) is drawn once for each data
+base. Data base 0 is, bit for bit, that of a campaign with a single one.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from scenarios.load import LoadedScenario
+from campaign.imaging.world import typical_range_m
+from renderers.mitsuba3 import renderer_version
+from scenarios.craters import shape_digest
+from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
-from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
 
-APART = 10_000
-"""Between the seeds of two data bases, so that none meets a seed near by that something else was made with."""
+SEED_STEP = 10_000
+"""Difference of the seeds of two data bases, large enough to avoid nearby seeds in other uses."""
 
 
-def differs(scenario: LoadedScenario) -> frozenset[str]:
-    """Name what of a scenario is drawn for a data base: ``world`` (its craters), ``knowledge`` (the shape on board)."""
+def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, versions: Sequence[int], variant: str) -> str:
+    """Return the hash of everything that determines a product.
+
+    Parameters
+    ----------
+    scenario
+        As the spacecraft believes it to be.
+    kind, options
+        Kind of product, and its options.
+    versions
+        Versions of all code that it depends on, except the renderer.
+    variant
+        The Mitsuba variant.
+    """
+    spec = scenario.spec
+    parts = {
+        "kind": kind,
+        "options": json.loads(options.model_dump_json(exclude_none=True)),
+        "body": shape_digest(spec, scenario.search_dirs),
+        "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
+        "shading": spec.body.shading,
+        "range_m": typical_range_m(scenario),
+        "versions": [*versions, renderer_version(spec)[1]],
+        "variant": variant,
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def checked_options(kind: str, options: SpecModel, model: type[Options]) -> Options:
+    """Return options as their own model; raise TypeError if they are those of another kind of product."""
+    if not isinstance(options, model):
+        raise TypeError(f"{kind}: options are a {type(options).__name__}, not {model.__name__}")
+    return options
+
+
+def drawn_per_database(scenario: LoadedScenario) -> frozenset[str]:
+    """Return what is drawn per data base: ``world`` (the craters), ``knowledge`` (errors of the believed shape)."""
     found = {"world"} if scenario.spec.craters is not None else set()
     return frozenset(found | ({"knowledge"} if _drawn_onboard(scenario.spec.onboard) else set()))
 
 
-def with_world(scenario: LoadedScenario, database: int) -> LoadedScenario:
-    """Return a scenario with the craters of a data base: its trials see them, and it is made of them."""
+def with_database_craters(scenario: LoadedScenario, database: int) -> LoadedScenario:
+    """Return a scenario with the craters of a data base, which its images and its trials show."""
     craters = scenario.spec.craters
     if database == 0 or craters is None:
         return scenario
-    return replace(scenario, spec=scenario.spec.model_copy(update={"craters": of_database(craters, database)}))
+    return replace(scenario, spec=scenario.spec.model_copy(update={"craters": with_database_seed(craters, database)}))
 
 
-def with_knowledge(scenario: LoadedScenario, database: int) -> LoadedScenario:
-    """Return a scenario with the errors of the shape on board that a data base has."""
+def with_database_knowledge(scenario: LoadedScenario, database: int) -> LoadedScenario:
+    """Return a scenario with the errors of the believed shape of a data base."""
     drawn = _drawn_onboard(scenario.spec.onboard)
     if database == 0 or not drawn:
         return scenario
-    onboard = scenario.spec.onboard.model_copy(update={k: of_database(v, database) for k, v in drawn.items()})
+    onboard = scenario.spec.onboard.model_copy(update={k: with_database_seed(v, database) for k, v in drawn.items()})
     return replace(scenario, spec=scenario.spec.model_copy(update={"onboard": onboard}))
 
 
-def of_database(options: Options, database: int) -> Options:
-    """Return options with the seed of a data base; a seed that is left out counts as 0."""
+def with_database_seed(options: Options, database: int) -> Options:
+    """Return options with the seed of a data base; a missing seed counts as 0."""
     if database == 0:
         return options
-    seed: int = getattr(options, "seed") or 0  # noqa: B009  not every model has one, but all that are given here
-    return options.model_copy(update={"seed": seed + APART * database})
+    seed: int = getattr(options, "seed") or 0  # noqa: B009  the type has no seed, but all models used here do
+    return options.model_copy(update={"seed": seed + SEED_STEP * database})
 
 
 def _drawn_onboard(onboard: OnboardSpec) -> dict[str, SpecModel]:
-    """Return the sections of the knowledge on board that chance decides, but not in each trial: they have a seed."""
+    """Return the sections of ``onboard`` that are drawn once per data base: those with a seed."""
     sections = {name: getattr(onboard, name) for name in OnboardSpec.model_fields}
     return {name: section for name, section in sections.items() if hasattr(section, "seed")}

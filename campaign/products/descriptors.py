@@ -1,14 +1,19 @@
-"""Descriptors of a scenario: features of rendered images, taken back to the body."""
+"""Descriptor data base of a scenario: features of rendered images, de-projected onto the body."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from campaign.products.database_images import database_images
-from campaign.products.spread import over_images
-from estimators.descriptors.build import METHOD_VERSION, DescriptorOptions, view_features
-from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
+from campaign.products.database_images import database_images, map_images
+from campaign.products.databases import checked_options
+from estimators.descriptors.database import (
+    METHOD_VERSION,
+    DescriptorDatabase,
+    DescriptorOptions,
+    ViewFeatures,
+    view_features,
+)
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
@@ -21,20 +26,20 @@ def parse(options: Mapping[str, object]) -> DescriptorOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
-    options = _checked(options)
+    """Describe the effort of a build."""
+    options = checked_options(KIND, options, DescriptorOptions)
     return f"{options.kind}, {options.images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` and store it in ``folder``."""
-    options = _checked(options)
-    found = over_images(jobs, options.images, _of_images, scenario, options, variant)
+    options = checked_options(KIND, options, DescriptorOptions)
+    found = map_images(jobs, options.images, _of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": METHOD_VERSION}
     DescriptorDatabase(options.kind, views, provenance).save(folder)
@@ -59,9 +64,3 @@ def _of_images(
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
         for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
     ]
-
-
-def _checked(options: SpecModel) -> DescriptorOptions:
-    if not isinstance(options, DescriptorOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DescriptorOptions")
-    return options

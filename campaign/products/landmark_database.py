@@ -1,18 +1,94 @@
-"""The landmark data base of a scenario: render, detect corners, de-project, cluster, triangulate."""
+"""Landmark data base of a scenario: render images, detect corners, de-project, cluster, triangulate."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.products.landmark_candidates import candidates_of
-from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, database_from_candidates
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.products.database_images import database_images, map_images
+from campaign.products.databases import checked_options, content_key
+from estimators.landmark.build import (
+    METHOD_VERSION,
+    CandidateOptions,
+    DatabaseOptions,
+    database_from_candidates,
+    extract_candidates,
+)
 from estimators.landmark.database import LandmarkDatabase
+from scenarios.cache import default_cache
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
 KIND = "landmark-database"
 VERSION = 1
+
+CANDIDATES_KIND = "landmark-candidates"
+CANDIDATES_VERSION = 1
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkCandidates:
+    """Candidate landmarks: de-projected corners of rendered images.
+
+    Parameters
+    ----------
+    by_image
+        (C, 3) points for each image, body frame, m.
+    images_from_store
+        Number of images that came from the store; None if the candidates came from the cache.
+    """
+
+    by_image: tuple[FloatArray, ...]
+    images_from_store: int | None
+
+
+def landmark_candidates(
+    scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str
+) -> LandmarkCandidates:
+    """Return the candidates of ``scenario``, from the cache if they are there.
+
+    The images (`database_images`) are stored as well, so that other corner options render nothing again.
+
+    Parameters
+    ----------
+    scenario
+        As the spacecraft believes it to be.
+    options
+        Options of images and corners; further fields of a derived model are ignored.
+    jobs
+        Number of workers, or ``IN_THIS_PROCESS``.
+    variant
+        The Mitsuba variant.
+    """
+    options = CandidateOptions.model_validate({name: getattr(options, name) for name in CandidateOptions.model_fields})
+    stored: list[int] = []
+
+    def build(folder: Path) -> None:
+        found = map_images(jobs, options.images, _candidates_of_images, scenario, options, variant)
+        stored.append(sum(from_store for _, from_store in found))
+        np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, _ in found)]))
+        np.save(folder / "counts.npy", np.array([len(points) for points, _ in found], dtype=np.int64))
+
+    key = content_key(scenario, CANDIDATES_KIND, options, [CANDIDATES_VERSION, METHOD_VERSION], variant)
+    folder = default_cache().folder(CANDIDATES_KIND, key, build)
+    points_m, counts = (np.load(folder / name, allow_pickle=False) for name in ("points_m.npy", "counts.npy"))
+    return LandmarkCandidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
+
+
+def _candidates_of_images(
+    scenario: LoadedScenario, options: CandidateOptions, variant: str, images: Sequence[int]
+) -> list[tuple[FloatArray, bool]]:
+    """Find the candidates of some images, and whether each image came from the store."""
+    pictured = database_images(
+        scenario, images, (0.0, options.phase_deg_max), options.seed, variant, options.range_m, options.camera
+    )
+    return [(extract_candidates(image.pixels, image.deproject, options), image.from_store) for image in pictured]
 
 
 def parse(options: Mapping[str, object]) -> DatabaseOptions:
@@ -21,19 +97,19 @@ def parse(options: Mapping[str, object]) -> DatabaseOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [VERSION, METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
-    return f"{_checked(options).images} images"
+    """Describe the effort of a build."""
+    return f"{checked_options(KIND, options, DatabaseOptions).images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
-    options = _checked(options)
-    candidates = candidates_of(scenario, options, jobs, variant)
+    options = checked_options(KIND, options, DatabaseOptions)
+    candidates = landmark_candidates(scenario, options, jobs, variant)
     database_from_candidates(candidates.by_image, options).save(folder)
     images = {"images": len(candidates.by_image)}
     if candidates.images_from_store is None:
@@ -50,9 +126,3 @@ def about(folder: Path) -> dict[str, object]:
     """Describe a stored data base for the manifest."""
     database = load(folder)
     return {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)}
-
-
-def _checked(options: SpecModel) -> DatabaseOptions:
-    if not isinstance(options, DatabaseOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DatabaseOptions")
-    return options

@@ -1,10 +1,11 @@
-"""The maplets of a scenario: cut out of the shape that the spacecraft carries."""
+"""Maplets of a scenario, extracted from the shape that the spacecraft believes in."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
+from campaign.products.databases import checked_options
 from estimators.maplets.build import METHOD_VERSION, MapletOptions, build_maplets
 from estimators.maplets.database import MapletDatabase
 from scenarios.bodies import load_body
@@ -20,21 +21,21 @@ def parse(options: Mapping[str, object]) -> MapletOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
-    side = _checked(options).side
+    """Describe the effort of a build."""
+    side = checked_options(KIND, options, MapletOptions).side
     return f"{side} x {side} heights each"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
-    """Cut maplets out of the scenario's shape, as the spacecraft knows it, and store them in ``folder``."""
+    """Extract maplets from the scenario's believed shape and store them in ``folder``."""
     del jobs, variant
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
-    build_maplets(mesh, _checked(options)).save(folder)
+    build_maplets(mesh, checked_options(KIND, options, MapletOptions)).save(folder)
 
 
 def load(folder: Path) -> MapletDatabase:
@@ -46,9 +47,3 @@ def about(folder: Path) -> dict[str, object]:
     """Describe a stored data base for the manifest."""
     database = load(folder)
     return {"n_landmarks": len(database), "nodes": database.side**2, "spacing_m": database.spacing_m}
-
-
-def _checked(options: SpecModel) -> MapletOptions:
-    if not isinstance(options, MapletOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not MapletOptions")
-    return options

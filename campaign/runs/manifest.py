@@ -13,7 +13,7 @@ from typing import Any
 from campaign.imaging.real_images import left_out_notes, open_images
 from campaign.machine import describe, package_versions
 from campaign.products import BuiltProduct, MissingProduct
-from campaign.products.kinds import product_kind
+from campaign.products.assets import product_kind
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.newest import KEY, next_start
 from campaign.runs.request import RunRequest

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import EMBEDDED
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedCampaign, LoadedScenario, load_scenario
+from scenarios.onboard import onboard_spec
 
 _Find = Callable[[str, Sequence[Path], str, str], Path]
 _OF_DATA = ("body", "onboard", "images")
@@ -46,7 +46,7 @@ def _scenarios(campaign: LoadedCampaign) -> Iterator[LoadedScenario]:
 
 def _of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
     spec, dirs = scenario.spec, scenario.search_dirs
-    for shape in dict.fromkeys((spec.body.shape, believed_spec(spec).body.shape)):
+    for shape in dict.fromkeys((spec.body.shape, onboard_spec(spec).body.shape)):
         if shape not in EMBEDDED:
             yield Need(shape, _is_there(find_data_file, shape, dirs, "shapes"))
     if spec.images is not None:

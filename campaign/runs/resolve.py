@@ -11,16 +11,9 @@ from typing import Any
 from campaign.resolved import ResolvedCampaign, Versions
 from campaign.trial.kind import kind_named
 from estimators.registry import base_of, needed_sensors
-from scenarios.designs import Cell, Variation, cells
+from scenarios.designs import GridCell, GridVariation, grid_cells
 from scenarios.errors import BoresightError
-from scenarios.load import (
-    Entry,
-    LoadedCampaign,
-    LoadedScenario,
-    load_campaign,
-    load_scenario,
-    names_in,
-)
+from scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
 from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -85,18 +78,18 @@ class Source:
     """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
 
     file: str
-    cell: Cell | None
+    cell: GridCell | None
 
 
 def sources(campaign: CampaignSpec) -> list[Source]:
     """List where the scenarios of a campaign come from, each in all variations of its grid, in their order."""
-    every = (None,) if campaign.grid is None else cells(campaign.grid)
+    every = (None,) if campaign.grid is None else grid_cells(campaign.grid)
     return [Source(file, cell) for file in campaign.scenarios for cell in every]
 
 
 def read_source(
-    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | Entry]
-) -> tuple[LoadedScenario, Variation | None]:
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | ConfigEntry]
+) -> tuple[LoadedScenario, GridVariation | None]:
     """Read one scenario of a campaign."""
     cell = source.cell
     levels = () if cell is None else cell.overrides
@@ -105,7 +98,7 @@ def read_source(
         return one, None
     base = one.spec.name
     own_name = "-".join(filter(None, (base, cell.suffix)))
-    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), Variation(base, cell.levels)
+    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), GridVariation(base, cell.levels)
 
 
 def _versions(spec: CampaignSpec) -> Versions:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from campaign.imaging.real_images import left_out_notes
 from campaign.pool.workers import in_order
-from campaign.products import BuiltProduct, MissingProduct, Shelf
+from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.runs import manifest as manifests
 from campaign.runs.costs import remember
@@ -99,8 +99,8 @@ def _build_products(
     products: list[BuiltProduct | MissingProduct] = []
     for scenario in campaign.scenarios:
         place = request.out / "products"
-        shelf = Shelf(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
-        products += kind.prepare(campaign, scenario, shelf)
+        assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
+        products += kind.prepare(campaign, scenario, assets)
     return products
 
 

@@ -26,7 +26,7 @@ from reports.compare.metrics import Metric
 from reports.run.data import RunData
 from reports.statistics.measured import Statistic
 from scenarios.errors import BoresightError
-from scenarios.load import Entry, LoadedScenario, load_campaign, parse_override
+from scenarios.load import ConfigEntry, LoadedScenario, load_campaign, parse_override
 from scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
@@ -162,7 +162,7 @@ def _base_value(spec: ScenarioSpec, one: VariedKey) -> object:
     return None if isinstance(value, bool) else value
 
 
-def _override(spec: ScenarioSpec, one: VariedKey, value: float) -> Entry:
+def _override(spec: ScenarioSpec, one: VariedKey, value: float) -> ConfigEntry:
     """Set a key to a value, under the name of what the user typed."""
     return parse_override(_setting(spec, one, value), f"--over {one.key}={one.low:g}:{one.high:g}")
 

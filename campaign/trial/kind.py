@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol, Self, cast
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
-    from campaign.products import BuiltProduct, MissingProduct, Shelf
+    from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
     from campaign.resolved import ResolvedCampaign
     from scenarios.load import LoadedScenario
 
@@ -103,7 +103,7 @@ class Kind:
     version: int
     block_trials: int
     method_version: Callable[[str], int]
-    prepare: Callable[[ResolvedCampaign, LoadedScenario, Shelf], Sequence[BuiltProduct | MissingProduct]]
+    prepare: Callable[[ResolvedCampaign, LoadedScenario, BuiltAssets], Sequence[BuiltProduct | MissingProduct]]
     open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
     databases: bool = False
 

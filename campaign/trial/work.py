@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from campaign.pool.captured import Captured
+from campaign.pool.captured import CapturedOutput
 from campaign.pool.guard import STOPPED, Call, StoppedError, guarded
 from campaign.trial.kind import Record, Records
 from estimators.contract import NoProductError
@@ -77,7 +77,7 @@ class Work:
             What scoring raises: a fault of boresight, of which no row may be made.
         """
         sound: T | None = None
-        captured = Captured()
+        captured = CapturedOutput()
         try:
             with captured.capturing():
                 sound = self._sound(work, check)

@@ -1,4 +1,4 @@
-"""What the stages of crater navigation hand to each other."""
+"""Contracts of crater detectors and matchers, and the values that the stages exchange."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterDetections:
-    """Rims that were found in an image, the most confident first.
+    """Crater rims found in an image, the most confident first.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ class CraterDetections:
     confidence
         (n,) descending; its scale is the detector's own.
     rejected
-        What is below the detector's threshold, where it tells: nothing is made of these, but curves over the threshold
-        go through them.
+        Rims below the detector's threshold, if it returns them: they are not used, but complete the curves over the
+        threshold.
     """
 
     ellipses: Ellipses
@@ -37,18 +37,18 @@ class CraterDetections:
 
     @classmethod
     def above(cls, threshold: float, ellipses: Ellipses, confidence: FloatArray) -> CraterDetections:
-        """Part rims, the most confident first, at a threshold on the confidence."""
+        """Split rims, sorted by descending confidence, at a threshold."""
         n = int(np.count_nonzero(confidence >= threshold))
         return cls(ellipses[:n], confidence[:n], cls(ellipses[n:], confidence[n:]))
 
     @classmethod
     def none(cls) -> CraterDetections:
-        """No crater."""
+        """Return no crater."""
         return cls(Ellipses.none(), np.zeros(0))
 
 
 class CraterDetector(Protocol):
-    """Finds craters in an image.
+    """A method that finds craters in an image.
 
     ``version`` is part of every result's key: raise it when results change.
     """
@@ -58,31 +58,31 @@ class CraterDetector(Protocol):
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
         ...
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
-        """Find rims by the image and the Sun in camera axes; an image without a crater gives none.
+        """Find rims from the image and the Sun direction in camera axes; an image without a crater gives none.
 
         Raises
         ------
         BoresightError
-            If nothing can be seen in the image: black, saturated, not finite.
+            If the image is unusable: black, saturated, not finite.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterImage:
-    """An image after detection: all that matching sees.
+    """An image after detection: the input of matching.
 
     Parameters
     ----------
     number
         Of the image in its campaign, unique.
     common
-        (6, s) what s errors of unit variance, that all images of a sequence share, do to the prior pose: the part of
-        its covariance by which it goes with those of the others; (6, 0) where it goes with none.
+        (6, s) effect on the prior pose of s errors of unit variance that are the same for all images of a sequence:
+        the part of its covariance that is correlated with the other images; (6, 0) if there is none.
     """
 
     number: int
@@ -94,7 +94,7 @@ class CraterImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterMatches:
-    """Detections of two images that are taken for the same craters.
+    """Pairs of detections in two images that are taken for the same crater.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class CraterMatches:
     score
         (k,) how well they agree; the scale is the matcher's own.
     reason
-        Why the pair of images was rejected; empty where it was not.
+        Why the pair of images was rejected; empty if it was not.
     """
 
     pairs: IndexArray
@@ -112,12 +112,12 @@ class CraterMatches:
 
     @classmethod
     def none(cls, reason: str) -> CraterMatches:
-        """No match, and why."""
+        """Return no match, with the reason."""
         return cls(np.zeros((0, 2), dtype=np.int64), np.zeros(0), reason)
 
 
-class Ground(Protocol):
-    """The a priori shape, as lines of sight meet it."""
+class GroundModel(Protocol):
+    """The a priori shape, for the intersection with lines of sight."""
 
     def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays meet the body; NaN where they miss it."""
@@ -125,16 +125,26 @@ class Ground(Protocol):
 
 
 class CraterMatcher(Protocol):
-    """Finds the craters that two images have in common."""
+    """A method that finds the craters that two images have in common."""
 
     name: ClassVar[str]
     version: ClassVar[int]
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
         ...
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match two images by their detections, their pixels and their prior poses."""
         ...
+
+
+def too_few_craters(first: CraterImage, second: CraterImage, needed: int = 1) -> str:
+    """Return which image has too few craters for a method of matching; '' if both have enough."""
+    for image in (first, second):
+        count = len(image.detections.ellipses)
+        if count < needed:
+            craters = "no crater" if count == 0 else f"{count} crater{'s' if count > 1 else ''}"
+            return f"image {image.number} has {craters}" + (f", {needed} needed" if needed > 1 else "")
+    return ""

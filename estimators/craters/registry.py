@@ -1,9 +1,9 @@
-"""Detectors and matchers of craters by name: our own tables, and entry points of third-party packages."""
+"""Crater detectors and matchers by name: the built-in tables, and entry points of third-party packages."""
 
 from __future__ import annotations
 
 from estimators.craters.contract import CraterDetector, CraterMatcher
-from estimators.third_party import Registry
+from estimators.registry import Registry
 
 _DETECTORS: Registry[CraterDetector] = Registry(
     own={

@@ -1,1 +1,1 @@
-"""Estimators that compare the whole image with a rendering instead of points in it."""
+"""Estimators that register a rendering with the whole image instead of matching points."""

@@ -1,18 +1,21 @@
-"""Six parameters of the pose, fitted to the image by Gauss and Newton's method on renderings."""
+"""Fit the six parameters of the pose to the image by Gauss-Newton on renderings, at one level of a pyramid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from pydantic import Field
 
-from estimators.dense.linearisation import available_gradient, linearised, parameter_steps
-from estimators.dense.options import LevelOptions, RegistrationOptions
-from estimators.landmark.centroid import MeshView
+from estimators.contract import DifferentiableRenderer, ImageRenderer
+from estimators.landmark.alignment import AlignmentOptions, MeshView
+from estimators.landmark.pose.posterior import PosePrior
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -21,12 +24,55 @@ _ROBUST_SIGMA = 1.4826
 _REWEIGHTINGS = 3
 _DARK = 1e-3
 _MARGIN_PX = 5
-# Derivatives are taken again where the body has moved farther than this since, in pixels of the level.
+# Derivatives are recomputed after the body has moved farther than this, in pixels of the level.
 _STALE_PX = 0.5
+
+Gradient = Literal["autodiff", "differences"]
+
+
+class LevelOptions(SpecModel):
+    """Options of one level of the pyramid."""
+
+    reduction: Literal[1, 2, 4, 8, 16] = Field(1, description="Side of the square of pixels that are averaged into one")
+    blur_px: float = Field(1.0, ge=0, le=20, description="Blur of both images, in pixels of this level")
+    background_px: float = Field(
+        0.0, ge=0, le=100, description="Blur of the subtracted background, in pixels of this level; 0: none"
+    )
+    iterations: int = Field(6, ge=1, le=200, description="Steps at most")
+
+
+class RegistrationOptions(SpecModel):
+    """Options of the registration of a rendered shape with the image."""
+
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+    levels: tuple[LevelOptions, ...] = Field(
+        (
+            LevelOptions(reduction=4, blur_px=1.0, iterations=8),
+            LevelOptions(reduction=2, blur_px=0.7, background_px=3.0, iterations=4),
+            LevelOptions(reduction=1, blur_px=1.0, background_px=4.0, iterations=4),
+        ),
+        min_length=1,
+    )
+    gradient: Literal["autodiff", "differences"] | None = Field(
+        None,
+        description="Derivatives by the renderer, or by differences of twelve renderings; default: by the renderer if"
+        " the Mitsuba variant supports it",
+    )
+    difference_px: float = Field(
+        0.5, gt=0, le=10, description="Step of the differences, as motion in pixels of the level"
+    )
+    huber_sigma: float = Field(1.5, gt=0, description="Residuals beyond this many robust sigmas count linearly")
+    independent_px: float = Field(
+        100.0,
+        gt=0,
+        description="Pixels that count as one independent residual, as errors of the shape are correlated",
+    )
+    tolerance_px: float = Field(0.01, gt=0, description="A level ends when a step moves the body by less than this")
+    correlation_min: float = Field(0.5, ge=-1, le=1, description="A worse final correlation is a failure")
 
 
 def reduced_camera(camera: Camera, reduction: int) -> Camera:
-    """Return the camera whose pixels are squares of ``reduction`` pixels; edges that do not fill one are cut off."""
+    """Return the camera whose pixels are squares of ``reduction`` pixels, without incomplete ones."""
     return Camera(
         camera.width_px // reduction,
         camera.height_px // reduction,
@@ -44,8 +90,8 @@ def reduced_image(image: Image, reduction: int) -> Image:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def band(image: Image, level: LevelOptions) -> Image:
-    """Blur an image and take out what is smoother than the level's background."""
+def band_pass(image: Image, level: LevelOptions) -> Image:
+    """Band-pass an image: blur it, and subtract the level's background."""
     smooth = cv2.GaussianBlur(image, (0, 0), level.blur_px) if level.blur_px > 0.0 else image
     if level.background_px > 0.0:
         smooth = smooth - cv2.GaussianBlur(smooth, (0, 0), level.background_px)
@@ -53,8 +99,8 @@ def band(image: Image, level: LevelOptions) -> Image:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """A pose with its information.
+class LevelFit:
+    """The fit of the pose at one level.
 
     Parameters
     ----------
@@ -63,12 +109,11 @@ class Fit:
     information
         (6, 6) of [rotation_rad, translation_m] in camera axes, prior included.
     correlation
-        Of the two images over the pixels that were compared; NaN where the rendering is empty.
+        Correlation of the two images over the compared pixels; NaN if the rendering is empty.
     steps
-        Steps taken in all.
+        Number of steps taken.
     masked_share
-        Share of the pixels to compare that were left out because the rendering or a derivative of it is not finite
-        there.
+        Share of the pixels that were not compared because the rendering or its derivative is not finite there.
     """
 
     T_cam_body: Pose
@@ -78,45 +123,32 @@ class Fit:
     masked_share: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PriorTerm:
-    """The Gaussian prior: its mean, and the inverse (6, 6) of its covariance."""
-
-    mean: Pose
-    information: FloatArray
-
-    def error(self, pose: Pose) -> FloatArray:
-        """Difference of a pose from the mean, (6,) [rotation_rad, translation_m]."""
-        turn = Rotation.from_matrix(pose.rotation @ self.mean.rotation.T).as_rotvec()
-        return np.concatenate([turn, pose.translation_m - self.mean.translation_m])
-
-
 def fit_level(
-    observed: Image, start: Pose, view: MeshView, prior: PriorTerm, size_m: float, level: LevelOptions,
+    observed: Image, start: Pose, view: MeshView, prior: PosePrior, size_m: float, level: LevelOptions,
     options: RegistrationOptions,
-) -> Fit:  # fmt: skip
+) -> LevelFit:  # fmt: skip
     """Fit the pose at one level of the pyramid.
 
-    The observed image is taken as gain x rendering; the gain is a seventh parameter, so that the unit of the image has
-    no part. Derivatives are those of `linearised`, kept while the body hardly moves. Residuals are weighted after Huber
-    with a robust sigma. As they come from the shape's errors and not from noise, ``independent_px`` neighbouring ones
-    count as one.
+    The observed image is modelled as gain x rendering; the gain is a seventh parameter, so that the result does not
+    depend on the image's unit. Derivatives are those of `linearised`, reused while the body hardly moves. Residuals
+    have Huber weights with a robust sigma. As they come from errors of the shape rather than from noise,
+    ``independent_px`` neighbouring pixels count as one observation.
 
     Parameters
     ----------
     observed
         (H, W) signal, background 0.
     start, view, prior
-        Where to start; how the shape is seen; what is known beforehand.
+        Initial pose, view of the shape, and prior.
     size_m
-        Radius of the body: how far a turn moves its surface.
+        Radius of the body, which converts rotations to motions of its surface.
     level, options
-        The level, and the rest.
+        Options of the level and of the registration.
     """
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
     gradient = available_gradient(options.gradient, view.renderer)
-    target = band(reduced_image(observed, level.reduction), level)
+    target = band_pass(reduced_image(observed, level.reduction), level)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
@@ -124,23 +156,24 @@ def fit_level(
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
-            jacobian, moved_px = [band(_finite(derivative), level) for derivative in derivatives], 0.0
+            jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)
         usable = sound & np.isfinite(image)
-        rendered = band(_finite(image), level)
+        rendered = band_pass(_finite(image), level)
         if not rendered.any():
-            return Fit(pose, prior.information, float("nan"), count)
+            return LevelFit(pose, prior.information, float("nan"), count)
         lit = _compared(target, rendered)
         compared = lit & usable
         if not compared.any():
-            return Fit(pose, prior.information, float("nan"), count, 1.0)
+            return LevelFit(pose, prior.information, float("nan"), count, 1.0)
+        # The derivatives may be those of an earlier pose; the residuals are always those of the current one.
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
-        vector -= prior.information @ prior.error(pose)
+        vector -= prior.information @ prior.offset(pose)
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
-        fit = Fit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
+        fit = LevelFit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
         step_px = float(np.abs(step / steps).max()) * options.difference_px
         moved_px += step_px
         if step_px < options.tolerance_px:
@@ -150,13 +183,70 @@ def fit_level(
     return fit
 
 
+def available_gradient(wanted: Gradient | None, renderer: ImageRenderer) -> Gradient:
+    """Return how images are differentiated: as ``wanted``, or else by the renderer where it can.
+
+    Raises
+    ------
+    BoresightError
+        If ``autodiff`` is wanted and the renderer cannot differentiate.
+    """
+    able = isinstance(renderer, DifferentiableRenderer) and renderer.differentiable
+    if wanted == "autodiff" and not able:
+        raise BoresightError(
+            "gradient: autodiff: the Mitsuba variant in use gives no derivatives: leave the key out, or see"
+            " `boresight doctor`"
+        )
+    return wanted or ("autodiff" if able else "differences")
+
+
+def parameter_steps(pose: Pose, pixel_rad: float, size_m: float, motion_px: float) -> FloatArray:
+    """Return steps (6,) of the pose parameters that each move the body's outline by about ``motion_px``."""
+    range_m = float(np.linalg.norm(pose.translation_m))
+    across_m = motion_px * pixel_rad * range_m
+    turn_rad = across_m / size_m
+    return np.array([turn_rad, turn_rad, turn_rad, across_m, across_m, across_m * range_m / size_m])
+
+
+def linearised(view: MeshView, pose: Pose, gradient: Gradient, steps: FloatArray) -> tuple[Image, Image]:
+    """Render an image (H, W) and its derivatives (6, H, W) by [rotation_rad, translation_m] of ``Pose.perturbed``.
+
+    Parameters
+    ----------
+    view
+        View of the shape; the Sun is fixed in camera axes.
+    pose
+        Pose to linearise at.
+    gradient
+        See `available_gradient`.
+    steps
+        (6,) steps of the differences.
+    """
+    renderer = view.renderer
+    if gradient == "autodiff" and isinstance(renderer, DifferentiableRenderer):
+        return renderer.render_with_derivatives(view.at(pose))
+    return view.render(pose), np.stack([_difference(view, pose, steps, axis) for axis in range(len(steps))])
+
+
+def _difference(view: MeshView, pose: Pose, steps: FloatArray, axis: int) -> Image:
+    """Return the central difference along one parameter, valid for silhouettes, cast shadows and facets alike.
+
+    One-sided differences would contain the same sampling noise of the central image as the residual that they are
+    multiplied with, which would bias every parameter.
+    """
+    step = np.zeros(6)
+    step[axis] = steps[axis]
+    ahead, behind = view.render(pose.perturbed(step[:3], step[3:])), view.render(pose.perturbed(-step[:3], -step[3:]))
+    return np.asarray((ahead - behind) / np.float32(2.0 * steps[axis]), dtype=np.float32)
+
+
 def _finite(image: Image) -> Image:
-    """Replace what is not finite by 0, which filters would spread; such pixels are not compared."""
+    """Replace values that are not finite by 0, as filters would spread them; such pixels are not compared."""
     return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:
-    """Pixels on either body or next to it; (H, W)."""
+    """Mask (H, W) of the pixels on or next to the body in either image."""
     dark = _DARK * max(float(np.abs(target).max()), 1e-30), _DARK * max(float(np.abs(rendered).max()), 1e-30)
     lit = (np.abs(target) > dark[0]) | (np.abs(rendered) > dark[1])
     grown = cv2.dilate(lit.astype(np.uint8), np.ones((_MARGIN_PX, _MARGIN_PX), dtype=np.uint8))
@@ -174,7 +264,7 @@ def _normal_equations(
     columns = np.stack([gain * column[compared].astype(np.float64) for column in jacobian] + [i], axis=1)
     weighted = columns * (weight / max(variance, 1e-300))[:, None]
     full, right = weighted.T @ columns, weighted.T @ residual
-    # The Schur complement takes the gain out.
+    # The Schur complement eliminates the gain.
     normal = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
     vector = right[:6] - full[:6, 6] * right[6] / full[6, 6]
     return normal, vector, float(np.corrcoef(o, i)[0, 1])
@@ -193,14 +283,14 @@ def _gain(o: FloatArray, i: FloatArray, huber_sigma: float) -> tuple[float, Floa
 
 
 def inverse(normal: FloatArray) -> FloatArray:
-    """Invert an information matrix, scaled first."""
+    """Invert an information matrix, scaled to a unit diagonal first."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     covariance: FloatArray = np.linalg.inv(normal * np.outer(scale, scale)).astype(np.float64) * np.outer(scale, scale)
     return covariance
 
 
 def _solve(normal: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solve scaled: square radians and square metres are orders of magnitude apart."""
+    """Solve scaled to a unit diagonal: square radians and square metres differ by orders of magnitude."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     solution: FloatArray = scale * np.linalg.solve(normal * np.outer(scale, scale), scale * vector)
     return solution

@@ -1,29 +1,37 @@
-"""The estimator ``photometric``: the pose whose rendering is the image."""
+"""The estimator ``photometric``: the pose at which a rendering of the shape fits the image."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.dense.gauss_newton import inverse
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import PhotometricOptions
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.dense.gauss_newton import RegistrationOptions, available_gradient, inverse
 from estimators.dense.registration import Registration, register
-from estimators.image import image_fault
-from estimators.landmark.centroid import MeshView
-from estimators.landmark.recognizer import borrow_database
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.alignment import MeshView
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.recognizer import landmark_database
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.observation import Frame, Observation
 
 
+class PhotometricOptions(RegistrationOptions):
+    """Options of ``photometric``."""
+
+    shape: Literal["onboard", "landmark-mesh"] = Field(
+        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
+    )
+    database: DatabaseOptions = DatabaseOptions()
+    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of a rendered pixel, on a regular grid")
+
+
 class PhotometricEstimator:
-    """Aligns renderings of the onboard shape with the image, coarse to fine, maximum a posteriori."""
+    """Registers renderings of the onboard shape with the image, from coarse to fine, maximum a posteriori."""
 
     name: ClassVar[str] = "photometric"
     version: ClassVar[int] = 3
@@ -44,7 +52,7 @@ class PhotometricEstimator:
         return cls(renderer, size_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         clock = Stopwatch()
         found = self._register(observation.frame, observation.camera, clock)
@@ -69,15 +77,12 @@ class PhotometricEstimator:
         )
 
     def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
-        """Register the frame, or say why there is nothing to register."""
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        observed = extract_signal(frame.image)
-        if observed.empty:
-            return "the image is black: nothing above its background"
+        """Register the frame, or return the reason why it cannot be registered."""
+        observed = observed_signal(frame, camera)
+        if isinstance(observed, str):
+            return observed
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        return register(observed.image, frame, view, self._size_m, self._options, clock)
+        return register(observed, frame, view, self._size_m, self._options, clock)
 
     def _stages(self, found: Registration) -> tuple[Stage, ...]:
         if found.shift.failure:
@@ -88,4 +93,4 @@ class PhotometricEstimator:
 
 
 def _landmark_mesh(options: PhotometricOptions, assets: Assets) -> TriangleMesh:
-    return borrow_database(options.database, assets, PhotometricEstimator.name).mesh()
+    return landmark_database(options.database, assets, PhotometricEstimator.name).mesh()

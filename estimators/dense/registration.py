@@ -1,4 +1,4 @@
-"""Registration of a rendered shape with an image: shift, then all six parameters from coarse to fine."""
+"""Register a rendered shape with an image: a shift, then all six parameters from coarse to fine."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.certainty import invertible
-from estimators.dense.gauss_newton import Fit, PriorTerm, fit_level, inverse
-from estimators.dense.options import RegistrationOptions
-from estimators.landmark.alignment import correlation_pair
-from estimators.landmark.centroid import Alignment, MeshView, align_translation
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.contract import Stopwatch
+from estimators.dense.gauss_newton import LevelFit, RegistrationOptions, fit_level, inverse
+from estimators.landmark.alignment import Alignment, MeshView, align_translation, correlation_pair
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.prior import floor_variances
 from scenarios.geometry import Pose
 from scenarios.observation import Frame
 
@@ -21,20 +20,20 @@ STAGE = "registration"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How a pose came about.
+    """A registration with its stages.
 
     Parameters
     ----------
     shift
         The first shift across the line of sight.
     fits
-        Of each level, from coarse to fine; none after one at which the shape went out of sight.
+        Fits of the levels, from coarse to fine, up to one at which the shape went out of view.
     failure
-        Why the pose is none; empty where it is one.
+        Reason of the failure; empty if the pose is good.
     """
 
     shift: Alignment
-    fits: tuple[Fit, ...] = ()
+    fits: tuple[LevelFit, ...] = ()
     failure: str = ""
 
     @property
@@ -51,39 +50,39 @@ def register(
     options: RegistrationOptions,
     clock: Stopwatch,
 ) -> Registration:
-    """Find the pose at which the rendering of a shape is the image, maximum a posteriori.
+    """Estimate the maximum a posteriori pose by registering the rendering of a shape with the image.
 
     Parameters
     ----------
     observed
         (H, W) signal of the image, background 0, not black.
     frame
-        Its prior: where to start, and how much that is worth.
+        The frame with its prior, which is the initial pose.
     view
-        How the shape is seen.
+        View of the shape.
     size_m
-        Radius of the shape: how far a turn moves its surface.
+        Radius of the shape, which converts rotations to motions of its surface.
     options
         Levels and thresholds.
     clock
-        Gets the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
+        Records the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
     """
     start = frame.prior_T_cam_body
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
     if shift.failure:
         return Registration(shift, failure=shift.failure)
-    prior = PriorTerm(start, inverse(invertible(frame.prior_covariance)))
-    fits: list[Fit] = []
+    prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
+    fits: list[LevelFit] = []
     for level in options.levels:
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
             fits.append(fit_level(observed, begin, view, prior, size_m, level, options))
         if not np.isfinite(fits[-1].correlation):
             break
-    return Registration(shift, tuple(fits), _verdict(fits[-1].correlation, options.correlation_min))
+    return Registration(shift, tuple(fits), _failure(fits[-1].correlation, options.correlation_min))
 
 
-def _verdict(correlation: float, least: float) -> str:
+def _failure(correlation: float, least: float) -> str:
     if not np.isfinite(correlation):
         return "the rendered mesh went out of view or into the dark"
     if correlation >= least:

@@ -1,4 +1,4 @@
-"""The estimator ``whole-image``: the paper's recognition, begun where the whole rendered mesh fits the image."""
+"""The estimator ``whole-image``: the paper's recognition, from the pose at which the rendered mesh fits the image."""
 
 from __future__ import annotations
 
@@ -10,25 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import LevelOptions, RegistrationOptions
+from estimators.contract import Assets, Stopwatch
+from estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
 from estimators.dense.registration import STAGE, register
-from estimators.landmark.centroid import Alignment, MeshView
+from estimators.landmark.alignment import Alignment, MeshView
 from estimators.landmark.pose.outliers import PoseOptions
 from estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,
     RecognitionOptions,
-    borrow_database,
-    borrow_judge,
+    landmark_database,
+    shape_renderer,
 )
-from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.observation import Frame
 
 _SAMPLES_PER_PIXEL = 4
-# The facets of the mesh are a dozen pixels wide: finer levels bring the turn little and cost as much again.
+# The facets of the mesh are a dozen pixels wide: finer levels improve the rotation little and double the time.
 _MESH_REGISTRATION = RegistrationOptions(
     levels=(
         LevelOptions(reduction=8, iterations=6),
@@ -44,15 +42,15 @@ class WholeImageOptions(RecognitionOptions):
     registration: RegistrationOptions = _MESH_REGISTRATION
     pose: PoseOptions = Field(
         PoseOptions(match_d2_max=16.0),
-        description="As in landmark-harris, but the start is better and the search may be narrower: 4 sigma",
+        description="As in landmark-harris, but with a narrower search of 4 sigma, as the initial pose is better",
     )
 
 
 class WholeImageRecognizer(LandmarkRecognizer):
     """Rowell et al. (2015) with the whole image aligned in place of its centroid, as their section 6 proposes.
 
-    The mesh of the landmarks is shifted and turned until its rendering fits the image. Landmarks are then first
-    predicted with the attitude of the image and not with the prior's.
+    The mesh of the landmarks is translated and rotated until its rendering fits the image. Landmarks are then first
+    predicted with the estimated attitude instead of the prior's.
     """
 
     name: ClassVar[str] = "whole-image"
@@ -62,17 +60,17 @@ class WholeImageRecognizer(LandmarkRecognizer):
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(WholeImageOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         mesh = database.mesh()
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, _SAMPLES_PER_PIXEL)
         available_gradient(parsed.registration.gradient, renderer)
-        judge = borrow_judge(parsed, assets)
-        return cls(database, renderer, parsed, registering(parsed.registration, size_m), judge)
+        shape = shape_renderer(parsed, assets)
+        return cls(database, renderer, parsed, registration_aligner(parsed.registration, size_m), shape)
 
 
-def registering(options: RegistrationOptions, size_m: float) -> MeshAligner:
-    """Shift and turn a mesh of radius ``size_m`` until its rendering is the image."""
+def registration_aligner(options: RegistrationOptions, size_m: float) -> MeshAligner:
+    """Return the alignment that registers the rendering of a mesh of radius ``size_m`` with the image."""
 
     def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:
         found = register(observed, frame, view, size_m, options, clock)

@@ -1,1 +1,1 @@
-"""Recognition by descriptors: features of rendered images with their points on the body, as a baseline."""
+"""Recognition by feature descriptors of rendered images, as a baseline."""

@@ -1,19 +1,22 @@
-"""Descriptors of features with their points on the body, view by view, and how they are stored."""
+"""The data base of descriptors: features of rendered views with their points on the body, and its file format."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from estimators.archive import Archive
-from estimators.descriptors.features import DESCRIPTOR_BYTES, Kind
+from estimators.descriptors.features import DESCRIPTOR_BYTES, FeatureOptions, Kind, find_features
 from scenarios.errors import BoresightError
+from scenarios.geometry import View
 from scenarios.limits import LARGEST_NUMBER
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
@@ -21,6 +24,47 @@ FILE = "descriptors.npz"
 
 _ARCHIVE = Archive(FILE, "descriptors", "boresight-descriptors", version=1)
 _UNIT = 1e-6
+
+METHOD_VERSION = 1
+
+
+class DescriptorViewOptions(SpecModel):
+    """Options of the images of a data base of descriptors, and of the features in them."""
+
+    images: int = Field(200, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
+    phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
+    seed: int = Field(0, ge=0, description="Seed of their views")
+    features: FeatureOptions = FeatureOptions()
+
+
+class DescriptorOptions(DescriptorViewOptions):
+    """Options of a data base of descriptors."""
+
+    kind: Kind = Field(description="Kind of descriptor")
+
+
+def view_features(
+    image: NDArray[np.float32], view: View, deproject: Callable[[FloatArray], FloatArray], options: DescriptorOptions
+) -> ViewFeatures:
+    """Find the features of one image and project them onto the body.
+
+    Parameters
+    ----------
+    image
+        (H, W) noise-free image.
+    view
+        Pose and direction of the Sun.
+    deproject
+        Maps pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel is on the sky.
+    options
+        Options of the data base.
+    """
+    features = find_features(image, options.kind, options.features)
+    points_m = np.asarray(deproject(features.uv_px), dtype=np.float64).reshape(-1, 3)
+    on_body = np.isfinite(points_m).all(axis=1)
+    position = view.T_cam_body.camera_position_m
+    direction = position / np.linalg.norm(position)
+    return ViewFeatures(direction, view.sun_dir_body, points_m[on_body], features.descriptors[on_body])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +94,11 @@ class DescriptorDatabase:
     Parameters
     ----------
     kind
-        Of the descriptors.
+        Kind of the descriptors.
     views
-        One for each image.
+        The features of each image.
     provenance
-        How it was made: values that JSON can hold.
+        Origin and options, as JSON values.
 
     Raises
     ------
@@ -83,11 +127,11 @@ class DescriptorDatabase:
 
     @property
     def n_features(self) -> int:
-        """Features of all views."""
+        """Number of features in all views."""
         return sum(len(view.points_m) for view in self.views)
 
     def nearest(self, camera_dir_body: FloatArray, sun_dir_body: FloatArray, count: int) -> Sequence[ViewFeatures]:
-        """Return the views that look most alike: nearest in the directions of camera and Sun together."""
+        """Return the ``count`` nearest views, by the root sum of squared angles of camera and Sun directions."""
         cameras = np.stack([view.camera_dir_body for view in self.views])
         suns = np.stack([view.sun_dir_body for view in self.views])
         apart = _angle(cameras, camera_dir_body) ** 2 + _angle(suns, sun_dir_body) ** 2
@@ -111,7 +155,7 @@ class DescriptorDatabase:
         Raises
         ------
         BoresightError
-            If the file is missing or its content is wrong; the message names it.
+            If the file is missing or its content is wrong; the message gives its path.
         """
         return _ARCHIVE.load(folder, cls._made)
 

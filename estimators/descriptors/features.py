@@ -1,4 +1,4 @@
-"""Features with descriptors: SIFT (Lowe 2004) and ORB (Rublee et al. 2011), by OpenCV."""
+"""Find and match features with descriptors: OpenCV's SIFT (Lowe 2004) and ORB (Rublee et al. 2011)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FloatArray = NDArray[np.float64]
 
 Kind = Literal["sift", "orb"]
 DESCRIPTOR_BYTES = {"sift": 128, "orb": 32}
-_BRIGHT_LEVEL = 200.0  # leaves room for what is brighter than the 99th percentile of the body
+_BRIGHT_LEVEL = 200.0  # grey value of the 99th percentile, so that brighter pixels are not clipped
 
 
 class FeatureOptions(SpecModel):
-    """How features are found in an image."""
+    """Options of feature detection."""
 
     count: int = Field(400, ge=8, le=100_000, description="At most this many features an image, the strongest first")
     contrast_min: float = Field(0.02, gt=0, le=1, description="SIFT: least contrast of a feature")
@@ -30,7 +30,7 @@ class FeatureOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class DescribedFeatures:
     """Features of one image.
 
     Parameters
@@ -48,16 +48,16 @@ class Features:
         return len(self.uv_px)
 
 
-def find_features(image: NDArray[np.float32], kind: Kind, options: FeatureOptions) -> Features:
-    """Find and describe features; the image is brought to a fixed range first, so its unit does not matter."""
+def find_features(image: NDArray[np.float32], kind: Kind, options: FeatureOptions) -> DescribedFeatures:
+    """Find and describe features; the image is scaled to a fixed range first, so its unit does not matter."""
     signal = extract_signal(image).image
     grey = np.clip(np.rint(_BRIGHT_LEVEL * signal), 0, 255).astype(np.uint8)
     keypoints, described = _detector(kind, options).detectAndCompute(grey, None)
     if described is None or len(keypoints) == 0:
-        return Features(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES[kind]), dtype=np.uint8))
+        return DescribedFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES[kind]), dtype=np.uint8))
     strongest = np.argsort([-point.response for point in keypoints], kind="stable")[: options.count]
     uv_px = pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64))
-    return Features(uv_px[strongest], np.asarray(described).astype(np.uint8)[strongest])
+    return DescribedFeatures(uv_px[strongest], np.asarray(described).astype(np.uint8)[strongest])
 
 
 def _detector(kind: Kind, options: FeatureOptions) -> cv2.Feature2D:
@@ -70,14 +70,14 @@ def _detector(kind: Kind, options: FeatureOptions) -> cv2.Feature2D:
 def match_features(
     observed: NDArray[np.uint8], known: NDArray[np.uint8], kind: Kind, ratio_max: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Match descriptors to their nearest known ones that are clearly nearer than the second nearest (Lowe 2004).
+    """Match descriptors with their nearest known ones, if these pass the ratio test (Lowe 2004).
 
     Returns
     -------
     observed, known
-        (M,) rows of both.
+        (M,) matched rows of both arrays.
     distance
-        (M,) of the descriptors.
+        (M,) distances of the matched descriptors.
     """
     nothing = np.empty(0, dtype=np.int64)
     if len(observed) == 0 or len(known) < 2:

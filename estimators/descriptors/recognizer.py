@@ -1,4 +1,4 @@
-"""Recognition by descriptors as estimators: ``landmark-sift`` and ``landmark-orb``."""
+"""The estimators ``landmark-sift`` and ``landmark-orb``: recognition by descriptors."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
-from estimators.contract import Assets, Estimate, Stage
-from estimators.descriptors.build import DescriptorOptions, DescriptorViewOptions
-from estimators.descriptors.database import DescriptorDatabase
-from estimators.descriptors.features import FeatureOptions, Features, Kind, find_features, match_features
-from estimators.image import image_fault
+from estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
+from estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
+from estimators.descriptors.features import DescribedFeatures, FeatureOptions, Kind, find_features, match_features
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import shared_pixels
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, pixel_to_opencv
@@ -34,7 +30,7 @@ FloatArray = NDArray[np.float64]
 PRODUCT = "descriptors"
 _CONFIDENCE = 0.999
 _POSE_UNKNOWNS = 6
-_IGNORANCE = 1e6  # factor on a covariance that says nothing any more
+_UNINFORMATIVE = 1e6  # factor on a prior covariance that makes the prior negligible
 
 
 class DescriptorNavigatorOptions(SpecModel):
@@ -43,20 +39,20 @@ class DescriptorNavigatorOptions(SpecModel):
     database: DescriptorViewOptions = DescriptorViewOptions()
     features: FeatureOptions | None = Field(None, description="In an observed image: as for the data base if left out")
     views: int = Field(8, ge=1, le=1000, description="Views of the data base that an image is matched with")
-    ratio_max: float = Field(0.85, gt=0, le=1, description="Nearest over second nearest distance of a match")
-    prior_sigma: float = Field(4.0, gt=0, description="A match farther from its prediction, in sigmas, is dropped")
+    ratio_max: float = Field(0.85, gt=0, le=1, description="Largest ratio of nearest to second nearest distance")
+    prior_sigma: float = Field(4.0, gt=0, description="Largest distance of a match from its prediction, in sigmas")
     inlier_px: float = Field(3.0, gt=0, description="Largest reprojection error of an inlier of RANSAC")
-    max_iterations: int = Field(5000, ge=10, le=1_000_000, description="Of RANSAC")
-    pixel_sigma: float = Field(1.0, gt=0, description="Standard deviation of a feature's position, px, at first")
-    patch_px: float = Field(12.0, gt=0, description="Side of the window that a feature rests on")
+    max_iterations: int = Field(5000, ge=10, le=1_000_000, description="Most iterations of RANSAC")
+    pixel_sigma: float = Field(1.0, gt=0, description="Standard deviation of a feature's position, px, before scaling")
+    patch_px: float = Field(12.0, gt=0, description="Side of the window that determines a feature")
     prior_probability: float = Field(
-        1e-6, gt=0, lt=1, description="A solution that the prior holds less probable than this is refused"
+        1e-6, gt=0, lt=1, description="A solution less probable than this under the prior is refused"
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matched:
-    """Features of an image with points of the body: (M, 2) and (M, 3)."""
+class PointMatches:
+    """Matched features: positions in the image (M, 2) and points on the body (M, 3)."""
 
     uv_px: FloatArray
     points_m: FloatArray
@@ -64,18 +60,18 @@ class Matched:
     def __len__(self) -> int:
         return len(self.uv_px)
 
-    def subset(self, rows: NDArray[np.generic]) -> Matched:
+    def subset(self, rows: NDArray[np.generic]) -> PointMatches:
         """Keep some rows."""
-        return Matched(self.uv_px[rows], self.points_m[rows])
+        return PointMatches(self.uv_px[rows], self.points_m[rows])
 
     def problem(self, camera: Camera, pixel_sigma: float) -> PoseProblem:
-        """Pose them as a problem with the same noise for all."""
+        """Return the pose problem of these matches, with the same noise for all."""
         information = np.tile(np.eye(2) / pixel_sigma**2, (len(self), 1, 1))
         return PoseProblem(self.points_m, self.uv_px, information, camera)
 
 
 class DescriptorNavigator:
-    """Features matched with those of rendered views, RANSAC, maximum a posteriori."""
+    """Matches features with those of rendered views, removes outliers by RANSAC and estimates the posterior pose."""
 
     name: ClassVar[str]
     version: ClassVar[int] = 4
@@ -90,9 +86,9 @@ class DescriptorNavigator:
         """Build from a campaign's options and its data base."""
         parsed = parse_options(DescriptorNavigatorOptions, options, cls.name)
         asked = DescriptorOptions(kind=cls.kind, **parsed.database.model_dump())
-        database = assets.product(PRODUCT, asked.model_dump(mode="json"))
-        if not isinstance(database, DescriptorDatabase) or database.kind != cls.kind:
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = typed_product(assets, PRODUCT, asked, DescriptorDatabase, cls.name)
+        if database.kind != cls.kind:
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} holds {database.kind} descriptors")
         return cls(database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
@@ -113,13 +109,11 @@ class DescriptorNavigator:
         )
 
     def _solve(self, frame: Frame, camera: Camera, seed: int, clock: Stopwatch) -> tuple[Pose, Posterior] | str:
-        """Solve the frame, or say why there is no pose."""
+        """Return the consensus pose and the posterior, or the reason why there is no pose."""
         options = self._options
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        if extract_signal(frame.image).empty:
-            return "the image is black: nothing above its background"
+        observed = observed_signal(frame, camera)
+        if isinstance(observed, str):
+            return observed
         with clock("feature_extraction"):
             features = find_features(frame.image, self.kind, options.features or options.database.features)
         with clock("matching"):
@@ -129,17 +123,17 @@ class DescriptorNavigator:
             if isinstance(consensus, str):
                 return consensus
             pose, inliers = consensus
-            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
+            prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
             problem = inliers.problem(camera, options.pixel_sigma)
             half_px = options.patch_px / 2.0
-            shared = shared_pixels(inliers.uv_px - half_px, inliers.uv_px + half_px)
-            probability = chance(problem, pose, prior, shared)
-            if not probability >= options.prior_probability:  # of a solution far beyond reason it is no number
+            shared = window_overlap(inliers.uv_px - half_px, inliers.uv_px + half_px)
+            probability = consistency_probability(problem, pose, prior, shared)
+            if not probability >= options.prior_probability:  # NaN where the solution is far off
                 return f"the solution contradicts the prior: probability {probability:.1g}"
             return pose, solve_map(problem, prior, pose, shared)
 
-    def _match(self, features: Features, frame: Frame, camera: Camera) -> Matched:
-        """Match with the nearest views; of several matches of a feature the one of least distance counts."""
+    def _match(self, features: DescribedFeatures, frame: Frame, camera: Camera) -> PointMatches:
+        """Match with the nearest views; of several matches of a feature, keep the one of least distance."""
         options, prior = self._options, frame.prior_T_cam_body
         position = prior.camera_position_m
         sun_dir_body = prior.rotation.T @ frame.sun_dir_cam
@@ -153,25 +147,25 @@ class DescriptorNavigator:
             points.append(view.points_m[known])
             distances.append(distance)
         row, distance, point = np.concatenate(rows), np.concatenate(distances), np.concatenate(points)
-        near = near_prediction(Matched(features.uv_px[row], point), camera, frame, options.prior_sigma)
+        near = near_prediction(PointMatches(features.uv_px[row], point), camera, frame, options.prior_sigma)
         row, distance, point = row[near], distance[near], point[near]
         order = np.argsort(distance, kind="stable")
         _, first = np.unique(row[order], return_index=True)
-        return Matched(features.uv_px[row[order[first]]], point[order[first]])
+        return PointMatches(features.uv_px[row[order[first]]], point[order[first]])
 
 
-def chance(problem: PoseProblem, consensus: Pose, prior: Prior, shared: FloatArray) -> float:
-    """Probability of a solution as far from the prior as that of the observations alone.
+def consistency_probability(problem: PoseProblem, consensus: Pose, prior: GaussianPose, shared: FloatArray) -> float:
+    """Return the probability, under the prior, of a solution at least as far off as that of the observations alone.
 
-    The difference of the two has the covariance of both together.
+    The difference between solution and prior has the sum of their covariances.
     """
-    alone = solve_map(problem, Prior(prior.T_cam_body, _IGNORANCE * prior.covariance), consensus, shared)
+    alone = solve_map(problem, GaussianPose(prior.T_cam_body, _UNINFORMATIVE * prior.covariance), consensus, shared)
     offset = prior.offset(alone.T_cam_body)
     return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
 
 
-def near_prediction(matched: Matched, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:
-    """Tell which matches (M,) lie within some standard deviations of where the prior predicts their points."""
+def near_prediction(matched: PointMatches, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:
+    """Return which matches (M,) lie within some standard deviations of the positions that the prior predicts."""
     if len(matched) < MIN_LANDMARKS:
         return np.ones(len(matched), dtype=np.bool_)
     pose = frame.prior_T_cam_body
@@ -184,9 +178,9 @@ def near_prediction(matched: Matched, camera: Camera, frame: Frame, sigmas: floa
 
 
 def find_consensus(
-    matched: Matched, camera: Camera, options: DescriptorNavigatorOptions, seed: int
-) -> tuple[Pose, Matched] | str:
-    """Find the pose with most inliers by OpenCV's USAC with MAGSAC++ (Barath et al. 2020), or say why there is none."""
+    matched: PointMatches, camera: Camera, options: DescriptorNavigatorOptions, seed: int
+) -> tuple[Pose, PointMatches] | str:
+    """Find the consensus pose and its inliers by OpenCV's USAC with MAGSAC++ (Barath et al. 2020), or the failure."""
     if len(matched) < MIN_LANDMARKS:
         return f"{len(matched)} features matched, {MIN_LANDMARKS} needed"
     parameters = cv2.UsacParams()

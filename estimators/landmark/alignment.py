@@ -1,21 +1,146 @@
-"""The translation across the line of sight, from the whole image instead of its centroid.
+"""Align the rendered mesh with the image across the line of sight, and compare the two at a pose.
 
-The centroid fails where much of the body is dark or its terminator is misplaced; then the rendered image is slid
-over the observed one. Section 6 of the paper proposes this refinement.
+The paper aligns brightness centroids (section 3.2.2). These are wrong where much of the body is dark or the terminator
+is misplaced; then the whole images are cross-correlated, as section 6 of the paper proposes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.contract import ImageRenderer, Stopwatch
+from estimators.landmark.signal import KNOWN_SKY, extract_signal
+from scenarios.geometry import Camera, Pose, View
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
+"""(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""
+
+
+class AlignmentOptions(SpecModel):
+    """End of the iteration of rendering and shifting."""
+
+    tolerance_px: float = Field(5.0, gt=0, description="Done when the rendered centroid moves less than this")
+    max_iterations: int = Field(10, ge=1, le=1000)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshView:
+    """A rendered shape with its camera and the direction of the Sun in camera axes."""
+
+    camera: Camera
+    renderer: ImageRenderer
+    sun_dir_cam: FloatArray
+
+    def at(self, T_cam_body: Pose) -> View:
+        """Return the view from a pose; the Sun is fixed in camera axes."""
+        return View(self.camera, T_cam_body, T_cam_body.rotation.T @ self.sun_dir_cam)
+
+    def render(self, T_cam_body: Pose) -> Image:
+        """Render the mesh."""
+        return np.asarray(self.renderer.render(self.at(T_cam_body)), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignmentStep:
+    """One iteration.
+
+    Parameters
+    ----------
+    T_cam_body
+        Pose at which the mesh was rendered.
+    rendered
+        (H, W) image of the mesh.
+    observed_px, rendered_px
+        (2,) corresponding points of the observed and the rendered image, which the update makes coincide.
+    """
+
+    T_cam_body: Pose
+    rendered: Image
+    observed_px: FloatArray
+    rendered_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """The aligned pose with its iterations; ``failure`` is the reason where the alignment is impossible."""
+
+    T_cam_body: Pose
+    steps: tuple[AlignmentStep, ...]
+    failure: str = ""
+
+
+def align_translation(
+    observed: Image, T_cam_body: Pose, view: MeshView, measure: Measure, options: AlignmentOptions, clock: Stopwatch
+) -> Alignment:
+    """Render the mesh and shift it onto the observed image, until the rendered point no longer moves.
+
+    Parameters
+    ----------
+    observed
+        (H, W) signal of the observed image, background 0, not black.
+    T_cam_body
+        Initial pose.
+    view
+        Camera, renderer and Sun.
+    measure
+        The corresponding points: ``centroid_pair`` or ``correlation_pair``.
+    options
+        Tolerance and greatest number of iterations.
+    clock
+        Records the times ``mesh_rendering`` and ``centroid``.
+    """
+    steps: list[AlignmentStep] = []
+    while len(steps) < options.max_iterations:
+        with clock("mesh_rendering"):
+            rendered = view.render(T_cam_body)
+        with clock("centroid"):
+            signal = extract_signal(rendered, KNOWN_SKY)
+            if signal.empty:
+                return Alignment(T_cam_body, tuple(steps), "the rendered mesh is out of view or in the dark")
+            origin_px = view.camera.project(T_cam_body.translation_m)
+            observed_px, rendered_px = measure(observed, signal.image, origin_px)
+        steps.append(AlignmentStep(T_cam_body, rendered, observed_px, rendered_px))
+        T_cam_body = translation_update(T_cam_body, observed_px, rendered_px, view.camera)
+        if len(steps) > 1 and np.linalg.norm(rendered_px - steps[-2].rendered_px) < options.tolerance_px:
+            break
+    return Alignment(T_cam_body, tuple(steps))
+
+
+def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: FloatArray, camera: Camera) -> Pose:
+    """Translate the body at its distance so that the rendered point moves to the observed one."""
+    r_obs, r_sim = camera.unproject(observed_px), camera.unproject(rendered_px)  # eq. (11)
+    distance = float(np.linalg.norm(T_cam_body.translation_m))
+    delta = distance * float(r_obs @ r_sim) * r_obs - distance * r_sim  # eq. (13)
+    return T_cam_body.perturbed(np.zeros(3), delta)
+
+
+def centroid_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the brightness centroids of both images, as in the paper; ``origin_px`` is not used."""
+    del origin_px
+    return brightness_centroid(observed), brightness_centroid(rendered)
+
+
+def brightness_centroid(signal: Image) -> FloatArray:
+    """Centre of brightness (2,) of an image whose background is 0; the first pixel's centre counts as (0.5, 0.5)."""
+    total = signal.sum(dtype=np.float64)
+    columns = signal.sum(axis=0, dtype=np.float64) @ (np.arange(signal.shape[1]) + 0.5)
+    rows = signal.sum(axis=1, dtype=np.float64) @ (np.arange(signal.shape[0]) + 0.5)
+    centroid: FloatArray = np.array([columns, rows]) / total  # eq. (12)
+    return centroid
+
 
 def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Follow the projected origin of the body from the rendered to the observed image by their best shift.
+    """Return the projected origin of the body in both images, related by their best shift.
 
     Returns
     -------
@@ -27,8 +152,8 @@ def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) ->
 def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """Shift (du, dv) in px that moves the rendered image onto the observed one.
 
-    Both backgrounds are 0, so the least squares of the difference is where the cross-correlation is greatest; a
-    parabola refines the peak. Shifts that leave half of the lit part in the image are tried.
+    Both backgrounds are 0, so the sum of squared differences is least where the cross-correlation is greatest; a
+    parabola interpolates the peak. The search covers all shifts that keep half of the lit part in the image.
     """
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())
@@ -43,8 +168,57 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
 
 
 def _peak_offset(profile: NDArray[np.float32], peak: int) -> float:
+    """Offset in px of the vertex of the parabola through the peak and its neighbours; 0 at an edge."""
     if not 0 < peak < len(profile) - 1:
         return 0.0
     before, top, after = (float(value) for value in profile[peak - 1 : peak + 2])
     curvature = before - 2.0 * top + after
     return 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
+
+
+def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> float | None:
+    """Distance between the brightness centroids of the image and of the mesh rendered at a pose.
+
+    Parameters
+    ----------
+    observed
+        (H, W) signal of the image, background 0, not black.
+    T_cam_body
+        The pose to check.
+    view
+        Camera, renderer and Sun.
+
+    Returns
+    -------
+    The distance in px, or None where the mesh is out of view or dark at that pose.
+    """
+    signal = extract_signal(view.render(T_cam_body), KNOWN_SKY)
+    if signal.empty:
+        return None
+    return float(np.linalg.norm(brightness_centroid(observed) - brightness_centroid(signal.image)))
+
+
+def image_correlation(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
+    """Correlation coefficient of the image with a shape rendered at a pose, over all pixels; -1 if it is out of view.
+
+    Both are signals with a background of 0, so the outline and the shading contribute. Two poses can be compared by it
+    without a threshold, because neither was estimated from it.
+    """
+    rendered = extract_signal(view.render(T_cam_body), KNOWN_SKY)
+    if rendered.empty:
+        return -1.0
+    one, other = (image.ravel() - image.mean(dtype=np.float64) for image in (observed, rendered.image))
+    scale = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / scale if scale > 0.0 else 0.0
+
+
+def consistency_failure(residual_px: float | None, limit_px: float | None) -> str:
+    """Return why a solution fails the check of its centroid; empty if it passes, or if there is no limit."""
+    if limit_px is None or (residual_px is not None and residual_px <= limit_px):
+        return ""
+    if residual_px is None:
+        return "the mesh rendered at the solution is out of view or in the dark"
+    return (
+        f"the brightness centroid of the mesh at the solution is {residual_px:.3g} px from the image's:"
+        f" more than consistency_max_px {limit_px:g}"
+    )

@@ -1,6 +1,6 @@
-"""A landmark data base from images whose poses are known: section 2, in two pure steps.
+"""Build a landmark data base from images of known pose: section 2, in two steps without side effects.
 
-The campaign draws the views, renders the images and lends ``deproject``; nothing here knows a renderer.
+The campaign draws the views, renders the images and passes ``deproject``; this module needs no renderer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import NoProductError
-from estimators.landmark.clustering import Cluster, ClusterOptions, ClusterStages, cluster_stages
+from estimators.landmark.clustering import ClusterOptions, ClusterStages, PointCluster, cluster_stages
 from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.hull import concave_hull
@@ -28,7 +28,7 @@ METHOD_VERSION = 1
 
 
 class CandidateOptions(SpecModel):
-    """How candidate landmarks are found."""
+    """Options of the images and of the candidate landmarks in them."""
 
     images: int = Field(500, ge=1, le=100_000, description="Images rendered")
     range_m: float | None = Field(None, gt=0, description="Their range; left out: that of the scenario")
@@ -39,22 +39,22 @@ class CandidateOptions(SpecModel):
 
 
 class DatabaseOptions(CandidateOptions):
-    """How a landmark data base is made of them."""
+    """Options of a landmark data base."""
 
     clusters: ClusterOptions = ClusterOptions()
     min_observations: int = Field(24, ge=2, description="A landmark must be seen in at least this many images")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BuiltDatabase:
-    """A data base and what it was made of.
+class LandmarkDatabaseBuild:
+    """A data base and the intermediate results of its construction.
 
     Parameters
     ----------
     points_m
-        (N, 3) candidates of all images.
+        (N, 3) candidates of all images, body frame.
     clusters
-        The clusters of these after each stage.
+        Their clusters after each stage.
     database
         The landmarks and their mesh.
     """
@@ -67,20 +67,20 @@ class BuiltDatabase:
 def extract_candidates(
     image: NDArray[np.float32], deproject: Callable[[FloatArray], FloatArray], options: CandidateOptions
 ) -> FloatArray:
-    """Candidate landmarks of one image: its corners, taken back to the surface (section 2.2).
+    """Return the candidate landmarks of one image: its corners, projected onto the surface (section 2.2).
 
     Parameters
     ----------
     image
         (H, W) noise-free image.
     deproject
-        Takes pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel sees the sky.
+        Maps pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel is on the sky.
     options
-        Of the data base.
+        Options of the corners.
 
     Returns
     -------
-    (C, 3) points in the body frame, m; corners that see the sky are left out.
+    (C, 3) points in the body frame, m; corners on the sky are left out.
     """
     corners = detect_corners(image, options.corners)
     if not len(corners):
@@ -90,28 +90,28 @@ def extract_candidates(
 
 
 def database_from_candidates(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabase:
-    """Cluster the candidates of all images and span the mesh: `build_database` without what it was made of."""
+    """Return the data base of `build_database` without the intermediate results."""
     return build_database(candidates, options).database
 
 
-def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> BuiltDatabase:
-    """Cluster the candidates of all images and span the mesh (sections 2.3 and 2.4).
+def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabaseBuild:
+    """Cluster the candidates of all images and construct the mesh (sections 2.3 and 2.4).
 
-    An image counts once for a landmark, however many of its corners fell into the cluster. Clusters seen in fewer than
-    ``min_observations`` images go before merging: the trace criterion lets a large cluster swallow any small one in
-    reach, so that strays would blow up the good landmarks.
+    An image counts once for a landmark, however many of its corners are in the cluster. Clusters seen in fewer than
+    ``min_observations`` images are removed before merging: by the trace criterion a large cluster absorbs any small
+    one within reach, so that stray points would inflate the dispersion of good landmarks.
 
     Parameters
     ----------
     candidates
         (C, 3) points for each image, body frame, m.
     options
-        Of the data base.
+        Options of clustering.
 
     Raises
     ------
     NoProductError
-        If fewer than four landmarks come out, or they lie in one plane.
+        If there are fewer than four landmarks, or they lie in one plane.
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
     image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])
@@ -143,11 +143,13 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
             "dropped_by_mesh": len(hull.dropped),
         },
     )
-    return BuiltDatabase(points_m, stages, database)
+    return LandmarkDatabaseBuild(points_m, stages, database)
 
 
-def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[Cluster], bool]:
-    def enough(cluster: Cluster) -> bool:
+def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[PointCluster], bool]:
+    """Return the test whether a cluster has points of enough different images."""
+
+    def enough(cluster: PointCluster) -> bool:
         return len(np.unique(image_of[cluster.members])) >= min_observations
 
     return enough

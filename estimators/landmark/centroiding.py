@@ -1,4 +1,4 @@
-"""Brightness centroiding as an estimator of its own: section 3.2 without the recognition that follows it."""
+"""The estimator ``centroid``: brightness centroiding alone, section 3.2 without landmark recognition."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.image import image_fault
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.landmark.alignment import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
 from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.recognizer import borrow_database
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.recognizer import landmark_database
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.geometry import Camera
 from scenarios.observation import Frame, Observation
@@ -22,14 +20,14 @@ from scenarios.spec.base import SpecModel
 
 
 class CentroidOptions(SpecModel):
-    """Options of centroiding."""
+    """Options of ``centroid``."""
 
     database: DatabaseOptions = DatabaseOptions()
     alignment_loop: AlignmentOptions = AlignmentOptions()
 
 
 class CentroidAligner:
-    """Shifts the prior until the mesh of the landmarks and the image share their centre of brightness."""
+    """Shifts the prior until the brightness centroids of the rendered landmark mesh and of the image coincide."""
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 1
@@ -42,15 +40,15 @@ class CentroidAligner:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         return cls(assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Shift the prior.
+        """Estimate the pose by shifting the prior.
 
         Diagnostics are ``centroid_du_px``, ``centroid_dv_px`` and their length ``centroid_offset_px`` (observed minus
-        rendered, both at the prior pose), ``extent_px`` (longer side of the box about the observed body),
-        ``diameter_px`` (of the disc of its area) and ``centroid_iterations``. Nothing is drawn at random.
+        rendered, both at the prior pose), ``extent_px`` (longer side of the observed body's bounding box),
+        ``diameter_px`` (of the disc with the observed body's area) and ``centroid_iterations``. ``rng`` is not used.
         """
         del rng
         clock = Stopwatch()
@@ -66,7 +64,7 @@ class CentroidAligner:
         )
 
     def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
-        """Align the frame; also return how large the observed body is.
+        """Align the frame; also return the diagnostics of the observed body's size.
 
         Raises
         ------
@@ -74,17 +72,13 @@ class CentroidAligner:
             If the image is not of the camera's size.
         """
         prior = frame.prior_T_cam_body
-        fault = image_fault(frame, camera)
-        if fault:
-            return Alignment(prior, (), fault), {}
-        with clock("centroid"):
-            observed = extract_signal(frame.image)
-        if observed.empty:
-            return Alignment(prior, (), "the image is black: nothing above its background"), {}
+        observed = observed_signal(frame, camera, clock)
+        if isinstance(observed, str):
+            return Alignment(prior, (), observed), {}
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         options = self._options.alignment_loop
-        alignment = align_translation(observed.image, prior, view, centroid_pair, options, clock)
-        return alignment, _extent(observed.image)
+        alignment = align_translation(observed, prior, view, centroid_pair, options, clock)
+        return alignment, _extent(observed)
 
 
 def _extent(signal: NDArray[np.float32]) -> dict[str, float]:

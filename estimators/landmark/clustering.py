@@ -1,4 +1,4 @@
-"""Landmarks out of a cloud of candidate points: the two-stage clustering of section 2.3."""
+"""Cluster candidate points into landmarks: the two-stage clustering of section 2.3."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class ClusterOptions(SpecModel):
     seed_radius_m: float = Field(2.0, gt=0, description="Radius of a seed cluster about its centroid")
     growth_sigma: float = Field(3.0, ge=0, description="Dispersion-weighted distance up to which a cluster grows")
     merge_sigma: float = Field(9.0, ge=0, description="Distance, weighted by both covariances, at which two compete")
-    sigma_floor_m: float = Field(0.1, gt=0, description="Added to each axis of a dispersion: planar clusters exist")
+    sigma_floor_m: float = Field(0.1, gt=0, description="Added to each axis of a dispersion, as clusters may be planar")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cluster:
-    """Points that mark one surface feature.
+class PointCluster:
+    """A cluster of candidate points, all of one surface feature.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ class Cluster:
     covariance_m2: FloatArray
 
     @classmethod
-    def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> Cluster:
-        """Centroid and dispersion of some rows of the cloud."""
+    def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> PointCluster:
+        """Construct the cluster of some rows of the cloud; ``sigma_floor_m`` adds to each axis of its dispersion."""
         ordered = np.sort(members)
         chosen = points_m[ordered]
         mean = chosen.mean(axis=0)
@@ -57,15 +57,15 @@ class Cluster:
 
     @property
     def trace_m2(self) -> float:
-        """Total dispersion, whatever the orientation."""
+        """Trace of the dispersion, which does not depend on orientation."""
         return float(np.trace(self.covariance_m2))
 
 
 def seed_clusters(points_m: FloatArray, radius_m: float) -> list[IndexArray]:
-    """Partition the cloud into balls about moving centroids; each entry is the rows of one seed cluster.
+    """Partition the cloud into balls about moving centroids; return the rows of each seed cluster.
 
-    Each point that is still free is taken in turn with the free points within the radius; the centroid moves and
-    takes more, until nothing is added.
+    Each point without a cluster starts one with all such points within the radius. The centroid is updated and further
+    points within the radius are added, until there are none.
     """
     tree = cKDTree(points_m)
     free = np.ones(len(points_m), dtype=bool)
@@ -87,11 +87,11 @@ def seed_clusters(points_m: FloatArray, radius_m: float) -> list[IndexArray]:
     return clusters
 
 
-def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: ClusterOptions) -> list[Cluster]:
-    """Let each seed take free points by the distance weighted with its dispersion, until it is stable.
+def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: ClusterOptions) -> list[PointCluster]:
+    """Add free points to each seed by their distance weighted with its dispersion, until none is within reach.
 
-    Seeds of fewer than four points have no dispersion: they dissolve, and their points are the free ones. The
-    most populated cluster chooses first.
+    The free points are those of seeds with fewer than four points, which define no dispersion and are dissolved. The
+    most populated cluster grows first.
     """
     tree = cKDTree(points_m)
     dense = [seed for seed in seeds if len(seed) >= _MIN_DISPERSION_POINTS]
@@ -100,17 +100,18 @@ def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: Cluste
         free[seed] = False
     clusters = []
     for seed in sorted(dense, key=len, reverse=True):
-        cluster = Cluster.of(points_m, seed, options.sigma_floor_m)
+        cluster = PointCluster.of(points_m, seed, options.sigma_floor_m)
         while (added := _within_reach(points_m, tree, free, cluster, options.growth_sigma)).size:
             free[added] = False
-            cluster = Cluster.of(points_m, np.concatenate([cluster.members, added]), options.sigma_floor_m)
+            cluster = PointCluster.of(points_m, np.concatenate([cluster.members, added]), options.sigma_floor_m)
         clusters.append(cluster)
     return clusters
 
 
 def _within_reach(
-    points_m: FloatArray, tree: cKDTree, free: NDArray[np.bool_], cluster: Cluster, sigma: float
+    points_m: FloatArray, tree: cKDTree, free: NDArray[np.bool_], cluster: PointCluster, sigma: float
 ) -> IndexArray:
+    # The largest axis of the dispersion bounds the weighted distance, so the tree finds all points that can qualify.
     reach_m = sigma * float(np.sqrt(np.linalg.eigvalsh(cluster.covariance_m2)[-1]))
     near = np.asarray(tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)
     near = near[free[near]]
@@ -124,11 +125,12 @@ def _squared_distance(offsets_m: FloatArray, covariance_m2: FloatArray) -> Float
     return d2
 
 
-def refine_clusters(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
-    """Merge or prune clusters that lie within ``merge_sigma`` of each other, until none do.
+def refine_clusters(points_m: FloatArray, clusters: list[PointCluster], options: ClusterOptions) -> list[PointCluster]:
+    """Merge or prune clusters that lie within ``merge_sigma`` of each other, until there are none.
 
-    Two clusters merge where the traces of their dispersions sum to more than the trace of the merged cluster's;
-    where not, the less populated one goes. The most populated cluster meets its neighbours first, nearest first.
+    Two clusters are merged if the sum of the traces of their dispersions exceeds the trace of the merged cluster;
+    otherwise the less populated one is removed. The most populated cluster is treated first, with its neighbours in
+    order of distance.
     """
     while True:
         refined = _refine_once(points_m, clusters, options)
@@ -137,43 +139,43 @@ def refine_clusters(points_m: FloatArray, clusters: list[Cluster], options: Clus
         clusters = refined
 
 
-def _refine_once(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
+def _refine_once(points_m: FloatArray, clusters: list[PointCluster], options: ClusterOptions) -> list[PointCluster]:
     if len(clusters) < 2:
         return list(clusters)
     ordered = sorted(clusters, key=lambda cluster: (-len(cluster.members), int(cluster.members[0])))
-    pool = _Pool(ordered)
+    waiting = _ClusterIndex(ordered)
     kept = []
     for index, first in enumerate(ordered):
-        if not pool.alive[index]:
+        if not waiting.remaining[index]:
             continue
-        pool.alive[index] = False
+        waiting.remaining[index] = False
         cluster = first
-        while (rival := pool.nearest_rival(cluster, options.merge_sigma)) is not None:
-            pool.alive[rival] = False
-            members = np.concatenate([cluster.members, ordered[rival].members])
-            merged = Cluster.of(points_m, members, options.sigma_floor_m)
-            if cluster.trace_m2 + ordered[rival].trace_m2 > merged.trace_m2:
+        while (neighbour := waiting.nearest(cluster, options.merge_sigma)) is not None:
+            waiting.remaining[neighbour] = False
+            members = np.concatenate([cluster.members, ordered[neighbour].members])
+            merged = PointCluster.of(points_m, members, options.sigma_floor_m)
+            if cluster.trace_m2 + ordered[neighbour].trace_m2 > merged.trace_m2:
                 cluster = merged
         kept.append(cluster)
     return kept
 
 
-class _Pool:
-    """Clusters that still wait for their turn, searchable by distance."""
+class _ClusterIndex:
+    """Clusters that are not treated yet (``remaining``), searchable by distance."""
 
-    def __init__(self, clusters: list[Cluster]) -> None:
-        self.alive = np.ones(len(clusters), dtype=bool)
+    def __init__(self, clusters: list[PointCluster]) -> None:
+        self.remaining = np.ones(len(clusters), dtype=bool)
         self._means = np.stack([cluster.mean_m for cluster in clusters])
         self._covariances = np.stack([cluster.covariance_m2 for cluster in clusters])
         self._largest_variance = float(np.linalg.eigvalsh(self._covariances)[:, -1].max())
         self._tree = cKDTree(self._means)
 
-    def nearest_rival(self, cluster: Cluster, sigma: float) -> int | None:
-        """Index of the waiting cluster at the least distance weighted by both covariances, below ``sigma``."""
+    def nearest(self, cluster: PointCluster, sigma: float) -> int | None:
+        """Index of the remaining cluster at the least distance weighted by both covariances, if below ``sigma``."""
         largest = float(np.linalg.eigvalsh(cluster.covariance_m2)[-1]) + self._largest_variance
         reach_m = sigma * float(np.sqrt(largest))
         near = np.asarray(self._tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)
-        near = near[self.alive[near]]
+        near = near[self.remaining[near]]
         if not near.size:
             return None
         d2 = _squared_distance(self._means[near] - cluster.mean_m, self._covariances[near] + cluster.covariance_m2)
@@ -190,20 +192,22 @@ class ClusterStages:
     grown
         Seed clusters with a dispersion, after growth.
     kept
-        Those of them that take part in the refinement.
+        The grown clusters that enter the refinement.
     refined
         After merging and pruning, sorted by the first member.
     """
 
-    grown: list[Cluster]
-    kept: list[Cluster]
-    refined: list[Cluster]
+    grown: list[PointCluster]
+    kept: list[PointCluster]
+    refined: list[PointCluster]
 
 
-def cluster_stages(points_m: FloatArray, options: ClusterOptions, keep: Callable[[Cluster], bool]) -> ClusterStages:
-    """Run seeds, growth and refinement on a cloud of (N, 3) candidate points.
+def cluster_stages(
+    points_m: FloatArray, options: ClusterOptions, keep: Callable[[PointCluster], bool]
+) -> ClusterStages:
+    """Cluster (N, 3) candidate points by seeding, growth and refinement.
 
-    Only clusters for which ``keep`` holds after growth take part in the refinement.
+    Only clusters for which ``keep`` is true after growth enter the refinement.
     """
     if not len(points_m):
         return ClusterStages([], [], [])

@@ -1,4 +1,4 @@
-"""Corners after Harris or blobs as of SURF, without those that look like their surroundings (sections 2.2, 3.3)."""
+"""Detect Harris corners or SURF blobs, without those that resemble their surroundings (sections 2.2, 3.3)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 
 class CornerOptions(SpecModel):
-    """How corners are found in an image."""
+    """Options of corner detection."""
 
     detector: Literal["harris", "surf"] = Field(
         "harris",
@@ -68,9 +68,9 @@ class Corners:
 
 
 def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corners:
-    """Find the strongest corners that do not repeat nearby; a black image has none.
+    """Find the strongest corners that are distinct from their surroundings; a black image has none.
 
-    The image is brought to a fixed range first, so its unit does not matter.
+    The image is scaled to a fixed range first, so its unit does not matter.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _DetectedPeaks:
     """Rows and columns (M, 2) of peaks, the strongest first, their offsets (M, 2) in (u, v) and strengths (M,)."""
 
     peaks: NDArray[np.intp]
@@ -98,15 +98,15 @@ class _Found:
     strength: FloatArray
 
 
-def _corners(image: NDArray[np.float32], options: CornerOptions) -> _Found:
+def _corners(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPeaks:
     response = harris_response(image, options)
     peaks = response_peaks(response, options)
     strength = response[peaks[:, 0], peaks[:, 1]].astype(np.float64)
-    return _Found(peaks, _parabola_offset(response, peaks), strength)
+    return _DetectedPeaks(peaks, _parabola_offset(response, peaks), strength)
 
 
-def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _Found:
-    """Blobs of all scales; of those at one place the strongest."""
+def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPeaks:
+    """Find blobs of all scales; where several coincide, keep the strongest."""
     blobs = fast_hessian(image)
     order = np.argsort(blobs.strength, kind="stable")
     rows, columns = blobs.peaks[order, 0], blobs.peaks[order, 1]
@@ -115,18 +115,18 @@ def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _Found:
     strongest[rows, columns], number[rows, columns] = blobs.strength[order], order
     peaks = response_peaks(strongest, options)
     chosen = number[peaks[:, 0], peaks[:, 1]]
-    return _Found(peaks, blobs.offsets_px[chosen], blobs.strength[chosen])
+    return _DetectedPeaks(peaks, blobs.offsets_px[chosen], blobs.strength[chosen])
 
 
 def harris_response(image: NDArray[np.float32], options: CornerOptions) -> NDArray[np.float32]:
-    """det(M) - k trace(M)**2 of the gradient's structure tensor M at each pixel, (H, W)."""
+    """Harris response det(M) - k trace(M)**2 of the gradient's structure tensor M, (H, W)."""
     return np.asarray(cv2.cornerHarris(image, options.block_px, options.aperture_px, options.k), dtype=np.float32)
 
 
 def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDArray[np.intp]:
     """(M, 2) rows and columns of the local maxima of the response, the strongest first.
 
-    Peaks so near the edge that their surroundings leave the image are left out.
+    Peaks whose surroundings extend beyond the image are left out.
     """
     side = 2 * options.separation_px + 1
     neighbourhood = cv2.dilate(response, np.ones((side, side), dtype=np.uint8))
@@ -141,9 +141,9 @@ def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDA
 
 
 def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options: CornerOptions) -> list[int]:
-    """Return the numbers of the first ``count`` peaks whose surroundings do not repeat them.
+    """Return the indices of the first ``count`` peaks that are distinct from their surroundings.
 
-    Corners on the limb look alike all along the limb; they mark the horizon and no place on the body.
+    Corners on the limb resemble each other along the limb; they belong to the horizon and to no place on the body.
     """
     kept: list[int] = []
     for index, (row, column) in enumerate(peaks):
@@ -155,9 +155,9 @@ def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options:
 
 
 def self_similarity(image: NDArray[np.float32], row: int, column: int, options: CornerOptions) -> float:
-    """Find the highest normalised cross-correlation of a corner's patch with its surroundings, away from itself.
+    """Return the highest normalised cross-correlation of a corner's patch with its surroundings, apart from itself.
 
-    The main peak is left out: all shifts below half a patch. A patch without contrast counts as similar (1).
+    Shifts below half a patch, which make up the main peak, are left out. A patch without contrast gives 1.
     """
     half, reach = options.patch_px // 2, options.surroundings_px // 2
     patch = image[row - half : row + half + 1, column - half : column + half + 1]
@@ -175,7 +175,7 @@ def _away_from_centre(patch_px: int, surroundings_px: int) -> NDArray[np.bool_]:
 
 
 def _parabola_offset(response: NDArray[np.float32], peaks: NDArray[np.intp]) -> FloatArray:
-    """Offsets (M, 2) in (u, v), within half a pixel, to the top of a parabola through three responses an axis."""
+    """Offsets (M, 2) in (u, v), within half a pixel, to the vertex of a parabola through three responses per axis."""
     rows, columns = peaks[:, 0], peaks[:, 1]
     centre = response[rows, columns].astype(np.float64)
     offsets = []

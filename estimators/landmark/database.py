@@ -11,7 +11,7 @@ A data base is a folder of three text files.
 ``database.json``
     ``format`` ("boresight-landmarks"), ``version`` (1) and ``provenance``: how the data base was made.
 
-Numbers are written with 17 digits, so a data base comes back bit for bit.
+Numbers are written with 17 digits, so that a data base is read back bit for bit.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _FACET = ["i", "j", "k"]
 
 @dataclass(frozen=True, eq=False)
 class LandmarkDatabase:
-    """Landmarks and the mesh that they span.
+    """Landmarks and the mesh over them.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class LandmarkDatabase:
     facets
         (F, 3) closed mesh over the landmarks, outward.
     provenance
-        How it was made: values that JSON can hold.
+        Origin and options, as JSON values.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class LandmarkDatabase:
         return len(self.means_m)
 
     def mesh(self) -> TriangleMesh:
-        """Span the mesh over the landmarks."""
+        """Return the mesh over the landmarks."""
         return TriangleMesh(self.means_m, self.facets)
 
     def landmarks_frame(self) -> pd.DataFrame:
@@ -107,12 +107,12 @@ class LandmarkDatabase:
 
     @classmethod
     def load(cls, folder: Path) -> LandmarkDatabase:
-        """Read a folder written by ``save`` or by anyone who follows the format.
+        """Read a folder written by ``save`` or by other software in the same format.
 
         Raises
         ------
         BoresightError
-            If a file is missing or its content is wrong; the message names the file.
+            If a file is missing or its content is wrong; the message gives the path.
         """
         provenance = _read_head(folder / "database.json")
         landmarks = _read_table(folder / "landmarks.csv", [*_MEAN, *_COVARIANCE, _COUNT])
@@ -145,6 +145,7 @@ def _check_facets(facets: NDArray[np.int32], n_landmarks: int) -> None:
     if facets.size and (facets.min() < 0 or facets.max() >= n_landmarks):
         worst = facets.min() if facets.min() < 0 else facets.max()
         raise BoresightError(f"a facet names landmark {int(worst)}, but there are {n_landmarks}")
+    # In a closed, consistently oriented mesh each directed edge occurs once, and so does its reverse.
     directed = np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]])
     key = directed[:, 0].astype(np.int64) * n_landmarks + directed[:, 1]
     reverse = directed[:, 1].astype(np.int64) * n_landmarks + directed[:, 0]
@@ -171,7 +172,7 @@ def _read_head(path: Path) -> Mapping[str, object]:
 
 
 def _number(text: object) -> float:
-    """Read a number exactly; NaN where there is none."""
+    """Parse a number; NaN if the text is none."""
     try:
         return float(str(text))
     except ValueError:

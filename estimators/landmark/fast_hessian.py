@@ -1,7 +1,8 @@
-"""Blobs by the Fast-Hessian detector: the detector of SURF, without its descriptor.
+"""Detect blobs by the Fast-Hessian detector of SURF.
 
 H. Bay, A. Ess, T. Tuytelaars, L. Van Gool: Speeded-Up Robust Features (SURF), Computer Vision and Image Understanding
-110 (2008) 346, sections 3.2 and 3.3. OpenCV leaves SURF out of its free packages. Octaves are sampled at every pixel.
+110 (2008) 346, sections 3.2 and 3.3. OpenCV's free packages do not contain SURF. Unlike SURF, all octaves are sampled
+at every pixel.
 """
 
 from __future__ import annotations
@@ -32,10 +33,11 @@ class Blobs:
     peaks
         (M, 2) rows and columns of the maxima.
     offsets_px
-        (M, 2) from there to the interpolated maximum in (u, v), within half a pixel.
+        (M, 2) from the peaks to the interpolated maxima in (u, v), within half a pixel.
     scale_px
-        (M,) standard deviation of the Gaussian that Bay et al. say the filter stands for, interpolated: a side of 9
-        for 1.2. By their moments the filters are wider, so that a Gaussian blob has about three quarters of its own.
+        (M,) interpolated scale by Bay et al.'s definition: a filter of side 9 stands for a Gaussian of standard
+        deviation 1.2. The second moments of the filters are larger, so that the scale of a Gaussian blob is about
+        three quarters of its standard deviation.
     strength
         (M,) determinant of the Hessian at the maximum, of an image scaled to 0..1.
     """
@@ -47,7 +49,7 @@ class Blobs:
 
 
 def fast_hessian(image: Image) -> Blobs:
-    """Find the maxima of the determinant in position and scale.
+    """Find the maxima of the determinant of the Hessian in position and scale.
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ def fast_hessian(image: Image) -> Blobs:
 
 
 def determinant(image: Image, side: int) -> Image:
-    """Dxx Dyy - (0.9 Dxy)^2 of box filters of a side, each over its area, (H, W)."""
+    """Dxx Dyy - (0.9 Dxy)^2 of box filters of a side, normalised by their area, (H, W)."""
     lobe = side // 3
     long = 2 * lobe - 1
     xx = _box(image, (side, long)) - 3.0 * _box(image, (lobe, long))
@@ -78,12 +80,12 @@ def determinant(image: Image, side: int) -> Image:
 
 
 def _box(image: Image, size: tuple[int, int]) -> Image:
-    """Sum over a window (width, height) about each pixel; running sums, so its size costs nothing."""
+    """Sum over a window (width, height) about each pixel, by running sums whose cost does not depend on the size."""
     return np.asarray(cv2.boxFilter(image, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REPLICATE))
 
 
 def _mixed(lobe: Image, reach: int) -> Image:
-    """Four lobes about each pixel with alternating signs."""
+    """Mixed derivative Dxy: four lobes about each pixel with alternating signs."""
     wide = cv2.copyMakeBorder(lobe, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     first, last = slice(None, -2 * reach), slice(2 * reach, None)
     mixed: Image = wide[first, first] + wide[last, last] - wide[first, last] - wide[last, first]
@@ -107,7 +109,8 @@ def _maxima(layers: Mapping[int, Image], dilated: Mapping[int, Image], sides: tu
 def _interpolated(layers: Sequence[Image], peaks: NDArray[np.intp]) -> FloatArray:
     """Offsets (M, 3) in (u, v, layer), within a half, to the maximum of a quadratic through the neighbours.
 
-    After M. Brown, D. Lowe: Invariant features from interest point groups, BMVC 2002; 0 where it has no maximum.
+    After M. Brown, D. Lowe: Invariant features from interest point groups, BMVC 2002; 0 where the quadratic has no
+    maximum.
     """
     rows, columns = peaks[:, 0], peaks[:, 1]
 

@@ -1,13 +1,14 @@
-"""A closed surface through all landmarks: Delaunay tetrahedra, carved to a concave hull (section 2.4).
+"""Construct a closed surface through all landmarks: a concave hull of Delaunay tetrahedra (section 2.4).
 
-The paper removes every tetrahedron whose circumcentre lies outside the convex hull. Taken alone that rule can leave
-landmarks buried and surfaces that are not closed. Here tetrahedra are carved off one by one, and only where the solid
-stays a ball: the surface is closed, has Euler characteristic 2 and, with n landmarks on it, 2n - 4 facets.
+The paper removes every tetrahedron whose circumcentre lies outside the convex hull. That rule alone can leave landmarks
+inside the solid and surfaces that are not closed. Here tetrahedra are removed one by one, and only where the solid
+remains a topological ball: the surface is closed, has Euler characteristic 2 and, with n landmarks, 2n - 4 facets.
 
 1. The paper's rule, the largest circumsphere first.
-2. While landmarks are buried: facets bridge a hollow where they are long against their distance to a buried landmark.
-   Of the tetrahedra whose longest edge on the surface exceeds that distance, the one with the longest goes first.
-3. A landmark that cannot be raised is dropped, and the rest is triangulated again.
+2. While landmarks are buried in the solid: a facet spans a hollow if its edges are long compared with its distance to a
+   buried landmark. Of the tetrahedra whose longest edge on the surface exceeds that distance, the one with the longest
+   edge is removed first.
+3. Landmarks that cannot be brought to the surface are dropped, and the others are triangulated again.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class ConcaveHull:
     facets
         (2N - 4, 3) indices into ``kept``, counter-clockwise seen from outside, equation (1).
     dropped
-        Ascending rows of points that could not be raised to the surface (or repeat another point).
+        Ascending rows of points that could not be brought to the surface, or that coincide with another point.
     """
 
     kept: IndexArray
@@ -49,7 +50,7 @@ class ConcaveHull:
 
 
 def concave_hull(points_m: FloatArray) -> ConcaveHull:
-    """Fit a closed surface with every point on it.
+    """Construct a closed surface through the points.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ def circumspheres(corners_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class _Solid:
-    """Delaunay tetrahedra of which some have been carved away; always a ball."""
+    """Delaunay tetrahedra, of which some have been removed; always a topological ball."""
 
     def __init__(self, points_m: FloatArray) -> None:
         self._points = _centred(points_m)
@@ -103,43 +104,45 @@ class _Solid:
         bounded = np.flatnonzero(~self._centre_outside)
         height = centres[bounded] @ hull.equations[:, :3].T + hull.equations[:, 3]
         self._centre_outside[bounded] = (height > _HULL_TOLERANCE).any(axis=1)
-        self._alive = np.ones(len(self._tetrahedra), dtype=bool)
+        self._in_solid = np.ones(len(self._tetrahedra), dtype=bool)
         self._vertex_uses = np.zeros(len(points_m), dtype=np.intp)
         self._edge_uses: dict[tuple[int, int], int] = {}
         for face in self.surface():
             self._use(face, 1)
 
     def _use(self, face: IndexArray, change: int) -> None:
+        """Count a surface facet in (+1) or out (-1) at its vertices and edges."""
         corners = face.tolist()
         for i, corner in enumerate(corners):
             edge = _edge(corner, corners[i - 1])
             self._vertex_uses[corner] += change
             self._edge_uses[edge] = self._edge_uses.get(edge, 0) + change
 
-    def _open(self) -> NDArray[np.bool_]:
-        """(T, 4): faces of living tetrahedra that lie on the surface."""
-        outside = np.append(~self._alive, True)  # the neighbour -1 is the outside
-        mask: NDArray[np.bool_] = self._alive[:, None] & outside[self._neighbours]
+    def _surface_faces(self) -> NDArray[np.bool_]:
+        """(T, 4): faces on the surface, of the tetrahedra that are left."""
+        outside = np.append(~self._in_solid, True)  # the neighbour -1 is the outside
+        mask: NDArray[np.bool_] = self._in_solid[:, None] & outside[self._neighbours]
         return mask
 
     def surface(self) -> IndexArray:
         """(F, 3) outward facets, in the order of their tetrahedra."""
-        return self._faces[self._open()]
+        return self._faces[self._surface_faces()]
 
     def on_surface(self) -> NDArray[np.bool_]:
         """(N,): points that a surface facet touches."""
         return self._vertex_uses > 0
 
-    def _open_faces(self, tetrahedron: int) -> IndexArray:
+    def _surface_faces_of(self, tetrahedron: int) -> IndexArray:
         across = self._neighbours[tetrahedron]
-        return np.flatnonzero((across < 0) | ~self._alive[across])
+        return np.flatnonzero((across < 0) | ~self._in_solid[across])
 
     def _removable(self, tetrahedron: int) -> bool:
-        """Whether the solid stays a ball without it.
+        """Whether the solid without this tetrahedron is still a ball.
 
-        With one face on the surface the opposite vertex must be inside; with two, the edge that they do not share.
+        With one face on the surface, the opposite vertex must be inside the solid; with two, the edge opposite to the
+        one that they share.
         """
-        faces = self._open_faces(tetrahedron)
+        faces = self._surface_faces_of(tetrahedron)
         corners = self._tetrahedra[tetrahedron]
         if len(faces) == 1:
             return bool(self._vertex_uses[corners[faces[0]]] == 0)
@@ -148,10 +151,10 @@ class _Solid:
         return False
 
     def _remove(self, tetrahedron: int) -> None:
-        was_open = self._open_faces(tetrahedron)
-        self._alive[tetrahedron] = False
+        on_surface = self._surface_faces_of(tetrahedron)
+        self._in_solid[tetrahedron] = False
         for index, face in enumerate(self._faces[tetrahedron]):
-            self._use(face, -1 if index in was_open else 1)
+            self._use(face, -1 if index in on_surface else 1)
 
     def carve_by_circumcentre(self) -> None:
         """Remove tetrahedra whose circumcentre lies outside the convex hull, the largest circumsphere first."""
@@ -167,27 +170,27 @@ class _Solid:
                     progress = True
 
     def raise_buried(self) -> None:
-        """Carve towards buried points until none is left, or none can be reached."""
+        """Remove tetrahedra towards buried points until none is buried, or no tetrahedron can be removed."""
         while True:
-            inside = np.unique(self._tetrahedra[self._alive])
+            inside = np.unique(self._tetrahedra[self._in_solid])
             buried = inside[self._vertex_uses[inside] == 0]
             if not buried.size:
                 return
-            choice = self._bridge_over(buried)
+            choice = self._longest_bridging(buried)
             if choice is None:
                 choice = self._nearest_removable(buried)
             if choice is None:
                 return
             self._remove(choice)
 
-    def _bridge_over(self, buried: IndexArray) -> int | None:
-        """Find the removable tetrahedron with the longest surface edge among those that reach a buried point."""
-        open_faces = self._open()
-        rows = np.flatnonzero(open_faces.any(axis=1))
+    def _longest_bridging(self, buried: IndexArray) -> int | None:
+        """Find the removable tetrahedron with the longest surface edge that exceeds the distance to a buried point."""
+        surface_faces = self._surface_faces()
+        rows = np.flatnonzero(surface_faces.any(axis=1))
         corners = self._points[self._faces[rows]]  # (R, 4, 3, 3)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=2), axis=3).max(axis=2)
-        longest = np.where(open_faces[rows], edges, 0.0).max(axis=1)
-        weight = open_faces[rows][:, :, None]
+        longest = np.where(surface_faces[rows], edges, 0.0).max(axis=1)
+        weight = surface_faces[rows][:, :, None]
         centre = (corners.mean(axis=2) * weight).sum(axis=1) / weight.sum(axis=1)
         distance, _ = cKDTree(self._points[buried]).query(centre)
         bridging = np.flatnonzero(distance <= longest)
@@ -195,9 +198,9 @@ class _Solid:
         return next((int(rows[i]) for i in order if self._removable(int(rows[i]))), None)
 
     def _nearest_removable(self, buried: IndexArray) -> int | None:
-        """Find the removable tetrahedron fewest steps from a buried point; of several, the largest circumsphere."""
-        level = np.flatnonzero(self._alive & np.isin(self._tetrahedra, buried).any(axis=1))
-        seen = ~self._alive
+        """Find the removable tetrahedron nearest to a buried point by neighbours; of several, by circumsphere."""
+        level = np.flatnonzero(self._in_solid & np.isin(self._tetrahedra, buried).any(axis=1))
+        seen = ~self._in_solid
         while level.size:
             removable = [t for t in level.tolist() if self._removable(t)]
             if removable:
@@ -210,6 +213,7 @@ class _Solid:
 
 
 def _centred(points_m: FloatArray) -> FloatArray:
+    """Centre the points and scale them to unit extent, so that tolerances do not depend on the size of the body."""
     extent_m = float(np.ptp(points_m)) if len(points_m) else 0.0
     if not extent_m > 0.0:
         raise BoresightError(_no_volume(len(points_m)))

@@ -1,4 +1,4 @@
-"""Landmarks to corners by proximity: reciprocal nearest neighbours, equation (14)."""
+"""Match landmarks with corners by proximity: reciprocal nearest neighbours, equation (14)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.contract import Table
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.projection import project_landmarks
+from scenarios.geometry import Camera, Pose
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
+
+_POINT_COLUMNS = ("x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs of a landmark and a corner, in ascending order of the landmark.
+    """Matched landmarks and corners, in ascending order of the landmark.
 
     Parameters
     ----------
@@ -33,37 +40,8 @@ class Matches:
         return len(self.landmark)
 
     def same_pairs(self, other: Matches) -> bool:
-        """Whether both hold the same pairs, whatever their distances."""
+        """Whether both contain the same pairs, regardless of distances."""
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
-
-
-def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
-    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    determinant = a * c - b * b
-    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
-    return adjugate / determinant[..., None, None], determinant  # eq. (19)
-
-
-def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
-    """Inverses (..., 2, 2) of symmetric matrices (..., 2, 2)."""
-    return inverse_and_determinant(covariances_px2)[0]
-
-
-def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
-    """d2 (N,) of offsets (N, 2) weighted by covariances (N, 2, 2)."""
-    d2: FloatArray = np.einsum("ni,nij,nj->n", offsets_px, inverse_2x2(covariances_px2), offsets_px)  # eq. (14)
-    return d2
-
-
-def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
-    """d2 (N, M) of each of N projected landmarks to each of M corners."""
-    weight = inverse_2x2(covariances_px2)
-    du = corners_px[None, :, 0] - uv_px[:, None, 0]
-    dv = corners_px[None, :, 1] - uv_px[:, None, 1]
-    a, b, c = (weight[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    d2: FloatArray = a * du * du + 2.0 * b * du * dv + c * dv * dv  # eq. (14)
-    return d2
 
 
 def match_landmarks(
@@ -73,7 +51,7 @@ def match_landmarks(
     corners_px: FloatArray,
     d2_max: float = 36.0,
 ) -> Matches:
-    """Pair each visible landmark with its nearest corner where that corner has no nearer landmark.
+    """Match each visible landmark with its nearest corner, if no other landmark is nearer to that corner.
 
     Parameters
     ----------
@@ -84,7 +62,7 @@ def match_landmarks(
     corners_px
         (M, 2) observed corners.
     d2_max
-        Pairs must lie strictly closer than this; 36 is 6 standard deviations.
+        Upper limit of the weighted squared distance; 36 is 6 standard deviations.
     """
     candidates = np.flatnonzero(visible)
     if not candidates.size or not len(corners_px):
@@ -97,3 +75,61 @@ def match_landmarks(
     best = d2[rows, nearest_corner]
     paired = (nearest_landmark[nearest_corner] == rows) & (best < d2_max)
     return Matches(candidates[paired], nearest_corner[paired], best[paired])
+
+
+def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
+    """d2 (N, M) of each of N projected landmarks to each of M corners."""
+    weight = inverse_2x2(covariances_px2)
+    du = corners_px[None, :, 0] - uv_px[:, None, 0]
+    dv = corners_px[None, :, 1] - uv_px[:, None, 1]
+    a, b, c = (weight[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    d2: FloatArray = a * du * du + 2.0 * b * du * dv + c * dv * dv  # eq. (14)
+    return d2
+
+
+def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
+    """d2 (N,) of offsets (N, 2) weighted by covariances (N, 2, 2)."""
+    d2: FloatArray = np.einsum("ni,nij,nj->n", offsets_px, inverse_2x2(covariances_px2), offsets_px)  # eq. (14)
+    return d2
+
+
+def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
+    """Inverses (..., 2, 2) of symmetric matrices (..., 2, 2)."""
+    return inverse_and_determinant(covariances_px2)[0]
+
+
+def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
+    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+    determinant = a * c - b * b
+    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
+    return adjugate / determinant[..., None, None], determinant  # eq. (19)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedFrame:
+    """Matches in a frame with its pose: (M,) rows of the data base and (M, 2) corners in the image."""
+
+    T_cam_body: Pose
+    landmark: NDArray[np.intp]
+    uv_px: FloatArray
+
+
+def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
+    """Return the table of matched landmarks that the campaign scores, one row each.
+
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
+    the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's
+    mean and covariance).
+    """
+    landmark, uv = found.landmark, found.uv_px
+    projection = project_landmarks(database, camera, found.T_cam_body)
+    d2 = squared_distances(uv - projection.uv_px[landmark], projection.covariances_px2[landmark])
+    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
+    return table | point_columns(database.means_m[landmark], database.covariances_m2[landmark])
+
+
+def point_columns(points_m: FloatArray, covariances_m2: FloatArray) -> dict[str, NDArray[np.generic]]:
+    """Return points (M, 3) and the upper triangles of their covariances (M, 3, 3) as columns of a table."""
+    columns = np.column_stack([points_m, covariances_m2[:, *np.triu_indices(3)]])
+    return dict(zip(_POINT_COLUMNS, columns.T, strict=True))

@@ -1,21 +1,27 @@
-"""Landmarks seen by a camera: equations (4) to (10)."""
+"""Predict landmarks in an image: visibility (section 3.1.1) and projection, equations (4) to (10)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from estimators.landmark.database import LandmarkDatabase
-from scenarios.geometry import Camera, Pose
+from scenarios.geometry import Camera, Pose, TriangleMesh
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_PARALLEL = 1e-12
+_SLACK = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """Landmarks in camera and image.
+    """Landmarks projected into an image.
 
     Parameters
     ----------
@@ -42,9 +48,9 @@ def project_landmarks(database: LandmarkDatabase, camera: Camera, T_cam_body: Po
 def image_covariances(
     covariances_body_m2: FloatArray, points_cam_m: FloatArray, camera: Camera, T_cam_body: Pose
 ) -> FloatArray:
-    """Covariances (N, 3, 3) in the body frame to (N, 2, 2) in the image, to first order.
+    """Project covariances (N, 3, 3) in the body frame to (N, 2, 2) in the image, to first order.
 
-    ``Camera.jacobian`` is the transpose of the J that the paper prints, so the transposes change sides.
+    ``Camera.jacobian`` is the transpose of the paper's J, so the transposes are on the other side.
     """
     rotation = T_cam_body.rotation  # eq. (8)
     in_camera = rotation @ covariances_body_m2 @ rotation.T  # eq. (7)
@@ -52,3 +58,84 @@ def image_covariances(
     jacobian = camera.jacobian(in_front)  # eq. (10)
     covariances: FloatArray = jacobian @ in_camera @ np.swapaxes(jacobian, 1, 2)  # eq. (9)
     return covariances
+
+
+def visible_landmarks(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> BoolArray:
+    """(V,): vertices in front of the camera, in the field of view, on the near side and not hidden by terrain."""
+    uv_px = camera.project(T_cam_body.transform(mesh.vertices_m))
+    position = T_cam_body.camera_position_m
+    visible = camera.contains(uv_px) & faces_camera(mesh, position)
+    candidates = np.flatnonzero(visible)
+    visible[candidates] = ~is_occluded(mesh, position, candidates)
+    return visible
+
+
+def faces_camera(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray:
+    """(V,): vertices with at least one facet whose outward normal points towards the camera (far-side test)."""
+    result = np.zeros(len(mesh.vertices_m), dtype=bool)
+    result[mesh.faces[_facing(mesh, camera_position_body_m)].ravel()] = True
+    return result
+
+
+def is_occluded(mesh: TriangleMesh, camera_position_body_m: FloatArray, vertices: NDArray[np.intp]) -> BoolArray:
+    """(len(vertices),): whether a facet lies between the camera and each vertex (intervening-terrain test).
+
+    Facets of which the vertex is a corner are left out. As in the paper, lines of sight are first tested against a
+    bounding sphere of each facet; those that enter it are intersected by Moeller and Trumbore's method.
+
+    Parameters
+    ----------
+    mesh
+        Closed, with the camera outside: any occlusion then involves a facet that faces the camera.
+    camera_position_body_m
+        (3,) camera in the body frame.
+    vertices
+        Rows of the mesh's vertices.
+    """
+    hidden = np.zeros(len(vertices), dtype=bool)
+    if not len(vertices):
+        return hidden
+    facets = np.flatnonzero(_facing(mesh, camera_position_body_m))
+    rays = mesh.vertices_m[vertices] - camera_position_body_m
+    which, ray = _near_pairs(mesh.corners_m[facets], camera_position_body_m, rays)
+    facet = facets[which]
+    apart = (mesh.faces[facet] != vertices[ray, None]).all(axis=1)
+    facet, ray = facet[apart], ray[apart]
+    blocking = _blocks(mesh.corners_m[facet], camera_position_body_m, rays[ray])
+    hidden[ray[blocking]] = True
+    return hidden
+
+
+def _facing(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray:
+    """(F,): facets whose outward normal points towards the camera."""
+    to_camera = camera_position_body_m - mesh.corners_m[:, 0]
+    facing: BoolArray = np.einsum("fi,fi->f", mesh.area_vectors_m2, to_camera) > 0.0
+    return facing
+
+
+def _near_pairs(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of a facet and a ray whose line enters the facet's bounding sphere, as rows of both."""
+    middle = corners.mean(axis=1)
+    offset = middle - origin
+    distance = np.linalg.norm(offset, axis=1)
+    sine = (1.0 + _SLACK) * np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) / distance
+    # Seen from the camera the sphere is a spherical cap; the tree of unit vectors needs its radius as a chord.
+    chord = np.where(sine < 1.0, 2.0 * np.sin(0.5 * np.arcsin(np.minimum(sine, 1.0))), 2.0 + _SLACK)
+    tree = cKDTree(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    found = tree.query_ball_point(offset / distance[:, None], chord, return_sorted=True)
+    counts = np.fromiter(map(len, found), dtype=np.intp, count=len(found))
+    near = np.fromiter(chain.from_iterable(found), dtype=np.intp, count=int(counts.sum()))
+    return np.repeat(np.arange(len(found)), counts), near
+
+
+def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolArray:
+    """(P,): whether each ray intersects its facet between its two ends (Moeller and Trumbore 1997)."""
+    edge1, edge2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
+    p, q = np.cross(rays, edge2), np.cross(offset, edge1)
+    determinant = np.einsum("pi,pi->p", edge1, p)
+    safe = np.where(np.abs(determinant) > _PARALLEL, determinant, np.nan)
+    u = np.einsum("pi,pi->p", offset, p) / safe
+    v = np.einsum("pi,pi->p", rays, q) / safe
+    t = np.einsum("pi,pi->p", edge2, q) / safe
+    blocking: BoolArray = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)
+    return blocking

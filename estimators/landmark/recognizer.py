@@ -1,4 +1,4 @@
-"""The landmark recogniser as an estimator: section 3 from image to pose."""
+"""The estimator ``landmark-harris``: section 3 of Rowell et al. (2015) from image to pose."""
 
 from __future__ import annotations
 
@@ -10,21 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Table
-from estimators.image import image_fault
-from estimators.landmark.alignment import correlation_pair
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table, typed_product
+from estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    centroid_pair,
+    centroid_residual_px,
+    consistency_failure,
+    correlation_pair,
+    image_correlation,
+)
 from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.consistency import centroid_residual_px, inconsistency, likeness
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matched import MatchedFrame, matched_table
+from estimators.landmark.matching import MatchedFrame, matched_table
 from estimators.landmark.pose.levenberg_marquardt import PoseFit
 from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -32,19 +37,19 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 
 PRODUCT = "landmark-database"
-MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
+POINT_PAIRS = {"centroid": centroid_pair, "image": correlation_pair}
 
 
 @dataclass(frozen=True, slots=True)
 class MeshAligner:
-    """What brings the mesh into place before landmarks are looked for.
+    """The method that aligns the mesh with the image before landmarks are predicted.
 
     Parameters
     ----------
     stage
-        Name of the pose that it leads to.
+        Name of the stage in the estimate.
     align
-        (observed signal, its frame, how the mesh is seen, clock) -> that pose.
+        (observed signal, frame, view of the mesh, clock) -> alignment.
     """
 
     stage: str
@@ -52,28 +57,30 @@ class MeshAligner:
 
 
 class RecognitionOptions(SpecModel):
-    """Options of recognition, whatever brings the mesh into place before it."""
+    """Options of recognition, for any method of alignment."""
 
     database: DatabaseOptions = DatabaseOptions()
     corners: CornerOptions | None = None
     pose: PoseOptions = PoseOptions()
     consistency_max_px: float | None = Field(
-        None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
+        None,
+        gt=0,
+        description="Largest distance of the brightness centroids of image and rendered solution",
     )
     keep: Literal["always", "if-better"] = Field(
         "always",
-        description="Whether a recognition counts in any case, as in the paper, or only where the onboard shape,"
-        " rendered at it, is more like the image than at the pose before, which is the answer where not",
+        description="Whether the recognised pose is always the answer, as in the paper, or only if the onboard shape"
+        " rendered at it correlates no worse with the image than at the aligned pose, which is the answer otherwise",
     )
 
     @property
     def image_corners(self) -> CornerOptions:
-        """How corners are found in an observed image: as for the data base, unless said otherwise."""
+        """Options of corners in an observed image: those of the data base by default."""
         return self.corners or self.database.corners
 
 
 class LandmarkOptions(RecognitionOptions):
-    """Options of the paper's recogniser."""
+    """Options of ``landmark-harris``."""
 
     alignment: Literal["centroid", "image", "none"] = "centroid"
     alignment_loop: AlignmentOptions = AlignmentOptions()
@@ -81,26 +88,26 @@ class LandmarkOptions(RecognitionOptions):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognition:
-    """Everything that came about between one image and its pose, for drawing and for study.
+    """All intermediate results of recognition in one image.
 
     Parameters
     ----------
     prior
-        The pose at the start.
+        The initial pose.
     alignment
-        Rendered meshes, points brought together and the pose after each; no steps where alignment is off.
+        Iterations of the alignment; none where alignment is off.
     corners
-        Corners of the image; None where it failed before.
+        Corners of the image; None after a failure before this stage.
     solution
-        Rounds of matching and solving; None where it failed before.
+        Rounds of matching and solving; None after a failure before this stage.
     timings_s
-        Wall time by stage, the stages of the paper's Table 1.
+        Wall time by stage, as in the paper's Table 1.
     failure
-        Why there is no pose; empty when there is one.
+        Reason why there is no pose; empty if there is one.
     centroid_residual_px
-        Distance of the brightness centroids of the image and of the mesh rendered at the solution; None without either.
-    likeness
-        Of the onboard shape at the pose before the recognition and at its own; None where nobody asked.
+        Distance of the brightness centroids of the image and of the mesh rendered at the solution; None if unknown.
+    correlations
+        Image correlation of the onboard shape at the aligned and at the recognised pose; None with ``keep: always``.
     """
 
     prior: Pose
@@ -110,32 +117,32 @@ class Recognition:
     timings_s: Mapping[str, float]
     failure: str = ""
     centroid_residual_px: float | None = None
-    likeness: tuple[float, float] | None = None
+    correlations: tuple[float, float] | None = None
 
     @property
     def kept(self) -> bool:
-        """Whether the recognition counts: at least as good a likeness as the pose before it, where that was asked."""
-        return self.likeness is None or self.likeness[1] >= self.likeness[0]
+        """Whether the recognised pose is the answer: with ``keep: if-better``, if it correlates at least as well."""
+        return self.correlations is None or self.correlations[1] >= self.correlations[0]
 
     @property
     def fit(self) -> PoseFit | None:
-        """The last fit; None without one, and where the recognition does not count."""
+        """The last fit; None if there is none or it is not kept."""
         return self.solution.fit if self.solution is not None and self.kept else None
 
     @property
     def T_cam_body(self) -> Pose:
-        """The pose that is the answer."""
+        """The estimated pose: of the fit, or else of the alignment."""
         return self.alignment.T_cam_body if self.fit is None else self.fit.T_cam_body
 
 
-def shifting(options: LandmarkOptions) -> MeshAligner:
-    """Shift the mesh across the line of sight until its centroid, or its whole image, lies on the observed one."""
+def translation_aligner(options: LandmarkOptions) -> MeshAligner:
+    """Return the alignment across the line of sight by centroids or by correlation of whole images."""
 
     def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:
         prior = frame.prior_T_cam_body
         if options.alignment == "none":
             return Alignment(prior, ())
-        return align_translation(observed, prior, view, MEASURES[options.alignment], options.alignment_loop, clock)
+        return align_translation(observed, prior, view, POINT_PAIRS[options.alignment], options.alignment_loop, clock)
 
     return MeshAligner("centroid" if options.alignment == "centroid" else "alignment", align)
 
@@ -146,7 +153,7 @@ def recognise(
     database: LandmarkDatabase,
     options: RecognitionOptions,
     aligner: MeshAligner,
-    judge: MeshView | None = None,
+    shape_view: MeshView | None = None,
 ) -> Recognition:
     """Run all stages on one image.
 
@@ -155,33 +162,26 @@ def recognise(
     frame
         The image with its prior.
     view
-        How the mesh of the landmarks is seen in it.
+        The view of the landmark mesh.
     database
         The landmarks.
     options
-        Of corners, matching and pose.
+        Options of corners, matching and pose.
     aligner
-        Finds the pose that landmarks are first predicted from.
-    judge
-        How the onboard shape is seen, where a recognition counts only if that makes it the better likeness.
+        Finds the pose from which landmarks are first predicted.
+    shape_view
+        The view of the onboard shape, with ``keep: if-better``; None otherwise.
 
     Raises
     ------
     BoresightError
-        If the image is not of the camera's size.
+        If the image does not have the camera's size.
     """
     prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
-    nothing = Alignment(prior, ())
-    fault = image_fault(frame, camera)
-    if fault:
-        return Recognition(prior, nothing, None, None, clock.seconds, fault)
-    with clock("centroid"):
-        observed = extract_signal(frame.image)
-    if observed.empty:
-        return Recognition(
-            prior, nothing, None, None, clock.seconds, "the image is black: nothing above its background"
-        )
-    alignment = aligner.align(observed.image, frame, view, clock)
+    observed = observed_signal(frame, camera, clock)
+    if isinstance(observed, str):
+        return Recognition(prior, Alignment(prior, ()), None, None, clock.seconds, observed)
+    alignment = aligner.align(observed, frame, view, clock)
     if alignment.failure:
         return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
     with clock("feature_extraction"):
@@ -191,40 +191,30 @@ def recognise(
     if solution.fit is None:
         return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
     with clock("consistency"):
-        residual_px = centroid_residual_px(observed.image, solution.fit.T_cam_body, view)
-        likenesses = (
-            None
-            if judge is None
-            else (
-                likeness(observed.image, alignment.T_cam_body, judge),
-                likeness(observed.image, solution.fit.T_cam_body, judge),
+        residual_px = centroid_residual_px(observed, solution.fit.T_cam_body, view)
+        correlations = None
+        if shape_view is not None:
+            before, after = alignment.T_cam_body, solution.fit.T_cam_body
+            correlations = (
+                image_correlation(observed, before, shape_view),
+                image_correlation(observed, after, shape_view),
             )
-        )
-    failure = solution.failure or inconsistency(residual_px, options.consistency_max_px)
-    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, likenesses)
+    failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
+    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, correlations)
 
 
-def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
-    """Borrow the landmark data base of some options.
-
-    Raises
-    ------
-    BoresightError
-        If what is lent is none.
-    """
-    database = assets.product(PRODUCT, options.model_dump(mode="json"))
-    if not isinstance(database, LandmarkDatabase):
-        raise BoresightError(f"{borrower}: the product {PRODUCT!r} is a {type(database).__name__}")
-    return database
+def landmark_database(options: DatabaseOptions, assets: Assets, estimator: str) -> LandmarkDatabase:
+    """Return the landmark data base of some options for the estimator of that name."""
+    return typed_product(assets, PRODUCT, options, LandmarkDatabase, estimator)
 
 
-def borrow_judge(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:
-    """Borrow a renderer of the onboard shape where a recognition has to be the better likeness."""
+def shape_renderer(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:
+    """Return a renderer of the onboard shape with ``keep: if-better``; None otherwise."""
     return None if options.keep == "always" else assets.mesh_renderer(assets.shape())
 
 
 class LandmarkRecognizer:
-    """Rowell et al. (2015): known landmarks by proximity of Harris corners."""
+    """Rowell et al. (2015): recognises known landmarks by the proximity of Harris corners."""
 
     name: ClassVar[str] = "landmark-harris"
     version: ClassVar[int] = 2
@@ -235,9 +225,9 @@ class LandmarkRecognizer:
         renderer: ImageRenderer,
         options: RecognitionOptions,
         aligner: MeshAligner,
-        judge: ImageRenderer | None = None,
+        shape_view: ImageRenderer | None = None,
     ) -> None:
-        self._judge = judge
+        self._shape_renderer = shape_view
         self._database = database
         self._renderer = renderer
         self._options = options
@@ -245,25 +235,25 @@ class LandmarkRecognizer:
 
     @property
     def database(self) -> LandmarkDatabase:
-        """The landmarks that are looked for."""
+        """The data base whose landmarks are recognised."""
         return self._database
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(LandmarkOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
-        judge = borrow_judge(parsed, assets)
-        return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed), judge)
+        database = landmark_database(parsed.database, assets, cls.name)
+        shape = shape_renderer(parsed, assets)
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed, translation_aligner(parsed), shape)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
-        """Run on a frame and keep all intermediate results."""
+        """Recognise the landmarks of a frame and return all intermediate results."""
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        judge = None if self._judge is None else replace(view, renderer=self._judge)
-        return recognise(frame, view, self._database, self._options, self._aligner, judge)
+        shape_view = None if self._shape_renderer is None else replace(view, renderer=self._shape_renderer)
+        return recognise(frame, view, self._database, self._options, self._aligner, shape_view)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         found = self.recognise(observation.frame, observation.camera)
         ok, fit = not found.failure, found.fit
@@ -279,11 +269,11 @@ class LandmarkRecognizer:
         )
 
     def _stages(self, result: Recognition) -> tuple[Stage, ...]:
-        """Name the poses on the way; the first stage by what it brought together, centroids or whole images."""
+        """Return the poses after alignment, recognition and the choice between them, as far as they were reached."""
         stages = [Stage(self._aligner.stage, result.alignment.T_cam_body)] if result.alignment.steps else []
         if result.solution is not None and result.solution.fit is not None:
             stages.append(Stage("recognition", result.solution.fit.T_cam_body))
-            if result.likeness is not None:
+            if result.correlations is not None:
                 stages.append(Stage("choice", result.T_cam_body))
         return tuple(stages)
 
@@ -300,16 +290,16 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
         diagnostics["stable"] = int(result.solution.stable)
         if result.solution.fit is not None:
             diagnostics["chi2"] = result.solution.fit.chi2
-    if result.likeness is not None:
+    if result.correlations is not None:
         diagnostics["kept"] = int(result.kept)
-        diagnostics["likeness_before"], diagnostics["likeness"] = result.likeness
+        diagnostics["likeness_before"], diagnostics["likeness"] = result.correlations
     if result.centroid_residual_px is not None:
         diagnostics["centroid_residual_px"] = result.centroid_residual_px
     return diagnostics
 
 
 def _details(found: Recognition, database: LandmarkDatabase, camera: Camera) -> dict[str, Table]:
-    """List the recognised landmarks, see `matched_table`, where the recognition counts."""
+    """Return the table of recognised landmarks, see `matched_table`, if the recognised pose is kept."""
     if found.fit is None or found.solution is None or found.corners is None:
         return {}
     matches = found.solution.rounds[-1].matches

@@ -1,13 +1,17 @@
-"""What in an image is body and what is background: shared by corners, centroid and alignment."""
+"""Separate the body from the background of an image and scale it, for corners, centroid and alignment."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.contract import Stopwatch
 from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.observation import Frame
 
 KNOWN_SKY = (0.0, 0.0)
 """Level and noise of the background of a rendered image."""
@@ -26,8 +30,8 @@ class Signal:
     Parameters
     ----------
     image
-        (H, W) float32; 0 where nothing rises above the background, 1 at the body's bright level (the 99th
-        percentile of its pixels), whatever unit the image came in.
+        (H, W) float32; 0 on the background, 1 at the body's bright level (the 99th percentile of its pixels),
+        whatever the unit of the image.
     background
         Level that was subtracted, in the image's unit.
     noise
@@ -40,15 +44,42 @@ class Signal:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing rises above the background: a black image."""
+        """Whether no pixel is above the background: a black image."""
         return not self.image.any()
+
+
+def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None) -> NDArray[np.float32] | str:
+    """Return the signal (H, W) of an observed image, see `Signal`, or the reason why no pose can be estimated from it.
+
+    Parameters
+    ----------
+    frame, camera
+        The image and its camera.
+    clock
+        Adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it.
+
+    Raises
+    ------
+    BoresightError
+        If the image does not have the camera's size: the caller has passed another image.
+    """
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(
+            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
+        )
+    if not np.isfinite(frame.image).all():
+        return "the image holds NaN or infinite pixels"
+    with nullcontext() if clock is None else clock("centroid"):
+        signal = extract_signal(frame.image)
+    return "the image is black: nothing above its background" if signal.empty else signal.image
 
 
 def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
     """Level and standard deviation of the dark sky.
 
-    The four corners of the image are looked at and the darkest is taken: the body would have to reach into all
-    four to spoil it. Median and median absolute deviation, so that stars and hot pixels do not count.
+    Both are measured in the darkest of the image's four corners, which is wrong only if the body reaches into all
+    four. They are the median and the scaled median absolute deviation, robust against stars and hot pixels.
     """
     height, width = image.shape
     rows, columns = max(4, round(height * _CORNER_FRACTION)), max(4, round(width * _CORNER_FRACTION))
@@ -76,7 +107,7 @@ def extract_signal(
     threshold_sigma
         Pixels less than this many standard deviations above the background become 0.
     threshold_fraction
-        So do pixels below this fraction of the body's bright level, which removes haze and quantisation.
+        Pixels below this fraction of the body's bright level become 0 too, which removes haze and quantisation.
 
     Raises
     ------

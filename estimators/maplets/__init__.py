@@ -1,1 +1,1 @@
-"""Navigation by maplets: height and albedo patches after Gaskell et al. (2008), rendered and correlated."""
+"""Navigation by maplets: patches of height and albedo after Gaskell et al. (2008), rendered and correlated."""

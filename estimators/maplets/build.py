@@ -1,35 +1,39 @@
-"""A data base of maplets from a shape: where they lie, and what is cut out."""
+"""Build a data base of maplets from a shape: choose their places and sample heights and albedo there."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.spatial import cKDTree
 
 from estimators.contract import NoProductError
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.heights import Plane, Surface, sample_heights
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 1
 
-_LEAST_GAIN = 0.003
+_LEAST_GAIN = 0.003  # share of its facets that a further maplet must cover for the first time
+_LEAST_FACING = 0.1  # cosine of the angle between a facet's normal and a maplet's
+_EDGE_TOLERANCE = 1e-9
 
 
 class MapletOptions(SpecModel):
-    """How maplets are cut from the onboard shape."""
+    """Options of the maplets of a shape."""
 
     spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
-    seed: int | None = Field(None, ge=0, description="Of the place to begin at; the farthest one if left out")
-    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
+    seed: int | None = Field(None, ge=0, description="Seed of the first place; default: the farthest from the origin")
+    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, as a share of the width")
 
     @model_validator(mode="after")
     def _odd(self) -> Self:
@@ -39,15 +43,79 @@ class MapletOptions(SpecModel):
 
     @property
     def width_m(self) -> float:
-        """Width of a maplet."""
+        """Width of a maplet, m."""
         return (self.side - 1) * self.spacing_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A square grid of S x S nodes in a local frame.
+
+    Parameters
+    ----------
+    centre_m
+        (3,) its middle, body frame.
+    axes
+        (3, 3) rows: the unit vectors x and y along the columns and the rows of the grid, and the upward normal,
+        right-handed, body frame.
+    spacing_m
+        Between neighbouring nodes.
+    side
+        S, odd, so that the centre is a node.
+    """
+
+    centre_m: FloatArray
+    axes: FloatArray
+    spacing_m: float
+    side: int
+
+    @property
+    def half_m(self) -> float:
+        """From the centre to an edge of the grid."""
+        return 0.5 * (self.side - 1) * self.spacing_m
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A mesh to sample heights from, with a search tree of its facets."""
+
+    mesh: TriangleMesh
+
+    @cached_property
+    def centroids_m(self) -> FloatArray:
+        """(F, 3) middles of the facets."""
+        return np.asarray(self.mesh.corners_m.mean(axis=1), dtype=np.float64)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Search tree of the facets' middles."""
+        return cKDTree(self.centroids_m)
+
+    @cached_property
+    def reach_m(self) -> float:
+        """The largest distance of a facet's corner from its middle."""
+        return float(np.linalg.norm(self.mesh.corners_m - self.centroids_m[:, None], axis=2).max())
+
+    def mean_normal(self, centre_m: FloatArray, radius_m: float) -> FloatArray:
+        """Return the mean unit normal (3,) of the surface within a radius of a point, weighted by area.
+
+        Facets that face away from the nearest one belong to another part of the body and are left out.
+        """
+        nearest = int(self.tree.query(centre_m)[1])
+        near = np.asarray(self.tree.query_ball_point(centre_m, radius_m), dtype=np.int64)
+        area_vectors = self.mesh.area_vectors_m2[near]
+        total = area_vectors[area_vectors @ self.mesh.area_vectors_m2[nearest] > 0.0].sum(axis=0)
+        if not total.any():
+            total = self.mesh.area_vectors_m2[nearest]
+        unit: FloatArray = total / np.linalg.norm(total)
+        return unit
 
 
 def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     """Cut maplets out of a shape so that they cover it.
 
-    Candidates lie everywhere, half as far apart as asked for. They are taken in the order of their relief, unless
-    one that was taken is too near: Poisson-disc sampling in which contrast goes first.
+    Candidates cover the surface at half the wanted separation. They are accepted in descending order of relief, unless
+    an accepted one is too near (Poisson-disc sampling that prefers contrast); then others fill the gaps.
 
     Raises
     ------
@@ -60,8 +128,8 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
     order = sorted(range(len(candidates)), key=lambda i: -strength[i])
-    taken = _thinned(candidates.centres_m, order, separation_m)
-    taken += _filling(candidates, taken, surface)
+    taken = _separated(candidates.centres_m, order, separation_m)
+    taken += _gap_fillers(candidates, taken, surface)
     chosen = candidates.subset(np.array(taken))
     if not len(chosen.mesh().faces):
         raise NoProductError(
@@ -71,10 +139,84 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
 
 
-def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None) -> list[int]:
-    """Choose points, each the farthest from those before it, until none is farther than ``radius_m`` from one.
+def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArray | None]:
+    """Sample the heights of the surface above the nodes of a plane, and its albedo there.
 
-    The first is the one farthest from the origin, or one that is drawn. Gonzalez (1985).
+    Of several layers of the surface the highest is sampled that faces up and is no farther from the plane than half the
+    grid's width.
+
+    Returns
+    -------
+    heights_m
+        (S, S), rows along y; NaN where there is no surface.
+    albedo
+        (S, S), or None where the mesh has none.
+    """
+    mesh = surface.mesh
+    reach_m = float(np.hypot(np.sqrt(2.0) * plane.half_m, plane.half_m)) + surface.reach_m
+    near = np.asarray(surface.tree.query_ball_point(plane.centre_m, reach_m), dtype=np.int64)
+    near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
+    corners = (mesh.corners_m[near] - plane.centre_m) @ plane.axes.T
+    near, corners = (part[np.abs(corners[:, :, 2]).max(axis=1) <= plane.half_m] for part in (near, corners))
+    grid = corners[:, :, :2] / plane.spacing_m + (plane.side - 1) / 2
+    facet, node, weights = _covered_nodes(grid, plane.side)
+    heights = np.einsum("nk,nk->n", weights, corners[facet, :, 2])
+    order = np.argsort(heights, kind="stable")  # the highest is written last and remains
+    heights_m = np.full(plane.side**2, np.nan)
+    heights_m[node[order]] = heights[order]
+    shape = (plane.side, plane.side)
+    if mesh.albedo is None:
+        return heights_m.reshape(shape), None
+    values = np.einsum("nk,nk->n", weights, mesh.albedo[mesh.faces[near[facet]]])
+    albedo = np.full(plane.side**2, np.nan)
+    albedo[node[order]] = values[order]
+    return heights_m.reshape(shape), albedo.reshape(shape)
+
+
+def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Find the nodes under each facet.
+
+    Parameters
+    ----------
+    corners
+        (F, 3, 2) in grid units, x (column) and y (row).
+    side
+        Nodes along each axis.
+
+    Returns
+    -------
+    facet, node
+        (P,) pairs; nodes are numbered row by row.
+    weights
+        (P, 3) barycentric coordinates.
+    """
+    low = np.clip(np.ceil(corners.min(axis=1) - _EDGE_TOLERANCE), 0, side).astype(np.int64)
+    high = np.clip(np.floor(corners.max(axis=1) + _EDGE_TOLERANCE), -1, side - 1).astype(np.int64)
+    size = np.maximum(high - low + 1, 0)
+    count = size[:, 0] * size[:, 1]
+    facet = np.repeat(np.arange(len(corners)), count)
+    offset = np.arange(len(facet)) - np.repeat(np.cumsum(count) - count, count)
+    column = low[facet, 0] + offset % np.maximum(size[facet, 0], 1)
+    row = low[facet, 1] + offset // np.maximum(size[facet, 0], 1)
+    first, second, third = corners[facet, 0], corners[facet, 1], corners[facet, 2]
+    area = _cross(second - first, third - first)
+    point = np.stack([column, row], axis=1).astype(np.float64)
+    w1 = _cross(point - first, third - first)
+    w2 = _cross(second - first, point - first)
+    weights = np.stack([area - w1 - w2, w1, w2], axis=1) / np.where(area == 0.0, np.nan, area)[:, None]
+    inside = weights.min(axis=1) >= -_EDGE_TOLERANCE
+    return facet[inside], (row * side + column)[inside], weights[inside]
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    value: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return value
+
+
+def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None) -> list[int]:
+    """Choose points, each the farthest from those before it, until all are within ``radius_m`` of one (Gonzalez 1985).
+
+    The first is the point farthest from the origin, or drawn by ``seed``.
     """
     farthest = int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))
     chosen = [farthest if seed is None else int(np.random.default_rng(seed).integers(len(points_m)))]
@@ -86,9 +228,9 @@ def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None
 
 
 def relief(heights_m: FloatArray, spacing_m: float) -> float:
-    """RMS slope of a maplet without its curvature: what gives a picture of it contrast.
+    """Return the RMS slope of a maplet without its mean curvature, a measure of its contrast in images.
 
-    The slopes along both axes, less the plane through each of them.
+    A plane is fitted to the slopes along each axis and subtracted.
     """
     dy, dx = (np.asarray(slope, dtype=np.float64) for slope in np.gradient(heights_m, spacing_m))
     known = np.isfinite(dx) & np.isfinite(dy)
@@ -102,7 +244,7 @@ def relief(heights_m: FloatArray, spacing_m: float) -> float:
 
 
 def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletDatabase:
-    """Cut a maplet at each facet that the surface is seen from above at."""
+    """Sample a maplet at each place whose central height is known."""
     planes = [_plane(surface, surface.centroids_m[place], options) for place in places]
     sampled = [(plane, *sample_heights(surface, plane)) for plane in planes]
     middle = options.side // 2
@@ -140,7 +282,8 @@ def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> 
     }
 
 
-def _thinned(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
+def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
+    """Accept candidates in ``order``, unless an accepted one is nearer than ``separation_m``."""
     taken: list[int] = []
     for index in order:
         if all(np.linalg.norm(centres_m[index] - centres_m[other]) >= separation_m for other in taken):
@@ -148,26 +291,26 @@ def _thinned(centres_m: FloatArray, order: list[int], separation_m: float) -> li
     return taken
 
 
-def _filling(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
-    """Choose further candidates, each the one that shows most of what none shows yet, until nothing is to be gained."""
-    shown = [_shown(candidates, index, surface) for index in range(len(candidates))]
-    bare = np.ones(len(surface.centroids_m), dtype=bool)
+def _gap_fillers(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
+    """Choose further candidates, each covering the most facets not covered yet, until the gain is small."""
+    covered = [_facets_on(candidates, index, surface) for index in range(len(candidates))]
+    uncovered = np.ones(len(surface.centroids_m), dtype=bool)
     for index in taken:
-        bare[shown[index]] = False
+        uncovered[covered[index]] = False
     rest = [index for index in range(len(candidates)) if index not in set(taken)]
     added: list[int] = []
     while rest:
-        gains = [int(np.count_nonzero(bare[shown[index]])) for index in rest]
+        gains = [int(np.count_nonzero(uncovered[covered[index]])) for index in rest]
         best = rest.pop(int(np.argmax(gains)))
-        if max(gains) < _LEAST_GAIN * len(shown[best]):
+        if max(gains) < _LEAST_GAIN * len(covered[best]):
             break
-        bare[shown[best]] = False
+        uncovered[covered[best]] = False
         added.append(best)
     return added
 
 
-def _shown(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
-    """Facets whose middles lie on a maplet."""
+def _facets_on(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
+    """Return the facets whose middles lie on a maplet."""
     reach_m = np.sqrt(3.0) * database.half_m + database.spacing_m
     near = np.asarray(surface.tree.query_ball_point(database.centres_m[index], reach_m), dtype=np.int64)
     return near[database.contains(index, surface.centroids_m[near])]

@@ -1,4 +1,4 @@
-"""A data base of maplets: patches of heights and albedo on local planes, and how it is stored."""
+"""The data base of maplets, patches of heights and albedo on local planes, and its file format."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _LEAST_STEP_M = 0.01
 _NOTHING = np.iinfo(np.int16).min
 _MOST_STEPS = np.iinfo(np.int16).max
 _ALBEDO_STEPS = np.iinfo(np.uint16).max
-_OVERLAP = 3.0
-_SAME_SURFACE = 1.5
+_OVERLAP = 3.0  # steps of the grid by which maplets overlap in the common mesh
+_SAME_SURFACE = 1.5  # largest height, in steps of the grid, of a point that counts as on a maplet
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class MapletDatabase:
     albedo
         (N, S, S) factor on the reflectance, or None for 1 everywhere.
     provenance
-        How it was made: values that JSON can hold.
+        Origin and options, as JSON values.
 
     Raises
     ------
@@ -87,12 +87,12 @@ class MapletDatabase:
 
     @property
     def side(self) -> int:
-        """S."""
+        """Number of nodes along each side, S."""
         return int(self.heights_m.shape[-1])
 
     @property
     def half_m(self) -> float:
-        """From the centre of a maplet to its edge."""
+        """Distance from the centre of a maplet to its edge, m."""
         return 0.5 * (self.side - 1) * self.spacing_m
 
     @property
@@ -123,7 +123,7 @@ class MapletDatabase:
         )
 
     def contains(self, index: int, points_m: FloatArray) -> NDArray[np.bool_]:
-        """Tell whether points of the surface (P, 3) lie on one maplet: above its grid, off its rim, at its height."""
+        """Return whether points (P, 3) lie on one maplet: above its grid without the rim, and at its height."""
         local = (points_m - self.centres_m[index]) @ self.axes[index].T
         inside = np.abs(local[:, :2]).max(axis=1, initial=0.0) <= self.half_m - self.spacing_m
         grid = np.round(local[:, :2] / self.spacing_m).astype(np.int64) + self.side // 2
@@ -133,10 +133,10 @@ class MapletDatabase:
         return found
 
     def mesh(self) -> TriangleMesh:
-        """Span one mesh over all maplets, which overlap by one or two steps of the grid.
+        """Return one mesh over all maplets, which overlap by one or two steps of the grid.
 
-        Where several maplets show the same surface, the one counts whose centre is nearest: surfaces of slightly
-        different heights would throw shadows on each other.
+        Where several maplets cover the same surface, the one with the nearest centre is used: layers of slightly
+        different heights would cast shadows on each other.
         """
         nodes = self.nodes_m
         kept = self._own_nodes(nodes)
@@ -150,7 +150,7 @@ class MapletDatabase:
         return TriangleMesh(nodes.reshape(-1, 3)[used], faces.reshape(-1, 3).astype(np.int32), albedo)
 
     def _own_nodes(self, nodes_m: FloatArray) -> NDArray[np.bool_]:
-        """Nodes (N, S, S) that no maplet with a nearer centre shows, and those within the overlap beside them."""
+        """Mask (N, S, S) of nodes that no maplet with a nearer centre covers, widened by the overlap."""
         kept = np.isfinite(self.heights_m)
         reach_m = 2.0 * np.sqrt(3.0) * self.half_m
         pairs = cKDTree(self.centres_m).query_pairs(reach_m, output_type="ndarray")
@@ -166,8 +166,8 @@ class MapletDatabase:
     def save(self, folder: Path) -> None:
         """Write ``maplets.npz`` into ``folder``, which is made if absent.
 
-        Heights are whole steps in 16 bits, attitudes quaternions (w, x, y, z), albedo 16 bits of its greatest value. A
-        step is a centimetre, doubled until the largest height fits.
+        Heights are integer steps in 16 bits, see `height_step_m`; attitudes are quaternions (w, x, y, z); albedo is in
+        16-bit fractions of its maximum.
         """
         step_m = height_step_m(float(np.nanmax(np.abs(self.heights_m))))
         steps = np.round(self.heights_m / step_m)
@@ -193,7 +193,7 @@ class MapletDatabase:
         Raises
         ------
         BoresightError
-            If the file is missing or its content is wrong; the message names it.
+            If the file is missing or its content is wrong; the message gives its path.
         """
         return _ARCHIVE.load(folder, cls._made)
 
@@ -207,5 +207,5 @@ class MapletDatabase:
 
 
 def height_step_m(largest_m: float) -> float:
-    """Return what heights up to ``largest_m`` are stored in whole steps of: a centimetre, doubled until they fit."""
+    """Return the step for storing heights up to ``largest_m`` in 16 bits: a centimetre, doubled until they fit."""
     return _LEAST_STEP_M * 2.0 ** math.ceil(math.log2(max(1.0, largest_m / (_MOST_STEPS * _LEAST_STEP_M))))

@@ -1,4 +1,4 @@
-"""All visible maplets of one rendering, found in the observed image."""
+"""Match the visible maplets of a rendering with the observed image."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from estimators.contract import ImageRenderer
-from estimators.landmark.centroid import MeshView
+from estimators.landmark.alignment import MeshView
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from estimators.landmark.pose.posterior import window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import shared_pixels
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
-from estimators.maplets.correlation import Displacement, correlate_window
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
 from estimators.maplets.visibility import Windows, body_mask, visible_windows
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
@@ -27,23 +26,25 @@ FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 _LEAST_PIXELS = 60
-_CAPTURE_PX = 1.5
-_PEAK_PX = 1.0  # room for a parabola at the end of the search
+_LARGEST_SHIFT_PX = 1.5  # of the least-squares refinement, which is linearised about zero
+_PEAK_PX = 1.0  # margin for the fit of the peak at the edge of the search
 
 
 class MatchingOptions(SpecModel):
-    """How maplets are looked for."""
+    """Options of matching maplets."""
 
     window_px: tuple[int, int] = Field((8, 32), description="Least and largest half width of a window")
-    margin_px: int = Field(2, ge=0, le=100, description="Pixels along the outline of the body that do not count")
-    search_sigma: float = Field(3.0, gt=0, le=10, description="Reach of the search in standard deviations")
-    search_px: int = Field(40, ge=2, le=500, description="Largest reach of the search")
-    correlation_min: float = Field(0.4, ge=0, lt=1, description="Least correlation of a maplet that is found")
+    margin_px: int = Field(2, ge=0, le=100, description="Unused margin along the body's outline, pixels")
+    search_sigma: float = Field(3.0, gt=0, le=10, description="Radius of the search in standard deviations")
+    search_px: int = Field(40, ge=2, le=500, description="Largest radius of the search, pixels")
+    correlation_min: float = Field(0.4, ge=0, lt=1, description="Least correlation of a match")
     blur_px: float = Field(0.7, gt=0, le=10, description="Smoothing of both images before the refinement")
-    dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level do not count")
-    noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the pictures hold together")
+    dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level are unused")
+    noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the images are correlated")
     height_sigma_m: float = Field(0.2, ge=0, description="Standard deviation of the mean onboard height of a maplet")
-    systematic_px: float = Field(0.15, ge=0, description="Standard deviation of what moves a whole window, each axis")
+    systematic_px: float = Field(
+        0.15, ge=0, description="Standard deviation of systematic errors of a window, each axis"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -54,9 +55,9 @@ class MatchingOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletScene:
-    """A data base with renderers of the mesh over all its maplets, and that mesh's vertices (V, 3).
+    """A data base with renderers of the mesh over all its maplets, and the mesh's vertices (V, 3).
 
-    ``quick`` takes one sample a pixel: enough to see where the body is.
+    ``quick`` renders with one sample per pixel, which suffices for the alignment.
     """
 
     database: MapletDatabase
@@ -66,19 +67,19 @@ class MapletScene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """One rendering of the data base.
+class MapletRendering:
+    """A rendering of the data base.
 
     Parameters
     ----------
     database, camera, T_cam_body
-        What was rendered, how and from where.
+        The data base, and the camera and pose that it was rendered with.
     signal
-        (H, W), bright level 1.
+        (H, W) rendered signal, bright level 1.
     on_body
         (H, W) pixels well within the outline.
     windows
-        Visible maplets.
+        Windows of the visible maplets.
     """
 
     database: MapletDatabase
@@ -101,8 +102,8 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """Maplets that were found.
+class MapletMatches:
+    """Maplets matched with an image.
 
     Parameters
     ----------
@@ -111,9 +112,9 @@ class Found:
     uv_px
         (M, 2) where their anchors are in the observed image.
     covariances_px2
-        (M, 2, 2) of those positions, the uncertainty of the onboard heights included.
+        (M, 2, 2) covariances of those positions, including the uncertainty of the onboard heights.
     correlation
-        (M,) of the pictures.
+        (M,) correlation coefficients of the windows.
     shared
         (M, M) share of the pixels that each two windows have in common.
     height_sigma_m
@@ -131,13 +132,13 @@ class Found:
         return len(self.maplet)
 
 
-def take_picture(
+def render_maplets(
     scene: MapletScene, camera: Camera, T_cam_body: Pose, sun_dir_cam: FloatArray, options: MatchingOptions
-) -> Picture:
-    """Render the data base and find what of it can be seen."""
+) -> MapletRendering:
+    """Render the data base and find its visible maplets."""
     rendered = MeshView(camera, scene.renderer, sun_dir_cam).render(T_cam_body)
     database, vertices_m = scene.database, scene.vertices_m
-    return Picture(
+    return MapletRendering(
         database,
         camera,
         T_cam_body,
@@ -147,8 +148,10 @@ def take_picture(
     )
 
 
-def capture(observed: Image, seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> Found:
-    """Find maplets anywhere within the uncertainty (6, 6) of the pose, by correlation, to some tenths of a pixel."""
+def match_by_correlation(
+    observed: Image, seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions
+) -> MapletMatches:
+    """Match maplets within the uncertainty (6, 6) of the pose by correlation, to some tenths of a pixel."""
     reach = _reach_px(seen, uncertainty, options)
     usable = seen.on_body.astype(np.float32)
 
@@ -161,20 +164,20 @@ def capture(observed: Image, seen: Picture, uncertainty: FloatArray, options: Ma
     return _collect(seen, seen.on_body, search, options)
 
 
-def refine(observed: Image, seen: Picture, options: MatchingOptions) -> Found:
-    """Find maplets that are already within a pixel of their place, as exactly as the pictures allow."""
+def match_by_least_squares(observed: Image, seen: MapletRendering, options: MatchingOptions) -> MapletMatches:
+    """Match maplets that are within a pixel of their predicted position by least squares, to hundredths of a pixel."""
     pair = make_pair(observed, seen.signal, seen.on_body, options.blur_px, options.dark)
 
     def solve(index: int, window: tuple[slice, slice]) -> Displacement | None:
         del index
         found = refine_window(pair, window, options.noise_px2)
-        return found if found is not None and np.abs(found.shift_px).max() <= _CAPTURE_PX else None
+        return found if found is not None and np.abs(found.shift_px).max() <= _LARGEST_SHIFT_PX else None
 
     return _collect(seen, pair.usable, solve, options)
 
 
-def _reach_px(seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
-    """(M, 2) reach of the search for each window, from the uncertainty of the pose."""
+def _reach_px(seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
+    """Radius (M, 2) of the search for each window, from the uncertainty of the pose."""
     n = len(seen.windows)
     if n < MIN_LANDMARKS:
         return np.ones((n, 2), dtype=np.int64)
@@ -186,12 +189,12 @@ def _reach_px(seen: Picture, uncertainty: FloatArray, options: MatchingOptions) 
 
 
 def _collect(
-    seen: Picture,
+    seen: MapletRendering,
     usable: NDArray[np.bool_],
     locate: Callable[[int, tuple[slice, slice]], Displacement | None],
     options: MatchingOptions,
-) -> Found:
-    """Locate every window with enough usable pixels and keep those that are found."""
+) -> MapletMatches:
+    """Locate the windows with enough usable pixels; keep those with sufficient correlation."""
     kept: list[tuple[int, Displacement]] = []
     for index in range(len(seen.windows)):
         window = seen.windows.slices(index)
@@ -205,11 +208,11 @@ def _collect(
         "nij,nj->ni", seen.point_jacobian[rows], seen.database.axes[seen.windows.maplet[rows], 2]
     )
     matched = np.array([found.covariance_px2 for _, found in kept]).reshape(-1, 2, 2)
-    return Found(
+    return MapletMatches(
         seen.windows.maplet[rows],
         seen.windows.uv_px[rows] + np.array([found.shift_px for _, found in kept]).reshape(-1, 2),
         matched + by_height[:, :, None] * by_height[:, None, :] + options.systematic_px**2 * np.eye(2),
         np.array([found.correlation for _, found in kept]),
-        shared_pixels(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),
+        window_overlap(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),
         options.height_sigma_m,
     )

@@ -1,4 +1,4 @@
-"""Navigation by maplets as an estimator: from the prior through rendering and correlation to the pose."""
+"""The estimator ``lmaps``: navigation by maplets that are rendered and matched with the image."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, Stage
-from estimators.image import image_fault
-from estimators.landmark.alignment import correlation_pair
-from estimators.landmark.centroid import AlignmentOptions, MeshView, align_translation
-from estimators.landmark.matching import inverse_2x2
-from estimators.landmark.pose.posterior import Prior, solve_map
+from estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
+from estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
+from estimators.landmark.matching import inverse_2x2, point_columns
+from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import observed_signal
 from estimators.maplets.build import MapletOptions
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.matching import MapletScene, MatchingOptions, capture, refine, take_picture
-from estimators.maplets.report import Fit, Recognition, maplet_table
+from estimators.maplets.matching import (
+    MapletMatches,
+    MapletScene,
+    MatchingOptions,
+    match_by_correlation,
+    match_by_least_squares,
+    render_maplets,
+)
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -36,8 +38,77 @@ PRODUCT = "maplets"
 _ACROSS = slice(3, 5)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MapletFit:
+    """One round: the matched maplets and the pose from them."""
+
+    found: MapletMatches
+    posterior: Posterior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapletRecognition:
+    """All intermediate results of recognition in one image.
+
+    Parameters
+    ----------
+    stages
+        Poses after alignment, correlation and refinement, as far as they were reached.
+    fits
+        Rounds of matching and solving: by correlation first, then by least squares.
+    timings_s
+        Wall time by stage.
+    failure
+        Reason why there is no pose; empty if there is one.
+    """
+
+    stages: tuple[Stage, ...]
+    fits: tuple[MapletFit, ...]
+    timings_s: Mapping[str, float]
+    failure: str = ""
+
+
+def maplet_table(fit: MapletFit, database: MapletDatabase, camera: Camera) -> Table:
+    """Return the table of a round's matched maplets, one row each.
+
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (observed position of its anchor), ``correlation``,
+    ``d2_px`` (weighted squared distance to the anchor at the estimated pose), ``x_m, y_m, z_m`` (the anchor) and
+    ``sxx_m2 ... szz_m2`` (covariance of the surface point at that pixel, about the anchor).
+    """
+    found = fit.found
+    table: dict[str, NDArray[np.generic]] = {
+        "landmark": found.maplet,
+        "u_px": found.uv_px[:, 0],
+        "v_px": found.uv_px[:, 1],
+        "correlation": found.correlation,
+        "d2_px": fit.posterior.d2,
+    }
+    return table | point_columns(database.anchors_m[found.maplet], surface_covariances(fit, database, camera))
+
+
+def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera) -> FloatArray:
+    """Covariances (M, 3, 3), body frame, m^2, of the surface points at the observed positions of the anchors.
+
+    A displacement in the image moves the point in the plane of its maplet: across the line of sight by its size, and
+    along it according to the slope of the plane. Normal to the plane the variance is that of the heights.
+    """
+    pose, maplet = fit.posterior.T_cam_body, fit.found.maplet
+    points = pose.transform(database.anchors_m[maplet])
+    normals = pose.rotate(database.axes[maplet, 2])
+    sight = points / np.linalg.norm(points, axis=1, keepdims=True)
+    across = np.zeros((len(maplet), 3, 2))
+    across[:, 0, 0], across[:, 1, 1] = points[:, 2] / camera.fx_px, points[:, 2] / camera.fy_px
+    slope = np.einsum("ni,nij->nj", normals, across) / np.einsum("ni,ni->n", normals, sight)[:, None]
+    in_plane = across - sight[:, :, None] * slope[:, None, :]
+    in_image = fit.posterior.scale2 * fit.found.covariances_px2
+    height = fit.found.height_sigma_m**2 * normals[:, :, None] * normals[:, None, :]
+    in_camera = in_plane @ in_image @ np.swapaxes(in_plane, 1, 2) + height
+    covariances: FloatArray = pose.rotation.T @ in_camera @ pose.rotation
+    return covariances
+
+
 class MapletsOptions(SpecModel):
-    """Options of the estimator."""
+    """Options of ``lmaps``."""
 
     maplets: MapletOptions = MapletOptions()
     samples_per_pixel: int = Field(4, ge=1, le=64, description="Samples of a rendered pixel, a square number")
@@ -45,66 +116,62 @@ class MapletsOptions(SpecModel):
     alignment_sigma_px: float = Field(3.0, gt=0, description="Standard deviation of the aligned position, each axis")
     matching: MatchingOptions = MatchingOptions()
     tolerance_px: float = Field(0.05, gt=0, description="Done when no maplet moves by more between two renderings")
-    max_rounds: int = Field(4, ge=1, le=100, description="Renderings for the refinement, after that for the capture")
+    max_rounds: int = Field(
+        4, ge=1, le=100, description="Most renderings for the refinement, after the one for the correlation"
+    )
 
 
-def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> Recognition:
+def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> MapletRecognition:
     """Run all stages on one image.
 
     Raises
     ------
     BoresightError
-        If the image is not of the camera's size.
+        If the image does not have the camera's size.
     """
     clock = Stopwatch()
     stages: list[Stage] = []
 
-    def failed(why: str) -> Recognition:
-        return Recognition(tuple(stages), (), clock.seconds, why)
+    def failed(why: str) -> MapletRecognition:
+        return MapletRecognition(tuple(stages), (), clock.seconds, why)
 
-    fault = image_fault(frame, camera)
-    if fault:
-        return failed(fault)
-    with clock("centroid"):
-        observed = extract_signal(frame.image)
-    if observed.empty:
-        return failed("the image is black: nothing above its background")
+    observed = observed_signal(frame, camera, clock)
+    if isinstance(observed, str):
+        return failed(observed)
     view = MeshView(camera, scene.quick, frame.sun_dir_cam)
-    aligned = align_translation(
-        observed.image, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock
-    )
+    aligned = align_translation(observed, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock)
     if aligned.failure:
         return failed(aligned.failure)
     stages.append(Stage("alignment", aligned.T_cam_body))
-    return _rounds(observed.image, frame, aligned.T_cam_body, _Bench(camera, scene, options, clock), stages)
+    return _rounds(observed, frame, aligned.T_cam_body, _FitContext(camera, scene, options, clock), stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bench:
-    """What all rounds share."""
+class _FitContext:
+    """The camera, maplets, options and clock that all rounds share."""
 
     camera: Camera
     scene: MapletScene
     options: MapletsOptions
     clock: Stopwatch
 
-    def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> Fit | str:
-        """Render, correlate and solve once; without an ``uncertainty`` the maplets are refined where they are."""
+    def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> MapletFit | str:
+        """Render, match and solve once: by correlation within an ``uncertainty``, or by least squares without one."""
         matching = self.options.matching
         with self.clock("mesh_rendering"):
-            seen = take_picture(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
+            seen = render_maplets(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
         with self.clock("correlation"):
             if uncertainty is None:
-                found = refine(observed, seen, matching)
+                found = match_by_least_squares(observed, seen, matching)
             else:
-                found = capture(observed, seen, uncertainty, matching)
+                found = match_by_correlation(observed, seen, uncertainty, matching)
         if len(found) < MIN_LANDMARKS:
             return f"{len(found)} of {len(seen.windows)} maplets found, {MIN_LANDMARKS} needed"
         with self.clock("recognition"):
             anchors_m = self.scene.database.anchors_m[found.maplet]
             problem = PoseProblem(anchors_m, found.uv_px, inverse_2x2(found.covariances_px2), self.camera)
-            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
-            return Fit(found, solve_map(problem, prior, pose, found.shared))
+            prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
+            return MapletFit(found, solve_map(problem, prior, pose, found.shared))
 
     def motion_px(self, before: Pose, after: Pose) -> float:
         """Return the largest motion of a maplet in the image between two poses."""
@@ -113,30 +180,31 @@ class _Bench:
         return float(np.nanmax(np.linalg.norm(motion, axis=1)))
 
 
-def _rounds(observed: Image, frame: Frame, start: Pose, bench: _Bench, stages: list[Stage]) -> Recognition:
-    """Capture, then refine until the pose holds still."""
+def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, stages: list[Stage]) -> MapletRecognition:
+    """Match by correlation, then by least squares until the pose no longer changes."""
     uncertainty = np.array(frame.prior_covariance)
     range_m = float(np.linalg.norm(start.translation_m))
-    aligned_m2 = (bench.options.alignment_sigma_px * bench.camera.pixel_angle_rad * range_m) ** 2
+    aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
+    # Across the line of sight the alignment replaces the prior where it is more accurate.
     uncertainty[_ACROSS, _ACROSS] = np.diag(np.minimum(np.diag(uncertainty)[_ACROSS], aligned_m2))
-    fits: list[Fit] = []
+    fits: list[MapletFit] = []
     pose = start
-    for _ in range(1 + bench.options.max_rounds):
-        fit = bench.fit(observed, frame, pose, None if fits else uncertainty)
+    for _ in range(1 + context.options.max_rounds):
+        fit = context.fit(observed, frame, pose, None if fits else uncertainty)
         if isinstance(fit, str):
-            return Recognition(tuple(stages), tuple(fits), bench.clock.seconds, fit)
+            return MapletRecognition(tuple(stages), tuple(fits), context.clock.seconds, fit)
         before, pose = pose, fit.posterior.T_cam_body
         fits.append(fit)
         if len(fits) == 1:
             stages.append(Stage("correlation", pose))
-        elif bench.motion_px(before, pose) < bench.options.tolerance_px:
+        elif context.motion_px(before, pose) < context.options.tolerance_px:
             break
     stages.append(Stage("recognition", pose))
-    return Recognition(tuple(stages), tuple(fits), bench.clock.seconds)
+    return MapletRecognition(tuple(stages), tuple(fits), context.clock.seconds)
 
 
 class MapletNavigator:
-    """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated."""
+    """Matches maplets of the onboard shape, rendered at the predicted pose and Sun, with the image."""
 
     name: ClassVar[str] = "lmaps"
     version: ClassVar[int] = 2
@@ -149,19 +217,17 @@ class MapletNavigator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its maplets."""
         parsed = parse_options(MapletsOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.maplets.model_dump(mode="json"))
-        if not isinstance(database, MapletDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = typed_product(assets, PRODUCT, parsed.maplets, MapletDatabase, cls.name)
         mesh = database.mesh()
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
         return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)
 
-    def recognise(self, frame: Frame, camera: Camera) -> Recognition:
-        """Run on a frame and keep all intermediate results."""
+    def recognise(self, frame: Frame, camera: Camera) -> MapletRecognition:
+        """Recognise the maplets of a frame and return all intermediate results."""
         return recognise(frame, camera, self._scene, self._options)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         found = self.recognise(observation.frame, observation.camera)
         reached = Estimate(
@@ -180,7 +246,7 @@ class MapletNavigator:
         )
 
 
-def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
+def _diagnostics(result: MapletRecognition) -> dict[str, float | int | str]:
     if not result.fits:
         return {}
     last = result.fits[-1]

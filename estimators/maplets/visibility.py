@@ -1,4 +1,4 @@
-"""Which maplets can be seen, and which window of the image each fills."""
+"""Find the visible maplets, their windows in the image, and the pixels on the body."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LEAST_COS_EMISSION = 0.25
-_BIN_STEPS = 2.0
-_HIDDEN_STEPS = 10.0
+_BIN_STEPS = 2.0  # side of a bin of the depth map, in steps of the grid
+_HIDDEN_STEPS = 10.0  # an anchor deeper than the nearest surface by this, in steps of the grid, is hidden
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """M maplets in an image.
+    """Windows of M maplets in an image.
 
     Parameters
     ----------
     maplet
         (M,) rows of the data base.
     uv_px
-        (M, 2) their anchors, projected.
+        (M, 2) projected anchors.
     first, last
         (M, 2) column and row of the first pixel of the window, and of the first one after it.
     """
@@ -50,14 +50,14 @@ class Windows:
 def visible_windows(
     database: MapletDatabase, camera: Camera, T_cam_body: Pose, vertices_m: FloatArray, half_px: tuple[int, int]
 ) -> Windows:
-    """Maplets that face the camera, whose anchors are in the image and not hidden, with their windows.
+    """Return the windows of maplets that face the camera and whose anchors are in the image and not hidden.
 
-    A window spans the footprint of its maplet, within limits, about the projected anchor.
+    A window covers the footprint of its maplet about the projected anchor, between a least and a largest size.
 
     Parameters
     ----------
     database, camera, T_cam_body
-        What is seen, how and from where.
+        The maplets, and camera and pose.
     vertices_m
         (V, 3) vertices of the mesh over all maplets, no farther apart than the spacing.
     half_px
@@ -78,7 +78,7 @@ def visible_windows(
 
 
 def _reach_px(database: MapletDatabase, camera: Camera, T_cam_body: Pose, seen: IntArray) -> FloatArray:
-    """(M, 2) largest distance of a point of the reference plane from its centre, along columns and rows."""
+    """Half size (M, 2) in px of the projected reference planes, along columns and rows."""
     corner = database.half_m * np.array([[1.0, 1.0], [1.0, -1.0]])
     planes = T_cam_body.rotate(database.axes[seen, :2].reshape(-1, 3)).reshape(-1, 2, 3)
     reach_m = np.abs(np.einsum("ck,nkj->ncj", corner, planes)[..., :2]).max(axis=1)
@@ -88,7 +88,7 @@ def _reach_px(database: MapletDatabase, camera: Camera, T_cam_body: Pose, seen: 
 
 
 def _nearest_depth(points_cam_m: FloatArray, anchors_cam_m: FloatArray, camera: Camera, step_px: float) -> FloatArray:
-    """(M,) depth of the nearest point in the bin of each anchor; bins are so large that the surface has no holes."""
+    """Depth (M,) of the nearest point in the bin of each anchor; bins are large enough to leave no holes."""
     shape = (int(np.ceil(camera.height_px / step_px)) + 2, int(np.ceil(camera.width_px / step_px)) + 2)
     depth = np.full(shape, np.inf)
     np.minimum.at(depth, _bins(camera.project(points_cam_m), step_px, shape), points_cam_m[:, 2])
@@ -97,7 +97,7 @@ def _nearest_depth(points_cam_m: FloatArray, anchors_cam_m: FloatArray, camera: 
 
 
 def _bins(uv_px: FloatArray, step_px: float, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
-    """Row and column of each point's bin; what is out of the image goes to the margin."""
+    """Row and column of each point's bin; points outside the image fall in the bins of the margin."""
     index = np.nan_to_num(np.floor(uv_px / step_px), nan=-1.0)
     column, row = (np.clip(index[:, axis], -1, shape[1 - axis] - 2).astype(np.int64) + 1 for axis in (0, 1))
     return row, column
@@ -108,8 +108,8 @@ def body_mask(
 ) -> NDArray[np.bool_]:
     """(H, W) pixels on the body and at least ``margin_px`` within its outline.
 
-    The outline itself is of no use: the rough surface of the truth rises above a smoother onboard shape everywhere
-    along it, so that the body looks too large.
+    The outline itself is not used: there the true, rougher surface rises above the smoother onboard shape, so that the
+    body appears too large.
     """
     uv = camera.project(T_cam_body.transform(vertices_m))
     pixel = np.floor(uv[camera.contains(uv)]).astype(np.int64)

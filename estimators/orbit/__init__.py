@@ -1,1 +1,1 @@
-"""Orbit determination by craters after Cheng et al. (2003): a batch filter of images and radiometric data."""
+"""Orbit determination from crater sightings: the batch filter of Cheng et al. (2003) with radiometric data."""

@@ -1,4 +1,4 @@
-"""The state of a solution between the steps of the filter: which sightings count, under which landmark, and where."""
+"""The state of the batch filter between its adjustments, and the data arc that each adjustment uses."""
 
 from __future__ import annotations
 
@@ -7,37 +7,40 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.orbit.model import Measurements, Model, Unknowns, measurements
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
-from estimators.orbit.rays import Rays, agreeing, triangulated
-from estimators.orbit.solve import Adjusted, Limits, Prior, Robust, adjust
+from estimators.orbit.kernels import consistent_rays
+from estimators.orbit.model import MeasurementModel, Measurements, Unknowns, measurements_until
+from estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_LEAST_SEEN = 2
-_LEAST_SECOND = 3
+# Weight of the a priori position, against 1 for each line of sight: it fixes a point only where rays are parallel.
+_ANCHOR_WEIGHT = 1e-4
+_MIN_SIGHTINGS_OF_LANDMARK = 2
+_MIN_SECOND_RAYS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """What is believed so far.
+class BatchState:
+    """Estimates, and the assignment of sightings to landmarks, between two adjustments.
 
     Parameters
     ----------
     x
-        Shared unknowns.
+        (n,) shared unknowns, as `ParameterLayout` orders them.
     tilts
-        (I, 2) of all images, 0 where they have not been estimated.
+        (I, 2) pan and tilt of all images, rad; 0 where they have not been estimated.
     points
-        (L, 3) landmarks, body axes, NaN where one has no place yet; more of them than numbers after a split.
+        (L, 3) landmarks, m, body axes; NaN where one has no position yet. There are more of them than landmark numbers
+        once numbers have been split.
     numbering
-        (K,) row of the landmark of every sighting.
+        (K,) row of the landmark of each sighting.
     kept
-        (K,) sightings that count.
+        (K,) whether a sighting is used; False where it was edited.
     """
 
     x: FloatArray
@@ -47,8 +50,8 @@ class Solution:
     kept: BoolArray
 
     @classmethod
-    def begin(cls, data: OrbitData, layout: Layout) -> Solution:
-        """Believe what is known before; landmarks have no place until they are seen."""
+    def initial(cls, data: OrbitData, layout: ParameterLayout) -> BatchState:
+        """Start from the a priori values; landmarks have no position until they are triangulated."""
         numbering = np.searchsorted(np.sort(data.landmarks.numbers), data.pictures.landmark)
         rows = np.argsort(data.landmarks.numbers)[numbering].astype(np.int64)
         nowhere = np.full((len(data.landmarks.numbers), 3), np.nan)
@@ -57,61 +60,65 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
-    """The part of the data that ends at a time, laid out for the adjustment.
+class DataArc:
+    """The data up to an epoch, arranged for the adjustment.
 
     Parameters
     ----------
     data, layout, options
         Of the whole problem.
     model
-        Of the arc.
+        Predicts the measurements of the arc.
     rows
-        (K',) rows of ``data.pictures`` that its sightings came from.
+        (K',) rows of ``data.pictures`` of its sightings.
     landmarks
-        (L',) rows of the solution's landmarks that it has.
+        (L',) rows of its landmarks in the state.
     """
 
     data: OrbitData
-    layout: Layout
+    layout: ParameterLayout
     options: OrbitOptions
-    model: Model
+    model: MeasurementModel
     rows: IndexArray
     landmarks: IndexArray
 
     @classmethod
-    def until(cls, data: OrbitData, layout: Layout, options: OrbitOptions, solution: Solution, end_s: float) -> Arc:
-        """Take all sightings that count of landmarks that are seen twice."""
+    def until(
+        cls, data: OrbitData, layout: ParameterLayout, options: OrbitOptions, solution: BatchState, end_s: float
+    ) -> DataArc:
+        """Take all kept sightings up to ``end_s`` of landmarks with at least two of them."""
         pictures = data.pictures
         here = solution.kept & (pictures.times_s[pictures.image] <= end_s)
         seen = np.bincount(solution.numbering[here], minlength=len(solution.points))
-        here &= seen[solution.numbering] >= _LEAST_SEEN
-        landmarks = np.flatnonzero(seen >= _LEAST_SEEN)
+        here &= seen[solution.numbering] >= _MIN_SIGHTINGS_OF_LANDMARK
+        landmarks = np.flatnonzero(seen >= _MIN_SIGHTINGS_OF_LANDMARK)
         compact = np.full(len(solution.points), -1, dtype=np.int64)
         compact[landmarks] = np.arange(len(landmarks))
-        measured, rows = measurements(data, end_s, compact[solution.numbering], here, options.radiometry == "used")
-        return cls(data, layout, options, Model(layout, measured), rows, landmarks)
+        measured, rows = measurements_until(
+            data, end_s, compact[solution.numbering], here, options.radiometry == "used"
+        )
+        return cls(data, layout, options, MeasurementModel(layout, measured), rows, landmarks)
 
     @property
     def measured(self) -> Measurements:
-        """What is measured."""
+        """Return the measurements of the arc."""
         return self.model.measured
 
-    def rays(self, x: FloatArray, tilts: FloatArray) -> Rays:
-        """Turn sightings into lines in body axes."""
+    def rays(self, x: FloatArray, tilts: FloatArray) -> LinesOfSight:
+        """Convert the sightings to lines of sight in body axes."""
         measured, camera = self.measured, self.layout.knowledge.camera
         unknowns = Unknowns(x, tilts[: len(measured.times_s)], np.zeros((0, 3)))
-        positions = self.model.fly(x).states[measured.image_epoch, :3]
+        positions = self.model.propagate(x).states[measured.image_epoch, :3]
         seen = (measured.uv_px - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
         rays = np.column_stack([seen / (1.0 + self.layout.focal(x)), np.ones(len(seen))])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         turns = measured.R_body_inertial[measured.image]
         attitudes = self.model.attitudes(unknowns)[measured.image]
         directions = np.einsum("kij,klj,kl->ki", turns, attitudes, rays)
-        return Rays(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
+        return LinesOfSight(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
 
-    def unknowns(self, solution: Solution) -> Unknowns:
-        """Begin with the solution; landmarks that have no place yet get one by their lines of sight."""
+    def unknowns(self, solution: BatchState) -> Unknowns:
+        """Return the starting values of an adjustment; landmarks without a position are triangulated."""
         points = solution.points[self.landmarks].copy()
         new = np.isnan(points[:, 0])
         if new.any():
@@ -119,11 +126,13 @@ class Arc:
             anchors = np.zeros((len(self.data.landmarks.numbers), 3))
             anchors[:] = self.data.landmarks.positions_body_m
             anchor = anchors[np.minimum(self.landmarks, len(anchors) - 1)]
-            points[new] = triangulated(rays, self.measured.point, anchor)[new]
+            prior = np.tile(_ANCHOR_WEIGHT * np.eye(3), (len(anchor), 1, 1)), _ANCHOR_WEIGHT * anchor
+            matrix, right = triangulation_equations(rays, self.measured.point, prior)
+            points[new] = np.linalg.solve(matrix, right[..., None])[new, :, 0]
         return Unknowns(solution.x, solution.tilts[: len(self.measured.times_s)], points)
 
-    def prior(self) -> Prior:
-        """Return what is known of the landmarks before, where that is to count."""
+    def prior(self) -> LandmarkPrior:
+        """Return the prior of the landmarks: that of the landmark file, or none (information 0) if they are free."""
         listed = self.data.landmarks
         information = np.zeros(len(self.landmarks))
         points = np.zeros((len(self.landmarks), 3))
@@ -131,10 +140,12 @@ class Arc:
         points[old] = listed.positions_body_m[self.landmarks[old]]
         if self.options.landmarks == "prior":
             information[old] = listed.sigma_m[self.landmarks[old]] ** -2.0
-        return Prior(points, information)
+        return LandmarkPrior(points, information)
 
-    def adjusted(self, solution: Solution, robust: Robust, limits: Limits) -> tuple[Solution, Adjusted]:
-        """Adjust the solution to the arc."""
+    def adjust(
+        self, solution: BatchState, robust: HuberLoss, limits: StoppingCriteria
+    ) -> tuple[BatchState, GaussNewtonResult]:
+        """Adjust the state to the arc."""
         found = adjust(self.model, self.prior(), self.unknowns(solution), robust, limits)
         unknowns = found.linear.unknowns
         tilts, points = solution.tilts.copy(), solution.points.copy()
@@ -142,16 +153,17 @@ class Arc:
         points[self.landmarks] = unknowns.points
         return replace(solution, x=unknowns.x, tilts=tilts, points=points), found
 
-    def split(self, solution: Solution, scale: float) -> tuple[Solution, int]:
-        """Leave out sightings that do not meet those of their number, and give a new one to those that meet elsewhere.
+    def split(self, solution: BatchState, scale: float) -> tuple[BatchState, int]:
+        """Edit sightings whose ray misses the others of its landmark, and split numbers given to two craters.
 
+        The largest set of rays that meet keeps the number; a second set that meets elsewhere becomes a new landmark.
         Also returns how many numbers were split.
         """
         measured, known = self.measured, self.layout.knowledge
         rays = self.rays(solution.x, solution.tilts)
         sigma = np.hypot(measured.sigma_px * known.camera.pixel_angle_rad, known.attitude_sigma_rad)
-        groups = agreeing(
-            rays.origins, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _LEAST_SECOND
+        groups = consistent_rays(
+            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _MIN_SECOND_RAYS
         )
         numbering, kept = solution.numbering.copy(), solution.kept.copy()
         kept[self.rows[groups < 0]] = False

@@ -1,4 +1,4 @@
-"""The batch filter: an arc that grows, wrong sightings edited, split numbers, a solution accepted or not."""
+"""The batch filter: adjustment of a growing arc, splitting of landmark numbers, editing, and acceptance."""
 
 from __future__ import annotations
 
@@ -11,45 +11,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
-from estimators.orbit.arc import Arc, Solution
+from estimators.orbit.arc import BatchState, DataArc
 from estimators.orbit.contract import Orbit, OrbitEstimate
-from estimators.orbit.model import Model, Unknowns, fly, measurements, motion_by_shared
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
-from estimators.orbit.solve import Adjusted, Limits, Robust
+from estimators.orbit.model import MeasurementModel, Unknowns, measurements_until, propagate_orbit, state_derivatives
+from estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from estimators.orbit.solve import GaussNewtonResult, HuberLoss, StoppingCriteria
 from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
 
 _DAY_S = 86_400.0
-_LEAST_SQUARES = Robust(np.inf, 1.0)
-_RAYLEIGH_MEDIAN = 1.17741
+_MIN_SQUARES = HuberLoss(np.inf, 1.0)
+_RAYLEIGH_MEDIAN = 1.17741  # median length of two standard normal components, sqrt(2 ln 2)
 _COARSE_SHARE, _FINE = 0.01, 0.02
-_MOST_SCALES = 4
-_MOST_EDITS = 4
-_MOST_ATTEMPTS = 2
-_LEAST_SIGHTINGS = 20
+_MAX_SCALES = 4
+_MAX_EDITS = 4
+_MAX_ATTEMPTS = 2
+_MIN_SIGHTINGS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A solution of the whole arc, and how it came about."""
+    """A solution of the whole arc, with the counts of splits and steps."""
 
-    solution: Solution
-    arc: Arc
-    adjusted: Adjusted
+    solution: BatchState
+    arc: DataArc
+    adjusted: GaussNewtonResult
     splits: int
     steps: int
 
     @property
     def edited_share(self) -> float:
-        """Share of all sightings that do not count."""
+        """Return the share of all sightings that were edited."""
         return 1.0 - len(self.arc.rows) / len(self.solution.kept)
 
     @property
     def chi_square(self) -> float:
-        """Of each degree of freedom."""
+        """Return the chi-square per degree of freedom."""
         linear, measured = self.adjusted.linear, self.arc.measured
         free = 2 * len(measured.image) + len(linear.passes.residuals) - 3 * measured.count
         return 2.0 * linear.cost / max(free, 1)
@@ -70,80 +69,80 @@ class BatchFilter:
         return cls(parse_options(OrbitOptions, options, cls.name))
 
     def determine(self, data: OrbitData) -> OrbitEstimate:
-        """Solve; where a solution is rejected, begin anew with the orbit that it has, and smaller steps."""
+        """Determine the orbit; a rejected solution is the start of a second attempt, whose arc grows more slowly."""
         began = time.perf_counter()
-        if len(data.pictures.image) < _LEAST_SIGHTINGS:
-            reason = f"{len(data.pictures.image)} sightings are too few: at least {_LEAST_SIGHTINGS} are needed"
+        if len(data.pictures.image) < _MIN_SIGHTINGS:
+            reason = f"{len(data.pictures.image)} sightings are too few: at least {_MIN_SIGHTINGS} are needed"
             return OrbitEstimate("failed", None, reason, seconds=time.perf_counter() - began)
-        layout = Layout.of(data, self.options)
-        solution, growth = Solution.begin(data, layout), self.options.growth
-        reason, found, told = "", None, {"attempts": 0.0}
-        for _ in range(_MOST_ATTEMPTS):
-            told["attempts"] += 1.0
+        layout = ParameterLayout.of(data, self.options)
+        solution, growth = BatchState.initial(data, layout), self.options.growth
+        reason, found, diagnostics = "", None, {"attempts": 0.0}
+        for _ in range(_MAX_ATTEMPTS):
+            diagnostics["attempts"] += 1.0
             try:
                 fit = self._fit(data, layout, solution, growth)
-                found = _orbit(data, layout, fit)
+                found = _orbit_of_fit(data, layout, fit)
             except (OrbitLostError, np.linalg.LinAlgError) as error:
                 reason, growth = f"the orbit diverged: {error}", 1.0 + 0.5 * (growth - 1.0)
                 continue
-            reason = self._rejected(fit)
-            told |= _diagnostics(layout, fit)
+            reason = self._rejection_reason(fit)
+            diagnostics |= _diagnostics(layout, fit)
             if not reason:
                 break
-            solution = replace(Solution.begin(data, layout), x=fit.solution.x)
+            solution = replace(BatchState.initial(data, layout), x=fit.solution.x)
             growth = 1.0 + 0.5 * (growth - 1.0)
-        return OrbitEstimate("failed" if reason else "ok", found, reason, told, time.perf_counter() - began)
+        return OrbitEstimate("failed" if reason else "ok", found, reason, diagnostics, time.perf_counter() - began)
 
-    def _fit(self, data: OrbitData, layout: Layout, solution: Solution, growth: float) -> _Fit:
-        """Let the arc grow; on the whole of it split, edit and adjust by least squares."""
+    def _fit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState, growth: float) -> _Fit:
+        """Fit a growing arc; then split, edit and adjust the whole arc by least squares."""
         end, steps = float(data.pictures.times_s[-1]), 0
         splits = 0
-        ends = _ends(self.options.first_days * _DAY_S, growth, end)
+        ends = _arc_ends(self.options.first_days * _DAY_S, growth, end)
         for until in ends:
-            arc = Arc.until(data, layout, self.options, solution, until)
-            if len(arc.rows) < _LEAST_SIGHTINGS:
+            arc = DataArc.until(data, layout, self.options, solution, until)
+            if len(arc.rows) < _MIN_SIGHTINGS:
                 continue
-            solution, adjusted, taken = self._loosely(arc, solution)
+            solution, adjusted, taken = self._fit_robustly(arc, solution)
             steps += taken
-            # Over the first arc the orbit is not yet good enough to tell that rays do not meet.
+            # Over the first arc the orbit is too inaccurate to decide that rays do not meet.
             if self.options.split and (until > ends[0] or until == end):
-                solution, found = arc.split(solution, _scale(adjusted))
+                solution, found = arc.split(solution, _residual_scale(adjusted))
                 splits += found
-        arc = Arc.until(data, layout, self.options, solution, end)
-        solution, adjusted, taken = self._loosely(arc, solution)
+        arc = DataArc.until(data, layout, self.options, solution, end)
+        solution, adjusted, taken = self._fit_robustly(arc, solution)
         steps += taken
-        for _ in range(_MOST_EDITS):
-            kept = self._near(data, layout, solution)
+        for _ in range(_MAX_EDITS):
+            kept = self._within_edit_limit(data, layout, solution)
             changed = int((kept != solution.kept).sum())
             solution = replace(solution, kept=kept)
-            arc = Arc.until(data, layout, self.options, solution, end)
-            solution, adjusted = arc.adjusted(solution, _LEAST_SQUARES, Limits(self.options.iterations, _FINE))
+            arc = DataArc.until(data, layout, self.options, solution, end)
+            solution, adjusted = arc.adjust(solution, _MIN_SQUARES, StoppingCriteria(self.options.iterations, _FINE))
             steps += adjusted.steps
             if changed <= 1e-3 * len(kept):
                 break
         return _Fit(solution, arc, adjusted, splits, steps)
 
-    def _loosely(self, arc: Arc, solution: Solution) -> tuple[Solution, Adjusted, int]:
-        """Adjust by Huber's loss, its scale what the residuals are like, until that is what is expected."""
-        scale, steps = _scale_before(arc, solution), 0
-        limits = Limits(self.options.iterations, 1.0, _COARSE_SHARE)
-        for _ in range(_MOST_SCALES):
-            robust = Robust(self.options.huber_sigma, scale)
-            solution, adjusted = arc.adjusted(solution, robust, limits)
+    def _fit_robustly(self, arc: DataArc, solution: BatchState) -> tuple[BatchState, GaussNewtonResult, int]:
+        """Adjust with Huber's loss, scaled by the residuals, until the scale stops decreasing."""
+        scale, steps = _initial_scale(arc, solution), 0
+        limits = StoppingCriteria(self.options.iterations, 1.0, _COARSE_SHARE)
+        for _ in range(_MAX_SCALES):
+            robust = HuberLoss(self.options.huber_sigma, scale)
+            solution, adjusted = arc.adjust(solution, robust, limits)
             steps += adjusted.steps
-            found = _scale(adjusted)
+            found = _residual_scale(adjusted)
             if found > 0.7 * scale:
                 break
             scale = found
         return solution, adjusted, steps
 
-    def _near(self, data: OrbitData, layout: Layout, solution: Solution) -> NDArray[np.bool_]:
-        """(K,): sightings of landmarks with a place that lie within the limit."""
+    def _within_edit_limit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState) -> NDArray[np.bool_]:
+        """Return (K,) which sightings of landmarks with a position have residuals within the editing limit."""
         lengths = _lengths(data, layout, solution)
         return np.asarray(np.nan_to_num(lengths, nan=np.inf) <= self.options.edit_sigma)
 
-    def _rejected(self, fit: _Fit) -> str:
-        """Tell why a solution cannot be believed; '' where it can."""
+    def _rejection_reason(self, fit: _Fit) -> str:
+        """Return why a solution is rejected; '' if it is accepted."""
         if not fit.adjusted.converged:
             return f"rejected: the adjustment did not converge in {self.options.iterations} steps"
         if fit.edited_share > self.options.edited_max:
@@ -153,55 +152,55 @@ class BatchFilter:
         return ""
 
 
-def _ends(first_s: float, growth: float, last_s: float) -> list[float]:
-    """Return the ends of the arcs, the last of which is the whole."""
+def _arc_ends(first_s: float, growth: float, last_s: float) -> list[float]:
+    """Return the ends of the growing arcs, s; the last is that of the whole arc."""
     ends = [first_s]
     while ends[-1] < last_s:
         ends.append(ends[-1] * growth)
-    # An arc that is all but the whole is left out.
+    # An arc nearly as long as the whole one costs as much and adds nothing.
     while len(ends) > 1 and ends[-2] > last_s / 1.3:
         ends.pop()
     return [*ends[:-1], last_s]
 
 
-def _scale(adjusted: Adjusted) -> float:
-    """Robust scale of the residuals, in their sigmas; 1 at least."""
+def _residual_scale(adjusted: GaussNewtonResult) -> float:
+    """Return the robust scale of the residuals in units of their sigmas; at least 1."""
     return max(1.0, float(np.median(adjusted.linear.lengths)) / _RAYLEIGH_MEDIAN)
 
 
-def _scale_before(arc: Arc, solution: Solution) -> float:
-    """Return the same before any step."""
+def _initial_scale(arc: DataArc, solution: BatchState) -> float:
+    """Return the same scale before the first step."""
     unknowns = arc.unknowns(solution)
-    residuals = arc.model.sightings(unknowns, arc.model.fly(unknowns.x)).residuals
+    residuals = arc.model.sightings(unknowns, arc.model.propagate(unknowns.x)).residuals
     lengths = np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px
     return max(1.0, float(np.median(lengths)) / _RAYLEIGH_MEDIAN)
 
 
-def _residuals(data: OrbitData, layout: Layout, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """(K, 2) seen less predicted, px, and (K,) sigmas, of all sightings; NaN where a landmark has no place."""
+def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (K, 2), px, and sigmas (K,) of all sightings; NaN where a landmark has no position."""
     placed = np.isfinite(solution.points[:, 0])[solution.numbering]
     end = float(data.pictures.times_s[-1])
-    measured, rows = measurements(data, end, solution.numbering, placed, with_radiometry=False)
-    model = Model(layout, measured)
+    measured, rows = measurements_until(data, end, solution.numbering, placed, with_radiometry=False)
+    model = MeasurementModel(layout, measured)
     points = np.nan_to_num(solution.points)
-    found = model.sightings(Unknowns(solution.x, solution.tilts, points), model.fly(solution.x))
+    found = model.sightings(Unknowns(solution.x, solution.tilts, points), model.propagate(solution.x))
     residuals, sigma = np.full((len(placed), 2), np.nan), np.ones(len(placed))
     residuals[rows] = np.where(found.in_front[:, None], found.residuals, np.nan)
     sigma[rows] = measured.sigma_px
     return residuals, sigma
 
 
-def _lengths(data: OrbitData, layout: Layout, solution: Solution) -> FloatArray:
-    """(K,) lengths of all residuals in their sigmas."""
+def _lengths(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> FloatArray:
+    """Return the lengths (K,) of all residuals in units of their sigmas."""
     residuals, sigma = _residuals(data, layout, solution)
     return np.asarray(np.linalg.norm(residuals, axis=1) / sigma)
 
 
-def _orbit(data: OrbitData, layout: Layout, fit: _Fit) -> Orbit:
-    """Tell the solution in the units of the contract, and where it leads."""
+def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
+    """Convert a solution to the units of the contract and propagate it to the wanted times."""
     x, covariance = fit.solution.x, fit.adjusted.covariance(layout.size)
-    flown = fly(layout, x, data.wanted_s)
-    motion = motion_by_shared(layout, x, flown, slice(0, 3))
+    flown = propagate_orbit(layout, x, data.wanted_s)
+    motion = state_derivatives(layout, x, flown, slice(0, 3))
     scale = layout.state_sigma
     residuals, _ = _residuals(data, layout, fit.solution)
     used = np.zeros(len(residuals), dtype=bool)
@@ -224,7 +223,7 @@ def _orbit(data: OrbitData, layout: Layout, fit: _Fit) -> Orbit:
     )
 
 
-def _diagnostics(layout: Layout, fit: _Fit) -> dict[str, float]:
+def _diagnostics(layout: ParameterLayout, fit: _Fit) -> dict[str, float]:
     x, linear = fit.solution.x, fit.adjusted.linear
     added = dict(zip(layout.forces.tolist(), layout.force_sigma[layout.forces] * x[layout.part("forces")], strict=True))
     passes, sightings = linear.passes.residuals, linear.sightings.residuals

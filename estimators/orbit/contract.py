@@ -29,7 +29,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Orbit:
-    """A solution, in inertial axes.
+    """A determined orbit, in inertial axes.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ class Orbit:
     position_covariances_m2
         (E, 3, 3).
     numbers, points_body_m
-        (L',) and (L', 3) landmarks; a number that stood for two places stands twice.
+        (L',) and (L', 3) landmarks; a number that was split appears twice.
     residuals_px
-        (K, 2) seen less predicted, of every sighting; NaN where its landmark has no position.
+        (K, 2) observed minus predicted, of every sighting; NaN where its landmark has no position.
     used
         (K,) sightings that were not edited.
     """
@@ -60,7 +60,10 @@ class Orbit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitEstimate:
-    """``orbit`` is None where there is none; a rejected solution is ``failed``, and ``reason`` says why."""
+    """The result of orbit determination.
+
+    ``orbit`` is None if none was found. A rejected solution has the status ``failed``, and ``reason`` gives the cause.
+    """
 
     status: Literal["ok", "failed"]
     orbit: Orbit | None
@@ -70,16 +73,16 @@ class OrbitEstimate:
 
 
 class OrbitEstimator(Protocol):
-    """Anything that determines an orbit. ``version`` is part of every result's key: raise it when results change."""
+    """A method of orbit determination. ``version`` is part of every result's key: raise it when results change."""
 
     name: ClassVar[str]
     version: ClassVar[int]
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
         ...
 
     def determine(self, data: OrbitData) -> OrbitEstimate:
-        """Estimate the orbit; must not change its input."""
+        """Determine the orbit; must not change its input."""
         ...

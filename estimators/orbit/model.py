@@ -1,4 +1,4 @@
-"""Residuals of all measurements with their derivatives, at a set of unknowns."""
+"""Residuals of sightings and radiometric data with their derivatives, for given values of the unknowns."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.orbit.parameters import Layout
-from scenarios.dynamics.flight import Flight, flight
+from estimators.orbit.parameters import ParameterLayout
+from scenarios.dynamics.variational import OrbitPartials, propagate_partials
 from scenarios.orbits.data import OrbitData, Radiometry
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_NEAREST_M = 1.0
+_NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers
 _FLIGHTS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """Shared unknowns ``x`` (n,), pan and tilt of each image (I, 2) rad, landmarks (L, 3) m, body axes."""
+    """Shared unknowns ``x`` (n,), pan and tilt of each image (I, 2) rad, landmarks (L, 3) m in body axes."""
 
     x: FloatArray
     tilts: FloatArray
@@ -32,7 +32,7 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What an arc has to be fitted to; sightings in the order of their landmarks.
+    """The measurements of an arc; sightings are sorted by landmark.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Measurements:
     uv_px
         (K, 2).
     sigma_px
-        (K,) of a coordinate, with what the roll of the camera, which is no unknown, adds to it.
+        (K,) of one coordinate; includes the effect of the camera's roll error, which is not estimated.
     count
         Number of landmarks.
     radiometry
@@ -62,23 +62,23 @@ class Measurements:
 
     @cached_property
     def begin(self) -> IndexArray:
-        """(L + 1,) where the sightings of each landmark begin."""
+        """Return (L + 1,) the first row of each landmark's sightings."""
         return np.searchsorted(self.point, np.arange(self.count + 1)).astype(np.int64)
 
     @cached_property
     def epochs_s(self) -> FloatArray:
-        """Times at which the orbit is needed, ascending."""
+        """Return the times at which the orbit is needed, ascending."""
         return np.unique(self.times_s if self.radiometry is None else np.r_[self.times_s, self.radiometry.times_s])
 
     @cached_property
     def image_epoch(self) -> IndexArray:
-        """(I,) place of each image's time in ``epochs_s``."""
+        """Return (I,) the row of each image's time in ``epochs_s``."""
         return np.searchsorted(self.epochs_s, self.times_s).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
-    """Residuals seen less predicted, px, and derivatives of the prediction, px by unit.
+class SightingResiduals:
+    """Residuals (observed minus predicted), px, and derivatives of the prediction, px per unit.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ class Sightings:
     by_image
         (K, 2, 7) by the camera's inertial position, its rotation about its axes, and the relative focal length.
     by_point
-        (K, 2, 3) by the landmark.
+        (K, 2, 3) by the landmark's position in body axes.
     in_front
-        (K,) whether the landmark lies before the camera.
+        (K,) whether the landmark is in front of the camera.
     """
 
     residuals: FloatArray
@@ -99,37 +99,37 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passes:
-    """Residuals of ranges and rates in their sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
+class TrackingResiduals:
+    """Residuals of ranges and range rates in sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
 
     residuals: FloatArray
     by_shared: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class MeasurementModel:
     """Predicts the measurements of an arc."""
 
-    layout: Layout
+    layout: ParameterLayout
     measured: Measurements
 
-    def fly(self, x: FloatArray) -> Flight:
-        """Follow the orbit over the arc."""
-        return fly(self.layout, x, self.measured.epochs_s)
+    def propagate(self, x: FloatArray) -> OrbitPartials:
+        """Propagate the orbit over the arc."""
+        return propagate_orbit(self.layout, x, self.measured.epochs_s)
 
-    def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
-        """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
+    def shared(self, unknowns: Unknowns, flown: OrbitPartials) -> FloatArray:
+        """Return (I, 7, n) derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
-        found[:, :3] = motion_by_shared(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
+        found[:, :3] = state_derivatives(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
         mounting = layout.part("mounting")
         if mounting.stop > mounting.start:
-            found[:, 3:6, mounting] = known.misalignment_sigma_rad * _turns(unknowns.tilts)
+            found[:, 3:6, mounting] = known.misalignment_sigma_rad * _tilt_rotations(unknowns.tilts)
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
 
-    def sightings(self, unknowns: Unknowns, flown: Flight) -> Sightings:
-        """Predict where each landmark is seen."""
+    def sightings(self, unknowns: Unknowns, flown: OrbitPartials) -> SightingResiduals:
+        """Predict the pixel of each sighting."""
         measured, layout = self.measured, self.layout
         image, camera = measured.image, layout.knowledge.camera
         focal = 1.0 + layout.focal(unknowns.x)
@@ -147,25 +147,26 @@ class Model:
         by_inertial = by_cam @ turns[image]
         by_image = np.empty((len(z), 2, 7))
         by_image[:, :, :3] = -by_inertial
+        # A rotation w on the left moves the camera coordinates p by w x p: d(uv)/dw = p x d(uv)/dp, row by row.
         by_image[:, :, 3:6] = np.cross(np.stack([x, y, z], -1)[:, None], by_cam)
         by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
         by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
         seen = measured.uv_px - [camera.cx_px, camera.cy_px]
-        return Sightings(seen - np.stack([across, down], -1), by_image, by_point, in_front)
+        return SightingResiduals(seen - np.stack([across, down], -1), by_image, by_point, in_front)
 
     def attitudes(self, unknowns: Unknowns) -> FloatArray:
-        """(I, 3, 3) R_cam_inertial: an image's own error, the mounting, what is reported."""
+        """Return (I, 3, 3) R_cam_inertial: own error of the image times misalignment times telemetered attitude."""
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
-        return np.asarray(_turns(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
+        return np.asarray(_tilt_rotations(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
-    def passes(self, x: FloatArray, flown: Flight) -> Passes:
-        """Predict ranges and rates."""
+    def passes(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
+        """Predict ranges and range rates."""
         layout, radio = self.layout, self.measured.radiometry
         if radio is None:
-            return Passes(np.zeros(0), np.zeros((0, layout.size)))
+            return TrackingResiduals(np.zeros(0), np.zeros((0, layout.size)))
         rows = np.searchsorted(self.measured.epochs_s, radio.times_s)
         states = flown.states[rows]
-        motion = motion_by_shared(layout, x, flown, slice(0, 6))[rows]
+        motion = state_derivatives(layout, x, flown, slice(0, 6))[rows]
         by_range = -np.einsum("i,nip->np", radio.earth_dir, motion[:, :3])
         by_rate = -np.einsum("i,nip->np", radio.earth_dir, motion[:, 3:])
         by_range[:, layout.part("bias")] = layout.bias_sigma_m
@@ -174,29 +175,29 @@ class Model:
         residuals = np.r_[ranges / radio.range_sigma_m, rates / radio.range_rate_sigma_m_s]
         by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
         there = np.isfinite(residuals)
-        return Passes(residuals[there], by[there])
+        return TrackingResiduals(residuals[there], by[there])
 
 
-def _turns(tilts: FloatArray) -> FloatArray:
-    """(I, 3, 3) rotations by pan and tilt."""
+def _tilt_rotations(tilts: FloatArray) -> FloatArray:
+    """Return (I, 3, 3) rotations by pan and tilt."""
     vectors = np.column_stack([tilts, np.zeros(len(tilts))])
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
-    """Follow the orbit of some unknowns, or take one of the last that were followed."""
+def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> OrbitPartials:
+    """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same."""
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
-        flown = flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+        flown = propagate_partials(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
         if len(layout.flights) == _FLIGHTS_KEPT:
             del layout.flights[next(iter(layout.flights))]
         layout.flights[key] = flown
     return layout.flights[key]
 
 
-def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
-    """(T, rows, n): derivatives of the state by the shared unknowns."""
+def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: OrbitPartials, rows: slice) -> FloatArray:
+    """Return the (T, rows, n) derivatives of the propagated state by the shared unknowns."""
     found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma
     by_forces = flown.by_parameters[:, rows][:, :, layout.forces]
@@ -206,10 +207,10 @@ def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) 
     return found
 
 
-def measurements(
+def measurements_until(
     data: OrbitData, until_s: float, numbering: IndexArray, kept: BoolArray, with_radiometry: bool
 ) -> tuple[Measurements, IndexArray]:
-    """Take what there is up to a time: also the rows of ``data.pictures`` that each sighting came from.
+    """Take the measurements up to a time; also return the rows of ``data.pictures`` of the sightings.
 
     Parameters
     ----------
@@ -238,6 +239,7 @@ def measurements(
             image=pictures.image[rows],
             point=numbering[rows],
             uv_px=pictures.uv_px[rows],
+            # The roll error displaces a pixel by its distance from the axis; a coordinate has half of its variance.
             sigma_px=np.hypot(known.noise_px, known.attitude_sigma_rad * off_axis / np.sqrt(2.0)),
             count=int(numbering.max(initial=-1)) + 1,
             radiometry=radio,

@@ -1,45 +1,72 @@
-"""The unknowns that all images share, each in units of its standard deviation before the data."""
+"""The options of the batch filter, and the unknowns shared by all images that they select."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.linalg import toeplitz
 
-from estimators.orbit.options import OrbitOptions
 from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.flight import Flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import OrbitPartials
 from scenarios.orbits.data import Knowledge, OrbitData
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Where each shared unknown stands in the vector ``x``: a value is what is known before plus sigma times x.
+class OrbitOptions(SpecModel):
+    """Options of ``batch-filter``."""
 
-    What is certain before (sigma 0) has no place. In order: state at the epoch, forces (ratio of GM, factor on
-    sunlight, coefficients), mounting, focal length, range bias, pushes.
+    solar_pressure: Literal["estimated", "held"] = Field("estimated", description="Whether its factor is an unknown")
+    accelerations: Literal["estimated", "none"] = Field(
+        "estimated", description="Whether unmodelled accelerations, constant over intervals, are unknowns"
+    )
+    piece_share: float = Field(
+        0.5, gt=0, le=4, description="Length of an interval, in correlation times of the unmodelled acceleration"
+    )
+    gravity_degree: int = Field(3, ge=0, le=6, description="Coefficients of degree 2 up to this one are unknowns")
+    landmarks: Literal["free", "prior"] = Field(
+        "free", description="Landmarks without a prior, or with that of the landmark file"
+    )
+    radiometry: Literal["used", "ignored"] = Field("used", description="Whether ranges and Doppler are used")
+    first_days: float = Field(1.0, gt=0, le=30, description="Length of the first arc")
+    growth: float = Field(3.0, gt=1, le=20, description="Ratio of the lengths of successive arcs")
+    edit_sigma: float = Field(4.0, gt=1, le=20, description="Sightings with larger residuals are edited")
+    huber_sigma: float = Field(2.0, gt=0, le=10, description="Limit of Huber's loss before editing")
+    iterations: int = Field(12, ge=1, le=100, description="Most steps for one arc")
+    split: bool = Field(True, description="Look for numbers given to two craters, and split them")
+    chi_square_max: float = Field(1.5, gt=1, description="Per degree of freedom; above, a solution is rejected")
+    edited_max: float = Field(0.4, gt=0, lt=1, description="Share of edited sightings; above, a solution is rejected")
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterLayout:
+    """The order and scaling of the shared unknowns ``x``: a parameter is its a priori value plus its sigma times x.
+
+    Parameters that are certain a priori (sigma 0) are left out. In order: state at the epoch, forces (ratio of GM,
+    factor on solar pressure, gravity coefficients), camera mounting, focal length, range bias, accelerations.
 
     Parameters
     ----------
     knowledge
-        What is known before.
+        A priori values and their uncertainties.
     field
-        Forces as they are known, with derivatives by the coefficients that are unknown.
+        The a priori force model, with derivatives by the gravity coefficients that are unknown.
     edges_s
-        (P + 1,) of the pieces in which what is not modelled is held constant; (0,) for none.
+        (P + 1,) bounds of the intervals in which the unmodelled acceleration is constant; (0,) for none.
     force_sigma
-        (2 + K,) of the field's parameters.
+        (2 + K,) of the force model's parameters.
     bias_sigma_m
         Of the range bias; 0 where there is none.
     flights
-        The last orbits that were followed, by unknowns and times: steps of the filter ask for the same again.
+        The last propagated orbits, by unknowns and times: several steps of the filter need the same ones.
     """
 
     knowledge: Knowledge
@@ -47,11 +74,11 @@ class Layout:
     edges_s: FloatArray
     force_sigma: FloatArray
     bias_sigma_m: float
-    flights: dict[tuple[bytes, bytes], Flight] = dataclasses.field(default_factory=dict, repr=False)
+    flights: dict[tuple[bytes, bytes], OrbitPartials] = dataclasses.field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, data: OrbitData, options: OrbitOptions) -> Layout:
-        """Choose the unknowns by what is uncertain."""
+    def of(cls, data: OrbitData, options: OrbitOptions) -> ParameterLayout:
+        """Select the unknowns: the parameters that are uncertain a priori and that the options do not hold."""
         known = data.knowledge
         field = HarmonicField(
             known.field.harmonics, known.field.rotation, known.field.light_m_s2, options.gravity_degree
@@ -69,17 +96,17 @@ class Layout:
 
     @cached_property
     def pieces(self) -> int:
-        """Count the pieces."""
+        """Return the number of intervals of constant unmodelled acceleration."""
         return max(0, len(self.edges_s) - 1)
 
     @cached_property
     def forces(self) -> NDArray[np.int64]:
-        """Return which of the field's parameters are unknown."""
+        """Return the rows of the force model's parameters that are unknown."""
         return np.flatnonzero(self.force_sigma > 0.0)
 
     @cached_property
     def starts(self) -> dict[str, int]:
-        """Return where each group begins."""
+        """Return the first row of each group of unknowns."""
         counts = {
             "state": 6,
             "forces": len(self.forces),
@@ -94,64 +121,68 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Count the unknowns."""
+        """Return the number of unknowns."""
         return self.starts["end"]
 
     def part(self, name: str) -> slice:
-        """Return the places of a group."""
+        """Return the rows of a group of unknowns."""
         names = list(self.starts)
         return slice(self.starts[name], self.starts[names[names.index(name) + 1]])
 
     def force_scale(self, x: FloatArray) -> FloatArray:
-        """Return what makes derivatives by the parameters of the field at ``x`` derivatives by ``x``, (forces,).
+        """Return the factors (forces,) from derivatives by the force model's parameters at ``x`` to those by ``x``.
 
-        Those by GM and sunlight are by ratios to what they are at ``x``.
+        The force model differentiates by the ratios of GM and solar pressure to their values at ``x``, not a priori.
         """
         scale = self.force_sigma.copy()
-        scale[:2] /= 1.0 + self._added(x)[:2]
+        scale[:2] /= 1.0 + self._corrections(x)[:2]
         return np.asarray(scale[self.forces])
 
-    def _added(self, x: FloatArray) -> FloatArray:
+    def _corrections(self, x: FloatArray) -> FloatArray:
+        """Return the corrections of all parameters of the force model, 0 for those that are not unknowns."""
         added = np.zeros(self.field.parameters)
         added[self.forces] = self.force_sigma[self.forces] * x[self.part("forces")]
         return added
 
     @cached_property
     def state_sigma(self) -> FloatArray:
-        """(6,) m and m/s."""
+        """Return (6,) standard deviations of the state at the epoch, m and m/s."""
         return np.repeat([self.knowledge.position_sigma_m, self.knowledge.velocity_sigma_m_s], 3)
 
     def state(self, x: FloatArray) -> FloatArray:
-        """(6,) at the epoch."""
+        """Return the state (6,) at the epoch, m and m/s."""
         return np.asarray(self.knowledge.state + self.state_sigma * x[self.part("state")])
 
     def field_at(self, x: FloatArray) -> HarmonicField:
-        """Return the forces with their estimated parameters."""
-        added = self._added(x)
+        """Return the force model with the estimated parameters."""
+        added = self._corrections(x)
         return self.field.changed(1.0 + added[0], 1.0 + added[1], added[2:])
 
     def mounting(self, x: FloatArray) -> FloatArray:
-        """(3,) rotation vector of the camera's mounting, rad."""
+        """Return the rotation vector (3,) of the camera's misalignment, rad."""
         part = x[self.part("mounting")]
         return self.knowledge.misalignment_sigma_rad * (part if len(part) else np.zeros(3))
 
     def focal(self, x: FloatArray) -> float:
-        """Relative error of the focal length."""
+        """Return the relative error of the focal length."""
         return self.knowledge.focal_sigma * float(x[self.part("focal")].sum())
 
     def bias_m(self, x: FloatArray) -> float:
-        """Bias of the ranges."""
+        """Return the range bias, m."""
         return self.bias_sigma_m * float(x[self.part("bias")].sum())
 
-    def pushes(self, x: FloatArray, end_s: float) -> Pushes:
-        """Return the pieces of what is not modelled."""
+    def pushes(self, x: FloatArray, end_s: float) -> PiecewiseAcceleration:
+        """Return the estimated piecewise-constant unmodelled acceleration."""
         if not self.pieces:
-            return Pushes.none(end_s)
-        return Pushes(self.edges_s, self.knowledge.noise_m_s2 * x[self.part("pushes")].reshape(-1, 3))
+            return PiecewiseAcceleration.none(end_s)
+        return PiecewiseAcceleration(self.edges_s, self.knowledge.noise_m_s2 * x[self.part("pushes")].reshape(-1, 3))
 
     @cached_property
     def information(self) -> FloatArray:
-        """(n, n) before the data: the identity, but for pushes, whose pieces go with each other."""
+        """Return the (n, n) a priori information of ``x``.
+
+        It is the identity but for the accelerations: consecutive intervals of the Gauss-Markov process are correlated.
+        """
         found = np.eye(self.size)
         if self.pieces:
             pushes = self.part("pushes")
@@ -159,10 +190,10 @@ class Layout:
         return found
 
     def _push_correlation(self) -> FloatArray:
-        """(P, P) covariance of the means over pieces of a Gauss-Markov process of variance 1.
+        """Return the (P, P) covariance of the interval means of a Gauss-Markov process of variance 1.
 
-        With ``d`` the length of a piece in correlation times: ``2 (d - 1 + e^-d) / d^2`` for one piece, and
-        ``(1 - e^-d)^2 e^-((k - 1) d) / d^2`` for two that are k pieces apart.
+        With ``d`` the length of an interval in correlation times: ``2 (d - 1 + e^-d) / d^2`` on the diagonal, and
+        ``(1 - e^-d)^2 e^-((k - 1) d) / d^2`` for two intervals that are k intervals apart.
         """
         d = float(self.edges_s[1] - self.edges_s[0]) / self.knowledge.noise_time_s
         apart = np.arange(self.pieces)

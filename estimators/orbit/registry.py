@@ -1,9 +1,9 @@
-"""Estimators of orbits by name: our own table, and entry points of third-party packages."""
+"""Orbit estimators by name: the built-in table, and entry points of third-party packages."""
 
 from __future__ import annotations
 
 from estimators.orbit.contract import OrbitEstimator
-from estimators.third_party import Registry
+from estimators.registry import Registry
 
 _ESTIMATORS: Registry[OrbitEstimator] = Registry(
     own={"batch-filter": "estimators.orbit.batch_filter:BatchFilter"},

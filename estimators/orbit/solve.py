@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of the batch filter: landmarks eliminated, then a Cholesky factor of what is left."""
+"""Gauss-Newton adjustment of the batch filter: the landmarks are eliminated, the rest is solved by Cholesky."""
 
 from __future__ import annotations
 
@@ -8,43 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from estimators.orbit.elimination import shared_links, subtract_landmarks, whitened
-from estimators.orbit.model import Model, Passes, Sightings, Unknowns
-from scenarios.dynamics.flight import Flight
+from estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
+from estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
 from scenarios.dynamics.propagation import OrbitLostError
+from scenarios.dynamics.variational import OrbitPartials
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+# Information of a landmark before its sightings, 1 / (20 km)^2: with parallel rays alone the matrix stays regular.
 _POINT_DAMPING = 1.0 / 20_000.0**2
 _DAMPING_FIRST = 1e-3
-_MOST_DAMPING = 1e8
+_MAX_DAMPING = 1e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Robust:
-    """Huber's loss of a sighting's length in sigmas; ``limit`` infinite for least squares.
+class HuberLoss:
+    """Huber's loss of a sighting's residual length in sigmas; least squares if ``limit`` is infinite.
 
     Parameters
     ----------
     limit
-        Beyond it, in units of ``scale``, the loss grows linearly.
+        In units of ``scale``; beyond it the loss grows linearly.
     scale
-        Of what is expected, in sigmas: far from the solution all are far off.
+        Factor on the expected sigmas: far from the solution all residuals are large.
     """
 
     limit: float
     scale: float
 
     def weights(self, lengths: FloatArray) -> FloatArray:
-        """(k,) of iteratively reweighted least squares."""
+        """Return the weights (k,) of iteratively reweighted least squares."""
         if not np.isfinite(self.limit):
             return np.full(len(lengths), self.scale**-2)
         edge = self.limit * self.scale
         return np.asarray(edge / np.maximum(lengths, edge) / self.scale**2)
 
     def cost(self, lengths: FloatArray) -> float:
-        """Half the sum of squares, or what stands for it."""
+        """Return half the sum of squares, with Huber's loss beyond the limit."""
         if not np.isfinite(self.limit):
             return 0.5 * float(lengths @ lengths) / self.scale**2
         edge = self.limit * self.scale
@@ -53,28 +54,28 @@ class Robust:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
-    """A model about some unknowns: its residuals with derivatives, and what they cost."""
+class Linearisation:
+    """Residuals with derivatives and the cost, at given values of the unknowns."""
 
     unknowns: Unknowns
-    flown: Flight
-    sightings: Sightings
-    passes: Passes
+    flown: OrbitPartials
+    sightings: SightingResiduals
+    passes: TrackingResiduals
     lengths: FloatArray
     cost: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """Of landmarks: (L, 3) places and (L,) 1 / sigma^2, 0 where they are free."""
+class LandmarkPrior:
+    """Prior of the landmarks: positions (L, 3) and information (L,) 1 / sigma^2, 0 where they are free."""
 
     points: FloatArray
     information: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """A Gauss-Newton step, the decrease of the cost that it promises, and the factor of the reduced matrix."""
+class GaussNewtonStep:
+    """A Gauss-Newton step, the decrease of the cost that it predicts, and the Cholesky factor of the reduced matrix."""
 
     x: FloatArray
     tilts: FloatArray
@@ -84,8 +85,8 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """When to end: after so many steps, or when the cost would fall by less than a tolerance and a share of itself."""
+class StoppingCriteria:
+    """When to stop: after ``steps``, or if the predicted decrease is less than ``tolerance + share * cost``."""
 
     steps: int
     tolerance: float
@@ -93,30 +94,33 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
-    """Where the steps ended."""
+class GaussNewtonResult:
+    """The last linearisation and step of an adjustment."""
 
-    linear: Linear
-    step: Step
+    linear: Linearisation
+    step: GaussNewtonStep
     converged: bool
     steps: int
 
     def covariance(self, size: int) -> FloatArray:
-        """(n, n) of the shared unknowns, by the last rows of the factor: their square-root information."""
+        """Return the (n, n) covariance of the shared unknowns.
+
+        They are last in the order of elimination, so the last rows of the factor are their square-root information.
+        """
         root = np.triu(self.step.factor[-size:, -size:])
         inverse = solve_triangular(root, np.eye(size))
         return np.asarray(inverse @ inverse.T)
 
 
-def linearise(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) -> Linear:
-    """Work out residuals and derivatives.
+def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss) -> Linearisation:
+    """Compute residuals, derivatives and cost.
 
     Raises
     ------
     OrbitLostError
-        If the orbit leads into the body.
+        If the orbit hits the body.
     """
-    flown = model.fly(unknowns.x)
+    flown = model.propagate(unknowns.x)
     sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
     lengths = np.linalg.norm(sightings.residuals, axis=1) / model.measured.sigma_px
     known = model.layout.knowledge
@@ -125,14 +129,16 @@ def linearise(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) ->
     cost += 0.5 * float(unknowns.x @ model.layout.information @ unknowns.x)
     cost += 0.5 * float(np.sum((unknowns.tilts / known.attitude_sigma_rad) ** 2))
     cost += 0.5 * float(np.sum(prior.information[:, None] * (unknowns.points - prior.points) ** 2))
-    return Linear(unknowns, flown, sightings, passes, lengths, cost)
+    return Linearisation(unknowns, flown, sightings, passes, lengths, cost)
 
 
-def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping: float) -> Step:
-    """Solve the normal equations, whose diagonal is raised by ``damping`` times itself.
+def gauss_newton_step(
+    model: MeasurementModel, prior: LandmarkPrior, here: Linearisation, robust: HuberLoss, damping: float
+) -> GaussNewtonStep:
+    """Solve the normal equations with the diagonal multiplied by ``1 + damping`` (Levenberg and Marquardt).
 
-    Pan and tilt of each image and the landmarks' places are eliminated in turn: the landmarks by blocks, and of the
-    Cholesky factor of the rest the images' rows come first, so that its last rows are the square-root information of
+    The landmarks are eliminated first, block by block (Schur complement). In the Cholesky factorisation of the rest
+    the pan and tilt of the images come first, so that the last rows of the factor are the square-root information of
     the shared unknowns alone.
     """
     measured, known = model.measured, model.layout.knowledge
@@ -143,12 +149,14 @@ def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping:
     residuals = here.sightings.residuals * scale
     by_image, by_point = here.sightings.by_image * scale[..., None], here.sightings.by_point * scale[..., None]
 
+    # Landmarks hardly known by their rays are damped more than by their own diagonal, which is then near 0.
     held = prior.information + _POINT_DAMPING * (1.0 + damping * 1e4)
-    factors, pulls, links = whitened(measured.begin, by_point, by_image, residuals, held)
+    factors, pulls, links = whiten_landmarks(measured.begin, by_point, by_image, residuals, held)
     if np.any(prior.information):
         toward = (prior.information[:, None] * (prior.points - unknowns.points))[..., None]
-        pulls = pulls + _solved(factors, toward)[..., 0]
+        pulls = pulls + _solve(factors, toward)[..., 0]
 
+    # The chain rule: derivatives by the camera (7) times derivatives of the camera by the shared unknowns.
     shared = model.shared(unknowns, here.flown)
     common = shared_links(measured.begin, measured.image, links, shared)
     normal = np.zeros((images, 7, 7))
@@ -189,54 +197,61 @@ def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping:
     )
     every = np.arange(size)
     matrix[every, every] *= 1.0 + damping
-    # The transpose lies in memory as LAPACK wants it: nothing is copied.
+    # The transpose has the column-major order of LAPACK, so that nothing is copied.
     factor, _ = cho_factor(matrix.T, lower=False, overwrite_a=True, check_finite=False)
     moved = cho_solve((factor, False), right, check_finite=False)
     x, tilts = moved[2 * images :], moved[: 2 * images].reshape(-1, 2)
 
+    # Back substitution of the landmarks: L^T dp = L^-1 b - (L^-1 H') dx.
     by_common = np.einsum("ldp,p->ld", common, x)
     np.add.at(by_common, measured.point, np.einsum("krd,kr->kd", links[:, 3:5], tilts[measured.image]))
     whitened_points = pulls - by_common
-    points = _solved(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
+    points = _solve(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
     promised = 0.5 * float(right @ moved + np.sum(pulls**2))
-    return Step(x, tilts, points, promised, factor)
+    return GaussNewtonStep(x, tilts, points, promised, factor)
 
 
-def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(matrices, right))
 
 
-def adjust(model: Model, prior: Prior, start: Unknowns, robust: Robust, limits: Limits) -> Adjusted:
-    """Take Gauss-Newton steps, damped where they fail, until one promises too little to be worth another.
+def adjust(
+    model: MeasurementModel, prior: LandmarkPrior, start: Unknowns, robust: HuberLoss, limits: StoppingCriteria
+) -> GaussNewtonResult:
+    """Take Gauss-Newton steps, damped where the cost rises, until the stopping criteria are met.
 
     Raises
     ------
     OrbitLostError
-        If the orbit that it begins with leads into the body.
+        If the orbit of the starting values hits the body.
     """
     here, damping = linearise(model, prior, start, robust), 0.0
-    step = step_from(model, prior, here, robust, damping)
+    step = gauss_newton_step(model, prior, here, robust, damping)
     for count in range(1, limits.steps + 1):
         little = step.promised < limits.tolerance + limits.share * here.cost
         moved = Unknowns(start.x + step.x, start.tilts + step.tilts, start.points + step.points)
-        there = _tried(model, prior, moved, robust)
+        there = _linearise_or_none(model, prior, moved, robust)
         if there is None or there.cost > here.cost * (1.0 + 1e-9):
             if little:
-                return Adjusted(here, step, True, count)
+                return GaussNewtonResult(here, step, True, count)
             damping = max(_DAMPING_FIRST, 10.0 * damping)
-            if damping > _MOST_DAMPING:
-                return Adjusted(here, step, False, count)
+            if damping > _MAX_DAMPING:
+                return GaussNewtonResult(here, step, False, count)
         else:
+            # A small decrease predicted with strong damping is no convergence: the damping made it small.
             done = little and damping <= _DAMPING_FIRST
             start, here = moved, there
             damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
             if done:
-                return Adjusted(here, step, True, count)
-        step = step_from(model, prior, here, robust, damping)
-    return Adjusted(here, step, False, limits.steps)
+                return GaussNewtonResult(here, step, True, count)
+        step = gauss_newton_step(model, prior, here, robust, damping)
+    return GaussNewtonResult(here, step, False, limits.steps)
 
 
-def _tried(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) -> Linear | None:
+def _linearise_or_none(
+    model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss
+) -> Linearisation | None:
+    """Return the linearisation, or None if the orbit hits the body."""
     try:
         return linearise(model, prior, unknowns, robust)
     except OrbitLostError:

@@ -1,4 +1,4 @@
-"""The contract of estimators of sequences: tracks in, camera positions and a map out, one frame after the other."""
+"""Contract of sequence estimators: tracks in, camera positions and landmarks out, frame by frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameEstimate:
-    """What is known right after a frame; nothing of later frames enters.
+    """Estimate right after a frame, from that frame and the ones before it.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class FrameEstimate:
     tracks, points_m
         (n,) and (n, 3): the landmarks that the method holds at this frame, body frame.
     seconds
-        Time that this frame took.
+        Computing time of this frame.
     velocity_m_s
         (3,) velocity relative to the body's centre, inertial axes; None where the method has none.
     """
@@ -43,7 +43,7 @@ class FrameEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceEstimate:
-    """One entry for each frame up to the last good one; ``reason`` says why it stopped there, if it did."""
+    """Estimates of all frames up to the last good one; ``reason`` gives the cause if the estimator stopped there."""
 
     status: Literal["ok", "failed"]
     frames: Sequence[FrameEstimate]
@@ -52,7 +52,7 @@ class SequenceEstimate:
 
 
 class SequenceEstimator(Protocol):
-    """Anything that follows a camera along a sequence of tracks. ``version`` is part of every result's key."""
+    """Estimator of the camera positions along a sequence of tracks. ``version`` is part of every result's key."""
 
     name: ClassVar[str]
     version: ClassVar[int]

@@ -1,4 +1,4 @@
-"""The control of estimators of sequences: where the predicted motion alone leads."""
+"""Dead reckoning, the control of the sequence estimators: the sum of the predicted motions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from scenarios.tracks import TrackSequence
 
 
 class DeadReckoningOptions(SpecModel):
-    """There are none."""
+    """Options of ``dead-reckoning``: none."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeadReckoning:
-    """Sums the predicted displacements and the covariances of their errors; it looks at no image."""
+    """Sum of the predicted displacements and of the covariances of their errors; no tracks are used."""
 
     name: ClassVar[str] = "dead-reckoning"
     version: ClassVar[int] = 1
@@ -34,7 +34,7 @@ class DeadReckoning:
         return cls()
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Sum, frame by frame."""
+        """Add up the predicted displacements."""
         position, covariance = sequence.position_m, sequence.position_covariance_m2
         nothing, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
         frames = []

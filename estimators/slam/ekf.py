@@ -1,148 +1,184 @@
-"""EKF-SLAM of Delpech et al. (2015), section 3.3, an iterated and a consistent variant."""
+"""EKF-SLAM of Delpech et al. (2015), section 3.3, with an iterated and a consistent variant."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.ekf_health import Health
-from estimators.slam.ekf_measure import Sight
+from estimators.slam.contract import FrameEstimate
 from estimators.slam.ekf_pose import PoseState
 from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import Iteration, innovation_covariance, iterated, updated
-from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.gating import Gate, believed
-from estimators.slam.options import ConsistentFilterOptions, FilterOptions, IteratedFilterOptions
+from estimators.slam.ekf_update import (
+    FrameMeasurements,
+    IterationRule,
+    innovation_covariance,
+    iterated_update,
+    kalman_update,
+)
+from estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, LostError, check_scale
+from estimators.slam.gating import gate_pixels
+from estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
-
+IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-Update = Callable[[FilterState, Sight], tuple[FilterState, float]]
+Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 
 _KNOWN = 0.1
 _FEWEST = 3
+_MAX_REFUSED_SHARE = 0.5
 
 
-def gated(state: FilterState, sight: Sight, update: Update, options: FilterOptions) -> BoolArray:
-    """(k,) pixels that are believed.
+def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
+    """(k,) which pixels pass the gate.
 
-    Where the prediction is poor, what it says of a landmark whose distance is a guess is vague and not linear. As in
-    one-point RANSAC (Civera et al. 2010), the landmarks that are known move the camera first, and the others are judged
-    from there.
+    The prediction of a landmark of unknown distance is uncertain and nonlinear if the camera's position is. As in
+    one-point RANSAC (Civera et al. 2010), landmarks of known distance update the camera first, and the others are gated
+    after this update.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If the covariance of an innovation is not positive definite.
     """
-    fit = _believed(state, sight, options.gate, options.false_alarm)
-    known = state.inverse_sigmas[sight.rows] < _KNOWN
+    fit = _gate(state, measured, options.gate, options.false_alarm)
+    known = state.inverse_sigmas[measured.rows] < _KNOWN
     first = fit & known
     if options.gate != "one-point" or known.all() or np.count_nonzero(first) < _FEWEST:
         return fit
-    moved, _ = update(state, sight.only(first))
-    fit[~known] = _believed(moved, sight.only(~known), "individual", options.false_alarm)
+    moved, _ = update(state, measured.subset(first))
+    fit[~known] = _gate(moved, measured.subset(~known), "individual", options.false_alarm)
     return fit
 
 
-def _believed(state: FilterState, sight: Sight, gate: Gate, false_alarm: float) -> BoolArray:
-    innovation = sight.innovation(state)
-    size = sight.uv_px.size
+def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_alarm: float) -> BoolArray:
+    innovation = measured.innovation(state)
+    size = measured.uv_px.size
     residual = innovation.residual[:size].reshape(-1, 2)
-    covariance = innovation_covariance(state, innovation)[:size, :size] + sight.second_order(state)
+    covariance = innovation_covariance(state, innovation)[:size, :size] + measured.second_order(state)
     fit = np.asarray(np.isfinite(residual).all(axis=1), dtype=np.bool_)
     both = np.repeat(fit, 2)
-    fit[fit] = believed(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
+    fit[fit] = gate_pixels(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
     return fit
 
 
-class EkfSlam:
-    """An extended Kalman filter of the camera (its position, or all of it) and of the landmarks in view, anchored."""
+class FilterHealth:
+    """Divergence tests of a filter: its innovation, the share of pixels that the gate refuses, and negative distances.
 
-    name: ClassVar[str] = "ekf-slam"
-    version: ClassVar[int] = 3
+    A gate hides a divergence from the innovation of the pixels that pass it. So a filter that refuses more than half of
+    the pixels, over as many frames as innovations are averaged over, counts as diverging too.
+    """
 
     def __init__(self, options: FilterOptions) -> None:
         self.options = options
+        self.innovation = InnovationTest(options.innovation_frames, options.innovation_max, "filter")
+        self.gated: deque[tuple[int, int]] = deque(maxlen=options.innovation_frames)
+        self.in_a_row: dict[int, int] = {}
+        self.refused = 0
 
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(FilterOptions, options, cls.name))
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean squared normalised innovation, its degrees of freedom, and how many pixels were refused."""
+        return {**self.innovation.diagnostics(), "refused_pixels": float(self.refused)}
 
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _once))
+    def count_refusals(self, tracks: IndexArray, fit: BoolArray) -> None:
+        """Count which tracks (n,) of a frame passed the gate, ``fit`` (n,).
+
+        Raises
+        ------
+        LostError
+            If most pixels were refused over as many frames as innovations are averaged over.
+        """
+        self.in_a_row = {
+            track: self.in_a_row.get(track, 0) + 1 for track, good in zip(tracks.tolist(), fit, strict=True) if not good
+        }
+        self.refused += int(np.count_nonzero(~fit))
+        self.gated.append((int(np.count_nonzero(~fit)), len(fit)))
+        refused, seen = (sum(item[i] for item in self.gated) for i in (0, 1))
+        if len(self.gated) == self.gated.maxlen and refused > _MAX_REFUSED_SHARE * seen:
+            raise LostError(f"the filter diverges: {refused} of {seen} pixels of the last frames do not fit")
+
+    def refused_too_often(self) -> IndexArray:
+        """List the tracks that were refused too many times in a row."""
+        return np.array([t for t, n in self.in_a_row.items() if n >= self.options.refusals_max], dtype=np.int64)
+
+    def test(self, squared: float, count: int, inverse_distances: FloatArray) -> None:
+        """Test a frame's squared normalised innovation of ``count`` measurements, and the inverse distances (n,).
+
+        Raises
+        ------
+        LostError
+            If the mean innovation is too large, or an inverse distance is not positive.
+        """
+        self.innovation.add(squared, count)
+        if np.any(inverse_distances <= 0.0):
+            raise LostError("the filter diverges: an inverse distance is not positive")
 
 
-class IteratedEkfSlam:
-    """The same filter, each update iterated to the minimum of prediction and measurements together."""
+class EkfSlam(ConfiguredEstimator[FilterOptions]):
+    """Extended Kalman filter of the camera (position or pose) and of the landmarks in view, in inverse depth."""
+
+    name: ClassVar[str] = "ekf-slam"
+    version: ClassVar[int] = 3
+    options_model = FilterOptions
+
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _Filter(sequence, self.options, _single_update)
+
+
+class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
+    """EKF-SLAM with iterated updates: each ends at the minimum of the cost of prediction and measurements."""
 
     name: ClassVar[str] = "iterated-ekf-slam"
     version: ClassVar[int] = 2
+    options_model = IteratedFilterOptions
 
-    def __init__(self, options: IteratedFilterOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(IteratedFilterOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _to_the_minimum(self.options.iterations)))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _Filter(sequence, self.options, _iterated_update(self.options.iterations))
 
 
-class ConsistentEkfSlam:
-    """The iterated filter with first-estimates Jacobians: it does not learn of the scale from bearings.
+class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
+    """Iterated filter with first-estimates Jacobians, so that bearings give no information about the scale.
 
-    Bearings do not change when all grows, and nor does what a filter believes, as long as all derivatives by a landmark
-    are taken at the same inverse distance and anchor. With each frame's own estimates the directions that it learns
-    nothing of differ, and it takes itself for surer than it is (Huang, Mourikis and Roumeliotis 2010, of translation
-    and rotation; here attitude is measured, and a translation leaves anchored landmarks as they are). The first
-    estimate is taken where an inverse distance has settled: before, it is a guess, and derivatives there are wrong by
-    as much.
+    Bearings do not depend on the scale. The filter's unobservable direction is the scale too if all derivatives by a
+    landmark are taken at the same inverse distance and anchor. With derivatives at each frame's estimates the
+    unobservable directions differ from frame to frame, and the filter becomes overconfident (Huang, Mourikis and
+    Roumeliotis 2010, about translation and rotation; here attitude is measured, and a translation leaves anchored
+    landmarks as they are). The derivatives are fixed once an inverse distance is well known: the initial guess would
+    make them wrong.
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"
     version: ClassVar[int] = 2
+    options_model = ConsistentFilterOptions
 
-    def __init__(self, options: ConsistentFilterOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(ConsistentFilterOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        update = _to_the_minimum(self.options.iterations)
-        return follow(sequence, _Filter(sequence, self.options, update, self.options.settled_sigma))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        update = _iterated_update(self.options.iterations)
+        return _Filter(sequence, self.options, update, self.options.settled_sigma)
 
 
-def _once(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
-    return updated(state, sight.innovation(state))
+def _single_update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
+    return kalman_update(state, measured.innovation(state))
 
 
-def _to_the_minimum(steps: int) -> Update:
-    def update(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
-        return iterated(state, sight, Iteration(steps))
+def _iterated_update(steps: int) -> Update:
+    def update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
+        return iterated_update(state, measured, IterationRule(steps))
 
     return update
 
 
 class _Filter:
-    """The filter at work on one sequence: prediction, update and management of section 3.3."""
+    """Filter on one sequence: prediction, update and landmark management of section 3.3."""
 
     def __init__(
         self, sequence: TrackSequence, options: FilterOptions, update: Update, settled_sigma: float = 0.0
@@ -153,7 +189,7 @@ class _Filter:
         self.settled_sigma = settled_sigma
         self.first = (sequence.position_m, sequence.position_covariance_m2)
         self.state: FilterState
-        self.health = Health(options)
+        self.health = FilterHealth(options)
         self.started = False
 
     def diagnostics(self) -> dict[str, float]:
@@ -167,25 +203,25 @@ class _Filter:
         else:
             self.state = self._begun(frame)
         self._take_new(frame)
-        self.state = self.state.settling(self.settled_sigma)
-        position, covariance, points = self.state.told(self.camera)
+        self.state = self.state.with_fixed_linearisation(self.settled_sigma)
+        position, covariance, points = self.state.estimate(self.camera)
         check_scale(covariance, points, position, self.options.uncertainty_max)
         velocity = self.state.velocity_m_s if self.started else None
         self.started = True
         return FrameEstimate(position, covariance, self.state.tracks, points, 0.0, velocity)
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks of the state will be in the next frame."""
+        """Predict the pixels of the state's landmarks in the next frame, with their covariance."""
         if not (self.started and len(self.state.tracks)):
             return None
         state = self.state.predicted(frame)
         order = np.argsort(state.tracks)
         nowhere = replace(frame, tracks=state.tracks[order], uv_px=np.zeros((len(order), 2)), ranges=())
-        sight = Sight.of(self.camera, state, nowhere)
-        innovation = sight.innovation(state)
+        measured = FrameMeasurements.of(self.camera, state, nowhere)
+        innovation = measured.innovation(state)
         covariance = innovation.jacobian @ state.covariance @ innovation.jacobian.T
         return Prediction(
-            state.tracks[sight.rows], -innovation.residual.reshape(-1, 2), covariance + sight.second_order(state)
+            state.tracks[measured.rows], -innovation.residual.reshape(-1, 2), covariance + measured.second_order(state)
         )
 
     def _begun(self, frame: TrackFrame) -> FilterState:
@@ -194,7 +230,7 @@ class _Filter:
         return PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
 
     def _drop_lost(self, frame: TrackFrame) -> None:
-        """Drop landmarks that are not seen any more."""
+        """Drop landmarks that are out of view."""
         lost = ~np.isin(self.state.tracks, frame.tracks)
         kept = int(np.count_nonzero(~lost))
         if kept < self.options.connectivity:
@@ -202,28 +238,28 @@ class _Filter:
         self.state = self.state.without(lost)
 
     def _take_measured(self, frame: TrackFrame) -> None:
-        """Update by what is believed of the frame, and test the innovation."""
-        sight = Sight.of(self.camera, self.state, frame)
+        """Update with the pixels that pass the gate, and test the innovation."""
+        measured = FrameMeasurements.of(self.camera, self.state, frame)
         try:
-            sight = self._gated(sight)
-            if not np.isfinite(sight.residual(self.state)).all():
+            measured = self._gated(measured)
+            if not np.isfinite(measured.residual(self.state)).all():
                 raise LostError("the filter diverges: a landmark is behind the camera that sees it")
-            self.state, squared = self.update(self.state, sight)
+            self.state, squared = self.update(self.state, measured)
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
-        self.health.test(squared, len(sight.variance), self.state.landmarks[:, 2])
-        self.state = self.state.without(np.isin(self.state.tracks, self.health.discredited()))
+        self.health.test(squared, len(measured.variance), self.state.landmarks[:, 2])
+        self.state = self.state.without(np.isin(self.state.tracks, self.health.refused_too_often()))
 
-    def _gated(self, sight: Sight) -> Sight:
-        """Leave out what the gate refuses; a landmark that it refuses again and again is to be taken in anew."""
+    def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
+        """Drop the pixels that the gate refuses, and count the refusals of each landmark."""
         if self.options.gate == "none":
-            return sight
-        fit = gated(self.state, sight, self.update, self.options)
-        self.health.judge(self.state.tracks[sight.rows], fit)
-        return sight.only(fit)
+            return measured
+        fit = gated(self.state, measured, self.update, self.options)
+        self.health.count_refusals(self.state.tracks[measured.rows], fit)
+        return measured.subset(fit)
 
     def _take_new(self, frame: TrackFrame) -> None:
-        """Take in tracks that the state does not hold: at their measured range, or at a guess."""
+        """Add new tracks to the state: at their measured range, or at a guessed distance."""
         fresh = ~np.isin(frame.tracks, self.state.tracks)
         if not fresh.any():
             return
@@ -237,10 +273,10 @@ class _Filter:
             row = tracks == item.track
             elements[row, 2] = 1.0 / item.range_m
             noise[row, 2] = (item.sigma_m / item.range_m**2) ** 2
-        self.state = self.state.joined(tracks, elements, noise)
+        self.state = self.state.augmented(tracks, elements, noise)
 
     def _inverse_guess(self, frame: TrackFrame) -> float:
-        """Guess the inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
+        """Return the guessed inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
         if len(self.state.tracks):
             lines = self.state.points(self.camera) - self.state.position_m
             return float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))

@@ -1,4 +1,4 @@
-"""State of EKF-SLAM with the whole camera, and the star tracker, whose attitudes are measurements."""
+"""State of EKF-SLAM with the camera's pose, and the star tracker, whose attitudes are measurements."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.ekf_measure import Innovation
-from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import updated
-from estimators.slam.inverse_depth import SIZE, turn_jacobians
+from estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
+from estimators.slam.ekf_update import Innovation, kalman_update
 from scenarios.geometry import Camera, cross_matrix
 from scenarios.tracks import TrackFrame
 
@@ -21,10 +19,10 @@ FloatArray = NDArray[np.float64]
 _POSITION, _VELOCITY, _TURN, _RATE, _LASTING = (slice(3 * i, 3 * i + 3) for i in range(5))
 _ANCHOR_TURN = slice(SIZE, SIZE + 3)
 
-# The first interval tells both; until then, this is more than any camera near an asteroid does.
+# Weak priors: the first interval determines both. No camera near an asteroid moves or turns faster.
 _FIRST_VELOCITY_M_S = 10.0
 _FIRST_RATE_RAD_S = 0.01
-# What is exact is believed to be this good, a hundred-thousandth of a pixel: a variance of zero is lost in rounding.
+# Least sigma of an attitude, 1e-5 pixels, for exact ones: a variance of zero would be lost in rounding.
 _LEAST_ATTITUDE_RAD = 1e-9
 
 _SMALL_RAD = 1e-4
@@ -50,13 +48,13 @@ def left_jacobian(turns_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + cosine * cross + rest * (cross @ cross), dtype=np.float64)
 
 
-def turn_of(rotation: FloatArray) -> FloatArray:
-    """(3,) rotation vector of a rotation (3, 3), at most half a turn long."""
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """(3,) rotation vector of a rotation (3, 3), at most pi long."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
 
 
 def _series(turns_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(..., 1, 1) sin(a) / a, (1 - cos a) / a^2 and (a - sin a) / a^3; of a small angle two terms of each series."""
+    """(..., 1, 1) sin(a) / a, (1 - cos a) / a^2 and (a - sin a) / a^3; two terms of the series for small angles."""
     squares = (turns_rad**2).sum(axis=-1)[..., None, None]
     if squares.max(initial=0.0) < _SMALL_RAD**2:
         return 1.0 - squares / 6.0, 0.5 - squares / 24.0, 1.0 / 6.0 - squares / 120.0
@@ -74,25 +72,24 @@ def _series(turns_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 class PoseState(FilterState):
     """Equation (7) with the 13 elements of section 3.3 for the camera, and the 10 of equation (9) for a landmark.
 
-    The camera has its position (body axes), its velocity (inertial axes), its attitude, and its angular rate against
-    inertial space (camera axes); a landmark has ``[u, v, rho, T]`` with the pose T of its anchor. In place of the
-    paper's quaternions attitudes are rotation matrices beside ``x``, where each has the three angles of its error, on
-    the left: zero but for the time between an update and `folded` (multiplicative filter). So the covariance is 12 wide
-    for the camera and 9 for a landmark.
+    The camera has its position (body axes), its velocity (inertial axes), its attitude, and its angular rate relative
+    to inertial space (camera axes); a landmark has ``[u, v, rho, T]`` with the pose T of its anchor. Instead of the
+    paper's quaternions, attitudes are rotation matrices outside ``x``; ``x`` has the three angles of each attitude
+    error, applied on the left, which are zero except between an update and `with_errors_reset` (multiplicative filter).
+    So the covariance has 12 rows for the camera and 9 for a landmark.
 
-    Three elements more are what the star tracker's attitude has wrong for long: its misalignment with the camera, which
-    averages out of no number of frames, and what grows from the first frame on, the error of the body's known rotation
-    (a random walk of the same variance). Landmarks lie still in the true body's axes, so that it is seen by them alone.
+    Three more elements are the lasting error of the star tracker's attitude: its misalignment with the camera, which
+    does not average out, and the error of the body's known rotation, which grows from the first frame on (a random walk
+    of the same variance). Landmarks are fixed in the true body's axes, and only they make this error observable.
 
     Parameters
     ----------
     R_camera
         (3, 3) R_cam_body of the camera.
     turn_noise_rad
-        Standard deviation, about each axis, of the turn between two frames that the rate does not foretell.
+        Standard deviation, about each axis, of the rotation between two frames that the rate does not predict.
     misalignment_rad
-        Standard deviation of the misalignment: what lasts of the error at the first frame, which says what the axes of
-        the body are.
+        Standard deviation of the misalignment: the lasting error at the first frame, which defines the body axes.
     """
 
     R_camera: FloatArray
@@ -107,8 +104,8 @@ class PoseState(FilterState):
     def at_first(
         cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame, turn_noise_rad: float
     ) -> PoseState:
-        """Begin without a landmark, at the attitude of the star tracker."""
-        lasting = frame.attitude_lasting_rad**2 * np.eye(3)
+        """Return a state without landmarks, at the attitude of the star tracker."""
+        lasting = frame.attitude_bias_sigma_rad**2 * np.eye(3)
         covariance = np.zeros((cls.CAMERA, cls.CAMERA))
         covariance[_POSITION, _POSITION] = covariance_m2
         covariance[_VELOCITY, _VELOCITY] = _FIRST_VELOCITY_M_S**2 * np.eye(3)
@@ -120,12 +117,20 @@ class PoseState(FilterState):
         none = np.zeros(0, dtype=np.int64)
         anchors, settled = np.zeros((0, 3, 3)), np.zeros((0, 4))
         return cls(
-            x, covariance, none, anchors, settled, frame, frame.R_cam_body, turn_noise_rad, frame.attitude_lasting_rad
+            x,
+            covariance,
+            none,
+            anchors,
+            settled,
+            frame,
+            frame.R_cam_body,
+            turn_noise_rad,
+            frame.attitude_bias_sigma_rad,
         )
 
     @property
     def velocity_m_s(self) -> FloatArray:
-        """(3,) mean velocity since the frame before, inertial axes."""
+        """(3,) mean velocity since the previous frame, inertial axes."""
         return self.x[_VELOCITY]
 
     @property
@@ -135,7 +140,7 @@ class PoseState(FilterState):
 
     @property
     def anchor_turns(self) -> FloatArray:
-        """(n, 3) errors of the attitudes of the anchors."""
+        """(n, 3) rotation vectors of the anchors' attitude errors."""
         return self.x[self.CAMERA :].reshape(-1, self.LANDMARK)[:, _ANCHOR_TURN]
 
     @property
@@ -151,25 +156,25 @@ class PoseState(FilterState):
         return np.concatenate([others, by_turn @ left_jacobian(self.anchor_turns)], axis=2)
 
     def camera_jacobians(self, by_line: FloatArray, lines: FloatArray) -> FloatArray:
-        """(k, r, 15) by the camera of what has the derivatives (k, r, 3) by its lines to landmarks, (k, 3).
+        """(k, r, 15) derivatives of measurements by the camera, given those (k, r, 3) by the ``lines`` (k, 3).
 
-        A turn of the camera changes what it sees of a line as the opposite turn of the line does.
+        A rotation of the camera has the effect of the opposite rotation of the lines of sight.
         """
         by_camera = np.zeros((*by_line.shape[:2], self.CAMERA))
         by_camera[:, :, _POSITION] = -by_line
         by_camera[:, :, _TURN] = -by_line @ cross_matrix(lines) @ self.attitude.T @ left_jacobian(self.x[_TURN])
         return by_camera
 
-    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known.
+    def estimate(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the position (3,), its covariance and the points (n, 3) in the axes of the body's known rotation.
 
-        Of what lasts, the body's rotation has the share of its variance, and the rest is the misalignment's.
+        The estimated lasting error is split between the body's rotation and the misalignment by their variances.
         """
-        position, covariance, points = FilterState.told(self, camera)
-        grown = max(self.frame.attitude_lasting_rad**2 - self.misalignment_rad**2, 0.0)
+        position, covariance, points = FilterState.estimate(self, camera)
+        grown = max(self.frame.attitude_bias_sigma_rad**2 - self.misalignment_rad**2, 0.0)
         if grown == 0.0:
             return position, covariance, points
-        share = grown / self.frame.attitude_lasting_rad**2
+        share = grown / self.frame.attitude_bias_sigma_rad**2
         to_body, lever = self.attitude.T, cross_matrix(position)
         turn = rotation_of(-share * to_body @ self.x[_LASTING])
         J = np.zeros((3, self.CAMERA))
@@ -180,16 +185,15 @@ class PoseState(FilterState):
         return turn @ position, covariance, np.asarray(points @ turn.T, dtype=np.float64)
 
     def predicted(self, frame: TrackFrame) -> PoseState:
-        """Move by the displacement that comes with a frame and turn by the rate; then look at the stars.
+        """Propagate by a frame's displacement and by the angular rate, then update with the star tracker's attitude.
 
-        Velocity is the displacement since the frame before over the time between, in inertial axes. The rate is
-        constant but for an angular acceleration, which is constant between two frames and independent from one interval
-        to the next.
+        The velocity is the displacement since the previous frame divided by the time, in inertial axes. The rate
+        changes by an angular acceleration that is constant between two frames and independent between intervals.
         """
         return _star_tracked(self.propagated(frame))
 
     def propagated(self, frame: TrackFrame) -> PoseState:
-        """Move and turn, and forget nothing of what all errors have in common with those of landmarks."""
+        """Propagate the camera state, keeping the cross-covariances with the landmarks."""
         F, noise = self._transition(frame)
         x, covariance = self.x.copy(), self.covariance.copy()
         x[_POSITION] += frame.motion_m
@@ -202,8 +206,8 @@ class PoseState(FilterState):
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
         return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
 
-    def folded(self) -> Self:
-        """Take the errors of attitudes into the attitudes: what is left of them refers to the new ones."""
+    def with_errors_reset(self) -> Self:
+        """Apply the estimated attitude errors to the attitudes and reset them to zero."""
         turns = np.concatenate([self.x[None, _TURN], self.anchor_turns])
         rotations = rotation_of(turns) @ np.concatenate([self.R_camera[None], self.R_cam_body])
         first = np.concatenate([[_TURN.start], self.CAMERA + self.LANDMARK * np.arange(len(self.tracks)) + SIZE])
@@ -223,7 +227,7 @@ class PoseState(FilterState):
         return np.asarray((after - before) / self._seconds(frame), dtype=np.float64)
 
     def _transition(self, frame: TrackFrame) -> tuple[FloatArray, FloatArray]:
-        """(15, 15) derivatives of the camera's errors by those at the frame before, and the covariance to be added."""
+        """(15, 15) transition matrix of the camera's errors from the previous frame, and process noise covariance."""
         dt = self._seconds(frame)
         turn = -self.x[_RATE] * dt
         moves, accelerates = np.zeros((self.CAMERA, 3)), np.zeros((self.CAMERA, 3))
@@ -235,24 +239,24 @@ class PoseState(FilterState):
         moves[_POSITION] = np.eye(3)
         moves[_VELOCITY] = frame.R_body_inertial.T / dt
         accelerates[_TURN] = -left_jacobian(turn)
-        accelerates[_RATE] = 2.0 / dt * np.eye(3)  # a turn of a dt^2 / 2 is a rate of a dt
+        accelerates[_RATE] = 2.0 / dt * np.eye(3)  # angular acceleration a: rotation a dt^2 / 2, rate a dt
         noise = moves @ frame.motion_covariance_m2 @ moves.T
         noise += self.turn_noise_rad**2 * accelerates @ accelerates.T
-        grown = max(frame.attitude_lasting_rad**2 - self.frame.attitude_lasting_rad**2, 0.0)
+        grown = max(frame.attitude_bias_sigma_rad**2 - self.frame.attitude_bias_sigma_rad**2, 0.0)
         noise[_LASTING, _LASTING] += grown * np.eye(3)
         return F, noise
 
 
 def _star_tracked(state: PoseState) -> PoseState:
-    """Update by the attitude that a frame brings, ``exp(lasting + noise) R_cam_body``."""
+    """Update with the star tracker's attitude of a frame, ``exp(lasting + noise) R_cam_body``."""
     frame = state.frame
     found = rotation_of(-state.x[_LASTING]) @ frame.R_cam_body @ state.attitude.T
     jacobian = np.zeros((3, len(state.x)))
     jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
     variance = np.full(3, _star_tracker_variance(frame))
-    return updated(state, Innovation(turn_of(found), jacobian, variance))[0]
+    return kalman_update(state, Innovation(rotation_vector(found), jacobian, variance))[0]
 
 
 def _star_tracker_variance(frame: TrackFrame) -> float:
-    """Return the variance of what is independent from frame to frame, rad^2."""
+    """Return the variance of the error that is independent from frame to frame, rad^2."""
     return max(frame.attitude_noise_rad, _LEAST_ATTITUDE_RAD) ** 2

@@ -1,4 +1,9 @@
-"""State of EKF-SLAM: the camera position, then six elements for each landmark, and their joint covariance."""
+"""State of EKF-SLAM: camera position and anchored inverse-depth landmarks (section 3.3), with their joint covariance.
+
+A landmark is a pixel, an inverse distance and the camera position of its first frame, the anchor, equation (8):
+``l = [u, v, rho, T0]``. The 10 elements of equation (9), ``[u, v, rho, T]``, have the attitude of the anchor as well, a
+quaternion with three degrees of freedom. With known attitudes it is a constant, and 6 elements are enough.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +13,63 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.inverse_depth import SIZE, landmark_jacobians, landmark_points
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, cross_matrix
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+SIZE = 6
+
+
+def landmark_points(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
+    """(n, 3) points in the body frame of landmarks (n, 6) with the attitudes (n, 3, 3) of their anchors, m."""
+    rays = np.einsum("kji,kj->ki", R_cam_body, camera.unproject(landmarks[:, :2]))
+    return np.asarray(landmarks[:, 3:] + rays / landmarks[:, 2:3], dtype=np.float64)
+
+
+def landmark_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
+    """(n, 3, 6) of `landmark_points` by the landmark's elements."""
+    rays = camera.unproject(landmarks[:, :2])
+    inverse = landmarks[:, 2][:, None, None]
+    slopes = np.zeros((len(landmarks), 3, 2))
+    slopes[:, 0, 0] = rays[:, 2] / camera.fx_px
+    slopes[:, 1, 1] = rays[:, 2] / camera.fy_px
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    by_pixel = across @ slopes / inverse
+    by_inverse = -rays[:, :, None] / inverse**2
+    turned = np.swapaxes(R_cam_body, 1, 2) @ np.concatenate([by_pixel, by_inverse], axis=2)
+    ones = np.broadcast_to(np.eye(3), (len(landmarks), 3, 3))
+    return np.concatenate([turned, ones], axis=2)
+
+
+def turn_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
+    """(n, 3, 3) of `landmark_points` by a small rotation of the anchor, R_cam_body = exp(rotation) R."""
+    rays = camera.unproject(landmarks[:, :2])
+    across = np.swapaxes(R_cam_body, 1, 2) @ cross_matrix(rays)
+    return np.asarray(across / landmarks[:, 2][:, None, None], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
     """Equation (7), ``x = [X_C, l_1, ..., l_N]``, with the position alone for the camera.
 
-    Attitude is taken as it is measured, and the motion between frames is handed in with its covariance instead of being
-    propagated. `estimators.slam.ekf_pose.PoseState` has the 13 elements of the paper.
+    The attitude is the measured one, and the motion between frames is an input with covariance instead of a
+    propagation. `estimators.slam.ekf_pose.PoseState` has the 13 camera elements of the paper.
 
     Parameters
     ----------
     x, covariance
         (C + L n,), C elements of the camera and L of each landmark, and the covariance of their errors.
     tracks
-        (n,) whose landmark each L elements are, in the order in which they came.
+        (n,) tracks of the landmarks, in the order of the state.
     R_cam_body
         (n, 3, 3) attitudes of the anchors.
     settled
-        (n, 4) inverse distance and anchor where derivatives by a landmark are taken for good (first-estimates
-        Jacobians); NaN where they are taken at the present estimate.
+        (n, 4) fixed inverse distance and anchor for the derivatives by a landmark (first-estimates Jacobians); NaN if
+        they are taken at the present estimate.
     frame
-        The frame that the camera stands at.
+        The present frame.
     """
 
     x: FloatArray
@@ -48,11 +82,11 @@ class FilterState:
     CAMERA: ClassVar[int] = 3
     LANDMARK: ClassVar[int] = SIZE
     POSE: ClassVar[tuple[int, ...]] = (0, 1, 2)
-    """Elements of the camera that a new landmark's last ones, its anchor, are a copy of."""
+    """Camera elements that are copied to the anchor of a new landmark."""
 
     @classmethod
     def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame) -> FilterState:
-        """Begin without a landmark."""
+        """Return a state without landmarks."""
         none = np.zeros(0, dtype=np.int64)
         return FilterState(position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4)), frame)
 
@@ -63,7 +97,7 @@ class FilterState:
 
     @property
     def velocity_m_s(self) -> FloatArray | None:
-        """(3,) velocity, inertial axes; None where it is no part of the state."""
+        """(3,) velocity, inertial axes; None if it is not part of the state."""
         return None
 
     @property
@@ -90,7 +124,7 @@ class FilterState:
 
     @property
     def inverse_sigmas(self) -> FloatArray:
-        """(n,) standard deviations of the inverse distances, relative."""
+        """(n,) relative standard deviations of the inverse distances."""
         variances = np.diag(self.covariance)[self.CAMERA + 2 :: self.LANDMARK]
         return np.asarray(np.sqrt(variances) / self.landmarks[:, 2], dtype=np.float64)
 
@@ -99,7 +133,7 @@ class FilterState:
         return landmark_points(camera, self.landmarks, self.anchor_attitudes)
 
     def lines(self, camera: Camera) -> FloatArray:
-        """(n, 3) from the camera to the landmarks at which derivatives are taken, body axes, m."""
+        """(n, 3) landmarks for the derivatives minus camera position, body axes, m."""
         return landmark_points(camera, self.linearisation_landmarks, self.anchor_attitudes) - self.position_m
 
     def landmark_jacobians(self, camera: Camera) -> FloatArray:
@@ -107,27 +141,27 @@ class FilterState:
         return landmark_jacobians(camera, self.linearisation_landmarks, self.anchor_attitudes)
 
     def camera_jacobians(self, by_line: FloatArray, lines: FloatArray) -> FloatArray:
-        """(k, r, C) by the camera of what has the derivatives (k, r, 3) by its lines to landmarks, (k, 3)."""
+        """(k, r, C) derivatives of measurements by the camera, given those (k, r, 3) by the ``lines`` (k, 3)."""
         del lines
         return -by_line
 
-    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known."""
+    def estimate(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the position (3,), its covariance and the points (n, 3) in the axes of the body's known rotation."""
         return self.position_m.copy(), self.covariance[:3, :3].copy(), self.points(camera)
 
     def predicted(self, frame: TrackFrame) -> Self:
-        """Move the camera to the next frame by all that this tells beside its pixels; landmarks stand still."""
+        """Propagate the camera to the next frame by its predicted motion; landmarks are fixed."""
         x, covariance = self.x.copy(), self.covariance.copy()
         x[:3] += frame.motion_m
         covariance[:3, :3] += frame.motion_covariance_m2
         return replace(self, x=x, covariance=covariance, frame=frame)
 
-    def folded(self) -> Self:
-        """Take errors that an update has corrected out of ``x`` where they belong elsewhere."""
+    def with_errors_reset(self) -> Self:
+        """Apply the estimated errors in ``x`` to reference values outside of it, if there are any, and reset them."""
         return self
 
     def without(self, lost: NDArray[np.bool_]) -> Self:
-        """Drop the landmarks marked in (n,), with their rows and columns."""
+        """Drop the landmarks marked in ``lost`` (n,), with their rows and columns."""
         rows = np.concatenate([np.ones(self.CAMERA, dtype=np.bool_), np.repeat(~lost, self.LANDMARK)])
         return replace(
             self,
@@ -138,16 +172,16 @@ class FilterState:
             settled=self.settled[~lost],
         )
 
-    def settling(self, sigma: float) -> Self:
-        """Keep the derivatives of landmarks whose inverse distance is known to ``sigma``, relative, as they are now."""
+    def with_fixed_linearisation(self, sigma: float) -> Self:
+        """Fix the linearisation of landmarks whose inverse distance has a relative error below ``sigma``."""
         now = np.isnan(self.settled[:, 0]) & (self.inverse_sigmas < sigma)
         return replace(self, settled=np.where(now[:, None], self.landmarks[:, 2:], self.settled))
 
-    def joined(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray) -> Self:
-        """Append landmarks anchored at the present camera: equations (9) to (11).
+    def augmented(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray) -> Self:
+        """Add landmarks anchored at the present camera: equations (9) to (11).
 
-        ``x_aug = [x, u, v, rho, T]``, with the covariance ``P_ll = dl/dx_c P_XX dl/dx_c' + R_l``, where R_l has the
-        variances R_y of the pixel and R_rho of the inverse distance, and none for the anchor.
+        ``x_aug = [x, u, v, rho, T]``, with the covariance ``P_ll = dl/dx_c P_XX dl/dx_c' + R_l``. R_l has the variances
+        R_y of the pixel and R_rho of the inverse distance, and zeros for the anchor.
 
         Parameters
         ----------

@@ -1,32 +1,38 @@
-"""What all estimators of sequences share: frame after frame, checked input, and an end with a reason."""
+"""Code shared by all sequence estimators: the loop over the frames, checks of input and result, divergence tests."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.tracks import Predict, Prediction, TrackFrame, TrackSequence
+from scenarios.spec.base import SpecModel
+from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
+OptionsT = TypeVar("OptionsT", bound=SpecModel)
+
 
 class LostError(Exception):
-    """The sequence cannot be followed beyond this frame; the message says why."""
+    """The estimator fails at this frame; the message is the reason of the failed estimate."""
 
 
 class Follower(Protocol):
     """An estimator at work on one sequence."""
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        """Take the next frame in; its ``seconds`` are filled in by the caller. Raises LostError."""
+        """Process the next frame; the caller fills in ``seconds``. Raises LostError."""
         ...
 
     def diagnostics(self) -> dict[str, float]:
@@ -35,24 +41,24 @@ class Follower(Protocol):
 
 
 @runtime_checkable
-class Foresight(Protocol):
-    """A follower that can tell where its landmarks will be."""
+class PixelPredictor(Protocol):
+    """A follower that predicts the pixels of its landmarks in the next frame, for guided matching."""
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks of the frame before will be in the next one, whose tracks are not known yet."""
+        """Predict the pixels of the landmarks in ``frame``, whose tracks are not known yet."""
         ...
 
 
 @dataclass(slots=True)
 class FrameCheck:
-    """Refuses frames that no estimator can use."""
+    """Check of each frame against those before it; refuses frames that no estimator can use."""
 
     time_s: float = -np.inf
     gone: set[int] = field(default_factory=set)
     held: set[int] = field(default_factory=set)
 
     def check(self, frame: TrackFrame) -> None:
-        """Raise LostError where the frame is empty, not finite, out of order, or holds a track twice or again."""
+        """Raise LostError if the frame is empty, not finite or out of order, or holds a track twice or a lost one."""
         tracks = set(frame.tracks.tolist())
         if not np.isfinite(frame.time_s) or frame.time_s <= self.time_s:
             raise LostError(f"time {frame.time_s} s does not come after {self.time_s} s: frames must be in order")
@@ -69,12 +75,75 @@ class FrameCheck:
         self.held = tracks
 
 
+class ConfiguredEstimator(ABC, Generic[OptionsT]):
+    """Base of the sequence estimators with options; a subclass names the model of its options and makes a follower."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    options_model: ClassVar[type[SpecModel]]
+
+    def __init__(self, options: OptionsT) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(cast("OptionsT", parse_options(cls.options_model, options, cls.name)))
+
+    @abstractmethod
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, self.follower(sequence))
+
+
+class InnovationTest:
+    """Divergence test on the mean squared normalised innovation of the last frames, of which 1 is expected.
+
+    Parameters
+    ----------
+    frames, limit
+        Over how many frames the mean is taken, and the mean that counts as divergence.
+    method, cause
+        Words of the failure's reason: what diverges, and why it may.
+    """
+
+    def __init__(self, frames: int, limit: float, method: str, cause: str = "") -> None:
+        self.limit, self.method, self.cause = limit, method, cause
+        self.recent: deque[tuple[float, int]] = deque(maxlen=frames)
+        self.total = 0.0
+        self.measurements = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean over all frames so far, and its degrees of freedom."""
+        if not self.measurements:
+            return {}
+        return {"innovation": self.total / self.measurements, "innovation_degrees": float(self.measurements)}
+
+    def add(self, squared: float, measurements: int) -> None:
+        """Add a frame's squared innovation and its degrees of freedom; raise LostError on divergence."""
+        self.total += squared
+        self.measurements += measurements
+        self.recent.append((squared, measurements))
+        count = sum(item[1] for item in self.recent)
+        if len(self.recent) < (self.recent.maxlen or 0) or count <= 0:
+            return
+        mean = sum(item[0] for item in self.recent) / count
+        if mean > self.limit:
+            raise LostError(
+                f"the {self.method} diverges: the squared normalised innovation of {len(self.recent)} frames is"
+                f" {mean:.3g}{self.cause}"
+            )
+
+
 def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
-    """Feed the frames to ``follower`` until the end or until it is lost."""
+    """Process all frames with ``follower``, up to the first LostError."""
     done: list[FrameEstimate] = []
     check = FrameCheck()
     reason = "" if sequence.frames else "the sequence has no frame"
-    for number, frame in enumerate(frames_of(sequence, partial(foreseen, follower))):
+    for number, frame in enumerate(frames_of(sequence, partial(next_pixels, follower))):
         start = time.perf_counter()
         try:
             check.check(frame)
@@ -87,18 +156,24 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     return SequenceEstimate("failed" if reason else "ok", tuple(done), reason, follower.diagnostics())
 
 
-def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]:
-    """Return the frames as they are, or as the sequence's eye makes them."""
-    return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
+def frames_of(sequence: TrackSequence, predict: LandmarkPredictor) -> Iterable[TrackFrame]:
+    """Return the stored frames, or those that the sequence's vision layer makes with the predictions of ``predict``."""
+    return sequence.frames if sequence.front_end is None else sequence.front_end.frames(predict)
 
 
-def foreseen(follower: Follower, frame: TrackFrame) -> Prediction | None:
-    """Ask a follower where its landmarks will be in a frame; None from one that cannot tell, and before the start."""
-    return follower.predict(frame) if isinstance(follower, Foresight) else None
+def next_pixels(follower: Follower, frame: TrackFrame) -> Prediction | None:
+    """Predict the pixels of a follower's landmarks in a frame; None if it cannot, and before the first frame."""
+    return follower.predict(frame) if isinstance(follower, PixelPredictor) else None
+
+
+def check_connected(shared: int, needed: int) -> None:
+    """Raise LostError where a frame shares fewer than ``needed`` landmarks with the frame before."""
+    if shared < needed:
+        raise LostError(f"tracks are lost: {shared} landmarks are shared with the frame before, {needed} are needed")
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
-    """Raise LostError where the position is uncertain by more than ``limit`` of the distance to the landmarks."""
+    """Raise LostError if the position's largest sigma exceeds ``limit`` times the median distance to the landmarks."""
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     distance = median_distance(points_m, position_m)
     if sigma > limit * distance:
@@ -115,7 +190,7 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
 
 
 def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
-    """(n,) where each of ``wanted`` stands in the sorted ``keys``; -1 where it does not."""
+    """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
     table = np.asarray(keys, dtype=np.int64)
     if len(table) == 0:
         return np.full(len(wanted), -1, dtype=np.int64)

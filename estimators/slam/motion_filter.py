@@ -1,4 +1,4 @@
-"""The motion propagator of BA-SLAM, section 3.2 of Delpech et al. (2015): position and velocity, a constant gain."""
+"""Motion propagator of BA-SLAM, section 3.2 of Delpech et al. (2015): a constant-gain filter."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from estimators.slam.dynamics.field import Field
-from estimators.slam.dynamics.propagation import propagated
+from estimators.slam.dynamics.force_model import ForceModel, propagate
 from estimators.slam.following import LostError
 from estimators.slam.options import BundleOptions
 from scenarios.tracks import Forces, TrackFrame, TrackSequence
@@ -20,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SteadyGain:
-    """Of one axis: the gains of position and velocity (1/s), and the variance of an innovation, m^2."""
+    """Steady-state Kalman gain of one axis: for position (-) and velocity (1/s), and the innovation variance, m^2."""
 
     position: float
     velocity_s: float
@@ -29,17 +28,17 @@ class SteadyGain:
 
 @lru_cache(maxsize=64)
 def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) -> SteadyGain:
-    """Return the gain that a Kalman filter of one axis ends with, by the discrete algebraic Riccati equation.
+    """Return the steady-state Kalman gain of one axis, by the discrete algebraic Riccati equation.
 
-    The axes are independent: the gradient of gravity, gm / r^3 times duration^2, is a thousandth where a frame is 2 deg
-    of the orbit from the next.
+    The axes are treated as independent: the gravity gradient gm / r^3 times duration^2 is about 0.001 for frames 2 deg
+    of the orbit apart.
 
     Parameters
     ----------
     duration_s
         Between two frames.
     acceleration_m_s2
-        Standard deviation of what is not modelled, zeta of equation (6), constant in each interval.
+        Standard deviation of the unmodelled acceleration, zeta of equation (6), constant in each interval.
     position_m
         Standard deviation of a measured position.
     """
@@ -53,23 +52,23 @@ def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFilter:
-    """Six states in inertial axes about the body's centre, moved by equation (6) and corrected with a constant gain.
+    """Position and velocity in inertial axes about the body's centre, propagated by equation (6), constant gain.
 
-    Equation (6) is printed as ``mu / r^3 r``, which would push: gravity is ``-mu / r^3 r``.
+    Equation (6) is printed as ``mu / r^3 r``, which would repel: gravity is ``-mu / r^3 r``.
 
     Parameters
     ----------
     field
         Gravity and solar radiation pressure.
     acceleration_m_s2, sigma_m
-        Standard deviations that the gain is made of: of what is not modelled, and of a position of the adjustment.
+        Standard deviations for the gain: of the unmodelled acceleration, and of an adjusted position.
     time_s
         Epoch of the state.
     position_m, velocity_m_s
         (3,) each.
     """
 
-    field: Field
+    field: ForceModel
     acceleration_m_s2: float
     sigma_m: float
     time_s: float
@@ -80,21 +79,21 @@ class MotionFilter:
     def at_first(
         cls, sequence: TrackSequence, forces: Forces, acceleration_m_s2: float, sigma_m: float
     ) -> MotionFilter:
-        """Begin with the first position of a sequence and the velocity that is known there."""
+        """Return the filter at the first frame of a sequence, with the known position and velocity."""
         first = sequence.frames[0]
         position = first.R_body_inertial.T @ sequence.position_m
-        field = Field.of(forces, float(np.linalg.norm(position)))
+        field = ForceModel.of(forces, float(np.linalg.norm(position)))
         return cls(field, acceleration_m_s2, sigma_m, first.time_s, position, forces.velocity_m_s.copy())
 
     def predicted(self, time_s: float) -> MotionFilter:
-        """Move to a later epoch."""
+        """Propagate to a later epoch."""
         unit = self.field.time_s
         start = np.concatenate([self.position_m, self.velocity_m_s * unit])[None]
-        end = propagated(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
+        end = propagate(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
         return replace(self, time_s=time_s, position_m=end[:3], velocity_m_s=end[3:] / unit)
 
     def corrected(self, position_m: FloatArray, gain: SteadyGain) -> MotionFilter:
-        """Take in a position (3,), inertial axes."""
+        """Update with a measured position (3,), inertial axes."""
         innovation = position_m - self.position_m
         return replace(
             self,
@@ -103,17 +102,17 @@ class MotionFilter:
         )
 
     def gain(self, duration_s: float) -> SteadyGain:
-        """Return the constant gain for frames that follow one another at an interval."""
+        """Return the constant gain for a frame interval."""
         return steady_gain(duration_s, self.acceleration_m_s2, self.sigma_m)
 
 
 class Propagator:
-    """The filter beside an adjustment: it predicts the displacement of a frame, then takes the adjusted position in.
+    """Motion filter coupled with an adjustment: predicts each displacement, and is corrected by the adjusted position.
 
     Raises
     ------
     LostError
-        If nothing is known of the forces, or of what they leave out: without it the gain would be zero.
+        If the forces are unknown, or the unmodelled acceleration is zero, which would make the gain zero.
     """
 
     def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:
@@ -125,7 +124,7 @@ class Propagator:
         self.gain: SteadyGain | None = None
 
     def predict(self, frame: TrackFrame) -> TrackFrame:
-        """Put the filter's prediction in the place of the displacement that a frame brings."""
+        """Replace a frame's displacement and its covariance by the filter's prediction."""
         self.R_body_inertial = frame.R_body_inertial
         if self.filter is None:
             self.filter = self._first()
@@ -136,7 +135,7 @@ class Propagator:
         return replace(frame, motion_m=moved, motion_covariance_m2=np.eye(3) * self.gain.innovation_m2)
 
     def correct(self, position_m: FloatArray) -> FloatArray:
-        """Take in the adjusted position (3,), body axes; return the velocity (3,), inertial axes, m/s."""
+        """Correct with the adjusted position (3,), body axes; return the velocity (3,), inertial axes, m/s."""
         self.adjusted_m = position_m
         if self.filter is None:
             raise LostError("a position is corrected before it is predicted")

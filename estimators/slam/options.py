@@ -1,4 +1,4 @@
-"""Options of the estimators of sequences."""
+"""Options of the sequence estimators."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from typing import Literal
 
 from pydantic import Field
 
-from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
+
+Gate = Literal["none", "individual", "one-point"]
 
 
 class LossOptions(SpecModel):
-    """Of every estimator but the control: when it gives up a sequence."""
+    """Options of every estimator but dead reckoning: when a sequence counts as lost."""
 
     connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
     uncertainty_max: float = Field(
         0.25,
         gt=0,
-        description="The scale counts as lost when the position is uncertain by this part of the distance",
+        description="The scale counts as lost when the position's standard deviation exceeds this part of the distance",
     )
 
 
 class InnovationOptions(SpecModel):
-    """Of every estimator that holds a new frame against what was known before it."""
+    """Options of estimators with an innovation test."""
 
     innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
     innovation_max: float = Field(
@@ -33,7 +34,7 @@ class InnovationOptions(SpecModel):
 
 
 class SolverOptions(LossOptions):
-    """Of every estimator that minimises."""
+    """Options of estimators with an iterative minimisation."""
 
     tolerance: float = Field(
         1e-8, gt=0, le=1e-2, description="A minimisation ends when no step is longer than this part of the distance"
@@ -42,20 +43,20 @@ class SolverOptions(LossOptions):
     connectivity: int = Field(3, ge=2, le=100, description="Landmarks that two views must share")
 
 
-class AssociationOptions(SolverOptions):
-    """Of every estimator that adjusts a window: wrong associations."""
+class OutlierOptions(SolverOptions):
+    """Options of estimators that adjust a window: outlier rejection."""
 
     associations: Literal["all", "consensus"] = Field(
         "all",
-        description="Believe all, or leave out pixels that disagree with the largest set that one of them explains, and"
-        " those that an adjustment leaves too far off",
+        description="Use all pixels, or refuse those that disagree with the largest consistent set (one-point RANSAC)"
+        " and those with large residuals after an adjustment",
     )
     false_alarm: float = Field(
-        0.001, gt=0, le=0.1, description="Probability that a right pixel is refused when it comes"
+        0.001, gt=0, le=0.1, description="Probability that a correct pixel of a new frame is refused"
     )
 
 
-class BundleOptions(AssociationOptions):
+class BundleOptions(OutlierOptions):
     """Options of ``ba-slam``."""
 
     views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
@@ -66,7 +67,7 @@ class BundleOptions(AssociationOptions):
     connected: Literal["last-two", "whole-window"] = Field(
         "last-two",
         description="Trailing views stay while the leading view shares landmarks with the last of them, as in the"
-        " paper, or with the oldest, so that the whole window does",
+        " paper, or with the oldest, so that it shares landmarks with the whole window",
     )
     offset_frames: int = Field(4, ge=1, le=1000, description="Frames between views of the constant offset")
     angle_max_deg: float = Field(
@@ -75,19 +76,19 @@ class BundleOptions(AssociationOptions):
     steps: Literal["full", "motion-structure-full"] = Field(
         "motion-structure-full", description="Adjust motion only and structure only before the full adjustment, or not"
     )
-    gauge_sigma_m: float = Field(0.01, gt=0, description="Standard deviation given to a gauge that was handed over")
+    gauge_sigma_m: float = Field(0.01, gt=0, description="Standard deviation of a gauge after a handover")
     motion: Literal["given", "constant-gain"] = Field(
         "given",
-        description="Predict the next position by the displacement that comes with it, or by forces and a filter of"
-        " position and velocity with a constant gain",
+        description="Predict the next position by the given displacement, or by forces and a filter of position and"
+        " velocity with a constant gain",
     )
     motion_position_sigma_m: float = Field(
-        1.0, gt=0, description="Standard deviation of an adjusted position that the constant gain is made of"
+        1.0, gt=0, description="Standard deviation of an adjusted position, for the constant gain"
     )
     motion_noise_m_s2: float | None = Field(
         None,
         gt=0,
-        description="Unmodelled acceleration that the constant gain is made of; left out: what the forces say",
+        description="Unmodelled acceleration for the constant gain; left out: that of the known forces",
     )
 
 
@@ -96,15 +97,15 @@ class FilterOptions(InnovationOptions, LossOptions):
 
     camera: Literal["position", "pose"] = Field(
         "position",
-        description="State of the camera: the position, with attitude taken for known, or all 13 elements of the"
-        " paper, with the star tracker's attitude for a measurement",
+        description="State of the camera: the position, with known attitude, or all 13 elements of the paper, with the"
+        " star tracker's attitude as a measurement",
     )
     turn_noise_deg: float = Field(
         1.0,
         gt=0,
         le=30,
-        description="With camera: pose, standard deviation, about each axis, of the turn between two frames that the"
-        " angular rate of the frame before does not foretell",
+        description="With camera: pose, standard deviation, about each axis, of the rotation between two frames that"
+        " the angular rate of the previous frame does not predict",
     )
     depth_sigma: float = Field(
         0.3, gt=0, le=2, description="Standard deviation of a new landmark's inverse distance, relative to its guess"
@@ -113,16 +114,16 @@ class FilterOptions(InnovationOptions, LossOptions):
         25.0,
         gt=1,
         description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected, and an"
-        " overconfident filter that still follows its path comes to 5 or 10",
+        " overconfident filter that still follows the path reaches 5 or 10",
     )
     gate: Gate = Field(
         "none",
-        description="Which pixels are left out: none, those whose own innovation is too large, or those that disagree"
-        " with the largest set that fits one of them taken for right (one-point RANSAC)",
+        description="Outlier gate: none, on the innovation of each pixel, or one-point RANSAC, which refuses the pixels"
+        " outside the largest set that fits with one of its members taken as correct",
     )
-    false_alarm: float = Field(0.001, gt=0, le=0.1, description="Probability that a gate refuses a right pixel")
+    false_alarm: float = Field(0.001, gt=0, le=0.1, description="Probability that a gate refuses a correct pixel")
     refusals_max: int = Field(
-        2, ge=1, le=1000, description="Frames in a row that refuse a landmark before it is taken in anew"
+        2, ge=1, le=1000, description="Refusals of a landmark in consecutive frames before it is initialised again"
     )
 
 
@@ -139,39 +140,39 @@ class ConsistentFilterOptions(IteratedFilterOptions):
         0.05,
         gt=0,
         le=1,
-        description="Relative standard deviation of an inverse distance at which its derivatives are kept for good",
+        description="Relative standard deviation of an inverse distance at which its linearisation is fixed",
     )
 
 
-class SmootherOptions(AssociationOptions):
+class SmootherOptions(OutlierOptions):
     """Options of ``fixed-lag``."""
 
     associations: Literal["all", "consensus"] = Field(
         "consensus",
-        description="Believe all, or leave out pixels that disagree with the largest set that one of them explains, and"
-        " those that an adjustment leaves too far off",
+        description="Use all pixels, or refuse those that disagree with the largest consistent set (one-point RANSAC)"
+        " and those with large residuals after an adjustment",
     )
     lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
     first_estimates: bool = Field(
-        True, description="Take derivatives by variables of the prior where they were when they entered it"
+        True, description="Take derivatives by variables of the prior at their estimates when they entered it"
     )
-    motion: bool = Field(True, description="Count predicted motions as measurements")
+    motion: bool = Field(True, description="Use predicted motions as measurements")
     attitude: Literal["known", "noisy"] = Field(
         "known",
-        description="Take the star tracker's attitude for true, or count what it has wrong in a frame alone as noise of"
-        " each pixel",
+        description="Take the star tracker's attitude as exact, or add its error that is independent from frame to"
+        " frame to the noise of each pixel",
     )
     prior_landmarks: int = Field(
         200,
         ge=0,
-        description="Landmarks that the prior holds at most; what older frames tell of others joins their views alone",
+        description="Largest number of landmarks in the prior; older measurements of others constrain only their views",
     )
 
 
-class BatchOptions(AssociationOptions):
+class BatchOptions(OutlierOptions):
     """Options of ``batch``."""
 
-    motion: bool = Field(True, description="Count predicted motions as measurements")
+    motion: bool = Field(True, description="Use predicted motions as measurements")
 
 
 class DynamicOptions(InnovationOptions, SolverOptions):
@@ -179,30 +180,34 @@ class DynamicOptions(InnovationOptions, SolverOptions):
 
     lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
     first_estimates: bool = Field(
-        True, description="Take derivatives by variables of the prior where they were when they entered it"
+        True, description="Take derivatives by variables of the prior at their estimates when they entered it"
     )
 
 
 class LoopOptions(SmootherOptions):
     """Options of ``loop-smoother``."""
 
-    closure_frames: int = Field(15, ge=1, le=10000, description="Frames between adjustments of all frames, at least")
-    closure_pairs: int = Field(3, ge=1, le=1000, description="Landmarks seen again that must agree")
+    closure_frames: int = Field(
+        15, ge=1, le=10000, description="Least number of frames between adjustments of all frames"
+    )
+    closure_pairs: int = Field(
+        3, ge=1, le=1000, description="Least number of recognised landmarks that agree, for a loop closure"
+    )
     closure_tolerance_m: float = Field(
         1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
     )
-    recognition: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
+    recognition: float = Field(0.999, gt=0, lt=1, description="Probability that a correct recognition passes the test")
 
 
 class GtsamOptions(SolverOptions):
-    """Options of ``gtsam-isam2``; tolerance and iterations are those of a new view's first placing."""
+    """Options of ``gtsam-isam2``; tolerance and iterations are those of a new view's motion-only adjustment."""
 
-    motion: bool = Field(True, description="Count predicted motions as measurements")
+    motion: bool = Field(True, description="Use predicted motions as measurements")
     relinearize_m: float = Field(
         0.01, gt=0, description="A variable is linearised anew where it has moved by more (relinearizeThreshold)"
     )
     rounds: int = Field(
-        2, ge=1, le=100, description="Updates of the tree at each frame, the one with its factors included"
+        2, ge=1, le=100, description="Updates of the tree at each frame, including the one with the new factors"
     )
 
 

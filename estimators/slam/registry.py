@@ -1,9 +1,9 @@
-"""Estimators of sequences by name: our own table, and entry points of third-party packages."""
+"""Sequence estimators by name: our own, and those of other packages by their entry points."""
 
 from __future__ import annotations
 
+from estimators.registry import Registry
 from estimators.slam.contract import SequenceEstimator
-from estimators.third_party import Registry
 
 _ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={
@@ -13,9 +13,9 @@ _ESTIMATORS: Registry[SequenceEstimator] = Registry(
         "dynamic-smoother": "estimators.slam.dynamics.smoother:DynamicSmoother",
         "consistent-ekf-slam": "estimators.slam.ekf:ConsistentEkfSlam",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
-        "loop-smoother": "estimators.slam.loops.smoother:LoopSmoother",
-        "gtsam-fixed-lag": "estimators.slam.peers.smoothers:GtsamFixedLag",
-        "gtsam-isam2": "estimators.slam.peers.smoothers:GtsamIsam2",
+        "loop-smoother": "estimators.slam.loop_smoother:LoopSmoother",
+        "gtsam-fixed-lag": "estimators.slam.gtsam_smoothers:GtsamFixedLag",
+        "gtsam-isam2": "estimators.slam.gtsam_smoothers:GtsamIsam2",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
         "iterated-ekf-slam": "estimators.slam.ekf:IteratedEkfSlam",
     },

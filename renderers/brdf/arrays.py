@@ -1,4 +1,4 @@
-"""The few array functions that a reflectance formula needs, from whichever array library."""
+"""Elementwise functions of NumPy or Dr.Jit, and the angles that reflectance formulas share."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-# A NumPy array or number, or a Dr.Jit array: neither library knows a type that covers both.
+# A NumPy array or number, or a Dr.Jit array: neither library has a type that covers both.
 Array = Any
 
 
@@ -39,18 +39,18 @@ NUMPY = ArrayMath(
     where=np.where,
 )
 
-# Cosines of incidence and emission are kept above this, so that every formula stays finite at grazing angles.
-# It is half a hundredth of a degree from the horizon.
+# Lower bound of the cosines of incidence and emission, so that every formula stays finite at grazing angles:
+# 0.006 deg above the horizon.
 COS_MIN = 1e-4
 
 
-def grazing_safe(cosine: Array, xp: ArrayMath) -> Array:
+def clipped_cosine(cosine: Array, xp: ArrayMath) -> Array:
     """Clip a cosine of incidence or emission to [COS_MIN, 1]."""
     return xp.minimum(xp.maximum(cosine, COS_MIN), 1.0)
 
 
-# Square roots are taken of this at least: an angle of 1e-6 rad. It is below the rounding of single precision, where
-# the sine of the smallest angle that a cosine can tell from zero is 2.4e-4.
+# Lower bound of the argument of a square root, the square of 1e-6 rad. It is below single precision, in which the
+# smallest angle whose cosine differs from 1 has a sine of 2.4e-4.
 _SQUARE_MIN = 1e-12
 # Directions closer to the normal than this have no azimuth.
 _SINE_MIN = 1e-5
@@ -59,35 +59,35 @@ _SINE_MIN = 1e-5
 def root(square: Array, xp: ArrayMath) -> Array:
     """Square root with a finite derivative everywhere.
 
-    The derivative of sqrt is infinite at zero, and times a zero change (of a clipped argument) not a number. Sines of
-    angles that are roots of zero have a kink there, of which 0 is the mean slope, and 0 is what comes out.
+    The derivative of sqrt is infinite at zero; multiplied by the zero derivative of a clipped argument it gives NaN.
+    With the argument clipped the derivative is 0, the mean slope of the kink that |sin| has at zero.
     """
     return xp.sqrt(xp.maximum(square, _SQUARE_MIN))
 
 
 def sine(cosine: Array, xp: ArrayMath) -> Array:
-    """Sine of an angle in [0, pi] from its cosine, 1e-6 at least."""
+    """Sine, at least 1e-6, of an angle in [0, pi] given its cosine."""
     return root((1.0 - cosine) * (1.0 + cosine), xp)
 
 
 def phase_angle(sum_squared: Array, difference_squared: Array, xp: ArrayMath) -> Array:
-    """Phase angle, rad, from the squared lengths of the sum and of the difference of two unit vectors.
+    """Phase angle, rad, from the squared norms of the sum and of the difference of two unit vectors.
 
-    The vectors are the direction to the light and the *negative* of that to the viewer, so that the sum vanishes at
-    opposition.
+    The vectors are the direction to the light and the *negative* direction to the viewer, so that the sum vanishes at
+    opposition. Half angles keep their digits near 0 and pi, where arc cosines lose them.
     """
     return 2.0 * xp.atan2(root(sum_squared, xp), root(difference_squared, xp))
 
 
 def phase_of_rays(sun: Array, directions: Array) -> Array:
-    """Phase angles (N,), rad, of the unit direction to the Sun (3,) and unit rays (N, 3) from the viewer: NumPy."""
+    """Phase angles (N,), rad, of the unit direction to the Sun (3,) and unit rays (N, 3) from the viewer (NumPy)."""
     return phase_angle(((sun + directions) ** 2).sum(axis=1), ((sun - directions) ** 2).sum(axis=1), NUMPY)
 
 
 def smaller_and_larger_angle(cos_i: Array, cos_e: Array, xp: ArrayMath) -> tuple[Array, Array]:
-    """Cosines of the smaller and of the larger of two angles, with the mean derivative of both where they are equal.
+    """Cosines of the smaller and of the larger of two angles; equal angles give the mean of both derivatives.
 
-    Laws that are written in these have a kink there; maximum and minimum would both take the derivative of one angle.
+    Formulas in these angles have a kink where they are equal; maximum and minimum would return the derivative of one.
     """
     mean = 0.5 * (cos_i + cos_e)
     smaller = xp.where(cos_i > cos_e, cos_i, xp.where(cos_i < cos_e, cos_e, mean))
@@ -95,12 +95,12 @@ def smaller_and_larger_angle(cos_i: Array, cos_e: Array, xp: ArrayMath) -> tuple
 
 
 def azimuth_squares(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> tuple[Array, Array]:
-    """sin^2(psi / 2) and cos^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
+    """Return sin^2(psi / 2) and cos^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
 
     They follow from the spherical law of haversines, ``sin^2(g/2) = sin^2((i - e)/2) + sin i sin e sin^2(psi/2)`` and
-    ``cos^2(g/2) = cos^2((i + e)/2) + sin i sin e cos^2(psi/2)``, of which the one with the smaller square keeps its
-    digits in single precision, where the law of cosines loses them. Where one of the directions is the normal the
-    azimuth is undefined and any value gives the same reflectance: 1/2 is returned for both.
+    ``cos^2(g/2) = cos^2((i + e)/2) + sin i sin e cos^2(psi/2)``. The smaller of the two squares is computed and the
+    other is 1 minus it, which is accurate in single precision; the law of cosines is not. Where one of the directions
+    is the normal, the azimuth is undefined and any value gives the same reflectance: 1/2 is returned for both.
     """
     sin_i, sin_e = sine(cos_i, xp), sine(cos_e, xp)
     i, e = xp.atan2(sin_i, cos_i), xp.atan2(sin_e, cos_e)

@@ -12,13 +12,21 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, root, sine, smaller_and_larger_angle
-from renderers.brdf.phase import henyey_greenstein
+from renderers.brdf.arrays import (
+    Array,
+    ArrayMath,
+    azimuth_squares,
+    clipped_cosine,
+    root,
+    sine,
+    smaller_and_larger_angle,
+)
+from renderers.brdf.lunar_lambert import henyey_greenstein
 
 
 @dataclass(frozen=True, slots=True)
 class HapkeParameters:
-    """Parameters as the formula takes them; the numbers may be Dr.Jit values.
+    """Parameters in the units of the formula; the numbers may be Dr.Jit values.
 
     Parameters
     ----------
@@ -31,7 +39,7 @@ class HapkeParameters:
     theta_bar_rad
         Mean slope angle of the macroscopic roughness.
     H_function
-        Which approximation of Chandrasekhar's H function.
+        Year of Hapke's approximation of Chandrasekhar's H function.
     """
 
     w: Array
@@ -44,7 +52,7 @@ class HapkeParameters:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> HapkeParameters:
-        """From the values of a scenario's section, by key."""
+        """Convert the values of a scenario's ``brdf`` section, by key."""
         v = values
         return cls(v["w"], v["b"], v["c"], v["B0"], v["h"], v["theta_bar_deg"] * (pi / 180.0), v["H_function"])
 
@@ -52,9 +60,9 @@ class HapkeParameters:
 def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Hapke's BRDF, 1/sr: the bidirectional reflectance r divided by the cosine of incidence.
 
-    The two cases of the roughness correction (i <= e and e <= i) are one when they are written in the smaller
-    angle a and the larger angle b, and the cosine of incidence cancels: reciprocity then holds by construction.
-    The opposition surge adds light: with w near 1 and B0 of 1 the model reflects up to 6 % more than it receives.
+    The two cases of the roughness correction (i <= e and e <= i) become one when written in the smaller angle a and
+    the larger angle b, and the cosine of incidence cancels, so that the function is reciprocal by construction.
+    The opposition surge violates energy conservation: with w near 1 and B0 = 1 up to 106 % of the light is reflected.
 
     Parameters
     ----------
@@ -67,7 +75,7 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
     xp
         The array library of the angles.
     """
-    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     cos_a, cos_b = smaller_and_larger_angle(cos_i, cos_e, xp)
     azimuth = azimuth_squares(cos_i, cos_e, phase_rad, xp)
     mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, azimuth, xp)
@@ -77,7 +85,7 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
 
 
 def opposition_surge(p: HapkeParameters, phase_rad: Array, xp: ArrayMath) -> Array:
-    """B(g) = B0 / (1 + tan(g/2) / h), written without the pole of the tangent at g = pi."""
+    """Opposition surge B(g) = B0 / (1 + tan(g/2) / h), written without the pole of the tangent at g = pi."""
     cosine = xp.maximum(xp.cos(0.5 * phase_rad), 0.0)
     return p.B0 * p.h * cosine / (p.h * cosine + xp.sin(0.5 * phase_rad))
 
@@ -96,8 +104,8 @@ def _rough_surface(
 ) -> tuple[Array, Array, Array]:
     """Effective cosines of the angles a <= b, and the shadowing S mu_a mu_b / (mu_a0 mu_b0) of the BRDF.
 
-    ``azimuth`` is sin^2 and cos^2 of half the azimuth psi. A slope of zero is a smooth surface; it is approached to
-    1e-5 rad, so that its cotangent stays finite.
+    ``azimuth`` is sin^2 and cos^2 of half the azimuth psi. The tangent of the mean slope is at least 1e-5, so that its
+    cotangent stays finite for a smooth surface.
     """
     tan_t = xp.maximum(xp.sin(theta_bar_rad) / xp.cos(theta_bar_rad), 1e-5)
     chi = 1.0 / xp.sqrt(1.0 + pi * tan_t * tan_t)
@@ -119,6 +127,6 @@ def _rough_surface(
 
 
 def _roughness_exponentials(cosine: Array, sin: Array, tan_t: Array, xp: ArrayMath) -> tuple[Array, Array]:
-    """E1 and E2 of the 1984 paper for one angle."""
+    """E1 and E2 of Hapke (1984) for one angle."""
     k = cosine / (sin * tan_t)  # cot(theta_bar) cot(x)
     return xp.exp(-2.0 / pi * k), xp.exp(-1.0 / pi * k * k)

@@ -1,4 +1,4 @@
-"""The table of reflectance models: what evaluates them, renders them and tests them goes by it."""
+"""Table of the reflectance models, by which they are evaluated, rendered and tested."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from renderers.brdf.arrays import Array, ArrayMath
+from renderers.brdf.arrays import NUMPY, Array, ArrayMath
 from renderers.brdf.hapke import HapkeParameters, hapke
-from renderers.brdf.lambert import lambert
-from renderers.brdf.lommel_seeliger import LommelSeeligerParameters, lommel_seeliger
-from renderers.brdf.mcewen import McEwenParameters, mcewen
+from renderers.brdf.lunar_lambert import LommelSeeligerParameters, McEwenParameters, lambert, lommel_seeliger, mcewen
 from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 from scenarios.spec.base import SpecModel
-from scenarios.spec.brdf import HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
 
 Values = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class ReflectanceModel:
-    """A model: its section of a scenario, and its BRDF as a function of (values, cos_i, cos_e, phase_rad, math).
+    """Reflectance model: its schema in scenarios, and its BRDF of (values, cos_i, cos_e, phase_rad, math).
 
-    The values are those of the section's keys, in the units of the section; they may be Dr.Jit values.
+    The values are those of the scenario's ``brdf`` section, in its units; they may be Dr.Jit values.
     """
 
     spec: type[SpecModel]
@@ -30,7 +28,7 @@ class ReflectanceModel:
 
     @property
     def kind(self) -> str:
-        """The name of the model in a scenario."""
+        """Name of the model in a scenario."""
         name: str = get_args(self.spec.model_fields["kind"].annotation)[0]
         return name
 
@@ -70,3 +68,26 @@ MODELS = {
         ReflectanceModel(McEwenSpec, _mcewen),
     )
 }
+
+
+def brdf_value(spec: BrdfSpec, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath = NUMPY) -> Array:
+    """Evaluate the bidirectional reflectance distribution function of a scenario's surface, 1/sr.
+
+    Parameters
+    ----------
+    spec
+        The scenario's ``brdf`` section.
+    cos_i, cos_e
+        Cosines of the angles of incidence and emission from the normal; raised to at least COS_MIN.
+    phase_rad
+        Angle between the direction to the light and the direction to the viewer, 0 to pi.
+    xp
+        The array library of the angles.
+
+    Returns
+    -------
+    Array
+        The BRDF, finite and never negative; the radiance factor is ``I/F = pi f_r cos_i``. A single number for
+        Lambert's law.
+    """
+    return MODELS[spec.kind].formula(dict(spec), cos_i, cos_e, phase_rad, xp)

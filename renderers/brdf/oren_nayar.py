@@ -1,4 +1,4 @@
-"""Rough Lambertian V-cavities: M. Oren and S. K. Nayar, Generalization of Lambert's reflectance model, SIGGRAPH 1994.
+"""Rough Lambertian V-cavities of M. Oren and S. K. Nayar, Generalization of Lambert's reflectance model, SIGGRAPH 1994.
 
 The equations are those of section 4.4 of the paper (Gaussian slope distribution), divided by the irradiance
 ``E0 cos(theta_i)`` to turn the paper's radiance into a BRDF.
@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, sine, smaller_and_larger_angle
+from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, clipped_cosine, sine, smaller_and_larger_angle
 
 
 @dataclass(frozen=True, slots=True)
 class OrenNayarParameters:
-    """Parameters as the formula takes them; the numbers may be Dr.Jit values.
+    """Parameters in the units of the formula; the numbers may be Dr.Jit values.
 
     Parameters
     ----------
     albedo
-        The paper's rho: reflectance of a cavity's facets.
+        Reflectance of a cavity's facets, rho in the paper.
     sigma_rad
         Standard deviation of the facets' slope angle.
     form
@@ -34,15 +34,15 @@ class OrenNayarParameters:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> OrenNayarParameters:
-        """From the values of a scenario's section, by key."""
+        """Convert the values of a scenario's ``brdf`` section, by key."""
         return cls(values["albedo"], values["sigma_deg"] * (pi / 180.0), values["form"])
 
 
 def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Oren and Nayar's BRDF, 1/sr.
 
-    At slopes above about 45 deg the paper's fit turns slightly negative for grazing forward scattering; it is
-    clipped to 0 there. The fit also reflects up to 3 % more than it receives for an albedo of 1.
+    At slopes above about 45 deg the paper's fit becomes slightly negative for grazing forward scattering; it is
+    clipped to 0 there. For an albedo of 1 the fit reflects up to 103 % of the light.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Ar
     xp
         The array library of the angles.
     """
-    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     cos_beta, cos_alpha = smaller_and_larger_angle(cos_i, cos_e, xp)
     model = _full if p.form == "full" else _qualitative
     return xp.maximum(model(p, cos_alpha, cos_beta, azimuth_squares(cos_i, cos_e, phase_rad, xp), xp), 0.0)
@@ -86,7 +86,7 @@ def _full(
 def _qualitative(
     p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
 ) -> Array:
-    """Return the simplified model: the paper's A and B, without C3 and interreflection."""
+    """Evaluate the qualitative model: the paper's A and B, without C3 and interreflection."""
     s2 = p.sigma_rad * p.sigma_rad
     a = 1.0 - 0.5 * s2 / (s2 + 0.33)
     b = 0.45 * s2 / (s2 + 0.09)

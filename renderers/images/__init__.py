@@ -1,22 +1,19 @@
-"""Sets of real images in the place of rendered ones, and the readers of what missions publish."""
+"""Sets of real images that replace rendered ones, and readers of the formats in which missions publish images."""
 
-from renderers.images.image_set import ImageSet
-from renderers.images.metadata import ImageMetadata
+from renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation
 from renderers.images.pixels import read_image
-from renderers.images.posed_set import PosedImageSet
-from renderers.images.product import Product, open_product
-from renderers.images.selection import keep_clear, reach
-from renderers.images.table import PoseTable, read_table
+from renderers.images.posed_set import PosedImageSet, PoseTable, read_table
+from renderers.images.product import ImageMetadata, ImageProduct, open_product
 
 __all__ = [
     "ImageMetadata",
+    "ImageProduct",
     "ImageSet",
     "PoseTable",
     "PosedImageSet",
-    "Product",
     "keep_clear",
+    "keep_clear_violation",
     "open_product",
-    "reach",
     "read_image",
     "read_table",
 ]

@@ -1,46 +1,51 @@
-"""What every set of real images can do, whatever it takes its poses from."""
+"""Sets of real images: their protocol, their digest, and the selection of images by regions that must stay clear."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 
+FloatArray = NDArray[np.float64]
+Rectangle = tuple[float, float, float, float]
+
 
 class ImageSet(Protocol):
-    """Real images, each with its time, its Sun and one or more poses."""
+    """Real images, each with an epoch, a direction to the Sun and one or more poses."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the images in order."""
+        """Names of the images, in order."""
         ...
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """Images that cannot be used, each with the reason."""
+        """Names of images that cannot be used, each with the reason."""
         ...
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that results depend on: kernels first, in their order, if there are any."""
+        """Every file that results depend on: SPICE kernels first, in loading order, if there are any."""
         ...
 
     def __len__(self) -> int: ...
 
     def time_s(self, index: int) -> float:
-        """Return the epoch of an image."""
+        """Epoch of an image, s."""
         ...
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image by one of its poses; the one that is scored against by default."""
+        """View of an image with the pose named ``prefix``, by default the reference pose for scoring."""
         ...
 
     def image(self, index: int) -> NDArray[np.float32]:
@@ -48,16 +53,16 @@ class ImageSet(Protocol):
         ...
 
     def content_digest(self) -> str:
-        """Digest (hexadecimal SHA-256) of every file that results depend on."""
+        """Hexadecimal SHA-256 of every file that results depend on."""
         ...
 
     def check_images(self) -> None:
-        """Read every image once, so that a damaged one is found before a campaign starts."""
+        """Read every image, so that a damaged one is found before a campaign starts."""
         ...
 
 
 def files_digest(paths: Iterable[Path]) -> str:
-    """Digest (hexadecimal SHA-256) of the content of files, in their order.
+    """Hexadecimal SHA-256 of the contents of files, in order.
 
     Raises
     ------
@@ -76,15 +81,112 @@ def files_digest(paths: Iterable[Path]) -> str:
 
 @lru_cache(maxsize=4096)
 def _file_digest(path: Path, size: int, mtime_ns: int) -> bytes:
-    """Digest a file once as long as it stays the same: campaigns ask for it at every block of trials."""
+    """Digest a file; cached while size and time stamp stay the same, as campaigns need it at every block of trials."""
     del size, mtime_ns
     return hashlib.sha256(path.read_bytes()).digest()
 
 
 def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
-    """Refuse an image that is not of the camera's size."""
+    """Raise BoresightError if an image is not of the camera's size."""
     height, width = image.shape
     if (width, height) != (camera.width_px, camera.height_px):
         raise BoresightError(
             f"{path}: the image is {width} x {height} pixels, but the camera has {camera.width_px} x {camera.height_px}"
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """Subset of an image set, in its order; an `ImageSet` too.
+
+    Parameters
+    ----------
+    images
+        The set.
+    kept
+        Indices of the used images.
+    left_out
+        Names of the other images, each with the reason.
+    """
+
+    images: ImageSet
+    kept: tuple[int, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the used images."""
+        return tuple(self.images.names[index] for index in self.kept)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file of the whole set, as the selection depends on all of them."""
+        return self.images.files
+
+    def time_s(self, index: int) -> float:
+        """Epoch of an image, s."""
+        return self.images.time_s(self.kept[index])
+
+    def view(self, index: int, prefix: str | None = None) -> View:
+        """View of an image."""
+        return self.images.view(self.kept[index], prefix)
+
+    def image(self, index: int) -> NDArray[np.float32]:
+        """Read an image."""
+        return self.images.image(self.kept[index])
+
+    def content_digest(self) -> str:
+        """Digest of the whole set."""
+        return self.images.content_digest()
+
+    def check_images(self) -> None:
+        """Read every used image."""
+        for index in range(len(self)):
+            self.image(index)
+
+
+def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> Selection:
+    """Leave out the images in which the body overlaps given rectangles of the detector.
+
+    Parameters
+    ----------
+    images
+        The set.
+    outline_m
+        (N, 3) points of the body frame whose convex hull contains the body.
+    rectangles
+        Left, top, right and bottom of each rectangle, px.
+
+    Raises
+    ------
+    BoresightError
+        If no image remains.
+    """
+    reasons = [keep_clear_violation(images.view(index), outline_m, rectangles) for index in range(len(images))]
+    kept = tuple(index for index, reason in enumerate(reasons) if not reason)
+    left_out = tuple((name, reason) for name, reason in zip(images.names, reasons, strict=True) if reason)
+    if not kept:
+        raise BoresightError(f"images.keep_clear_px: no image remains of {len(images)}: {left_out[0][0]}: {reasons[0]}")
+    return Selection(images, kept, (*images.left_out, *left_out))
+
+
+def keep_clear_violation(view: View, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> str:
+    """Describe the first rectangle of the detector that the body overlaps; '' if it overlaps none.
+
+    The test uses the convex hull of the projected outline, which contains the image of the body.
+    """
+    uv = view.camera.project(view.T_cam_body.transform(outline_m))
+    seen = uv[np.isfinite(uv).all(axis=1)].astype(np.float32)
+    if len(seen) < 3:
+        return ""
+    hull = cv2.convexHull(seen[:, None])[:, 0]
+    for left, top, right, bottom in rectangles:
+        corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=np.float32)
+        shared, _ = cv2.intersectConvexConvex(hull, corners)
+        if shared > 0.0:
+            part = f"[{left:g}, {top:g}, {right:g}, {bottom:g}]"
+            return f"the body reaches {shared:.0f} px2 into {part}, which must stay clear"
+    return ""

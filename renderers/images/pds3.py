@@ -1,4 +1,4 @@
-"""PDS3 labels, attached or detached, and the pixels that they describe."""
+"""PDS3 labels, attached or detached, and the images that they describe."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from pvl.decoder import OmniDecoder
 from pvl.exceptions import LexerError, ParseError, QuantityError
 from pvl.parser import OmniParser
 
-from renderers.images.metadata import number
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
 
@@ -24,7 +23,7 @@ LABEL_SUFFIXES = (".lbl",)
 ATTACHED_SUFFIXES = (".img",)
 _FIRST_WORDS = (b"PDS_VERSION_ID", b"CCSD3ZF", b"NJPL1I00")
 _END = re.compile(rb"^[ \t]*END[ \t]*\r?$", re.MULTILINE)
-_LONGEST_LABEL = 1 << 17  # ten times the longest of NEAR and Hayabusa; pvl reads this in a few seconds
+_LONGEST_LABEL = 1 << 17  # ten times the longest label of NEAR and Hayabusa; pvl parses it in a few seconds
 _MOST_MENDED = 100
 # SAMPLE_TYPE to NumPy's byte order and kind (PDS Standards Reference 3.8, appendix C).
 _TYPES = {
@@ -39,23 +38,23 @@ _LARGEST = 1e39  # beyond single precision, in which missing pixels are often ma
 _BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
 
 
-# Beside its own, pvl raises TypeError for a date that it takes for one with a time zone, such as 2005-10-0, and what
-# numbers, dates and nesting beyond Python's own bounds give.
+# Exceptions of pvl's parser: its own, TypeError for a date that it reads as one with a time zone (2005-10-0), and those
+# of numbers, dates and nesting beyond Python's bounds.
 _PARSER_FAULTS = (
     LexerError, ParseError, QuantityError, ArithmeticError, AttributeError, LookupError, RecursionError, RuntimeError,
     StopIteration, TypeError, ValueError,
 )  # fmt: skip
 
 
-class _Parser(OmniParser):  # type: ignore[misc]
-    """Mends values that are missing as pvl does, but not for ever: ``A = 1 = 2`` within an object never ends there."""
+class _LabelParser(OmniParser):  # type: ignore[misc]
+    """Parser that limits the number of replaced missing values: pvl never ends on ``A = 1 = 2`` in an object."""
 
     def __init__(self, decoder: OmniDecoder) -> None:
         super().__init__(decoder=decoder)
         self._mended = 0
 
     def parse_module_post_hook(self, module: object, tokens: object) -> object:
-        """Give the last keyword an empty value, and go on behind it."""
+        """Replace the value of the last keyword by an empty one, and continue after it."""
         self._mended += 1
         if self._mended > _MOST_MENDED:
             raise ValueError("a keyword has no value, or two")
@@ -64,24 +63,24 @@ class _Parser(OmniParser):  # type: ignore[misc]
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A label and the file that it was read from; numbers with a point are exact decimals."""
+    """Keywords of a label and its file; numbers with a decimal point are `Decimal`."""
 
     path: Path
     values: Mapping[str, object]
 
     def fault(self, what: str) -> BoresightError:
-        """Word an error about this label."""
+        """Return an error that names this label's file."""
         return BoresightError(f"{self.path}: {what}")
 
     def part(self, name: str) -> Mapping[str, object]:
-        """Return the object or group of a name, or an empty one."""
+        """Return the object or group of a name; empty if it is missing."""
         found = self.values.get(name)
         return found if isinstance(found, Mapping) else {}
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the samples of an image lie in a file."""
+    """Storage of an image in a file: byte offset, sample type, lines and samples, bytes before and after each line."""
 
     path: Path
     offset: int
@@ -93,7 +92,7 @@ class _Layout:
 
 
 def has_label(content: bytes) -> bool:
-    """Tell whether a file starts with a PDS3 label."""
+    """Return whether a file starts with a PDS3 label."""
     return content.startswith(_FIRST_WORDS)
 
 
@@ -103,7 +102,7 @@ def parse_label(content: bytes, path: Path) -> Label:
     Raises
     ------
     BoresightError
-        If there is none, or it breaks the rules of the language.
+        If there is none, or it cannot be parsed.
     """
     if not has_label(content):
         raise BoresightError(f"{path}: does not start with a PDS3 label (PDS_VERSION_ID = PDS3)")
@@ -112,7 +111,7 @@ def parse_label(content: bytes, path: Path) -> Label:
         raise BoresightError(f"{path}: the label has no line END within its first {_LONGEST_LABEL >> 10} KiB")
     text = content[: end.end()].decode("latin-1")
     try:
-        values = pvl.loads(text, parser=_Parser(decoder=OmniDecoder(real_cls=Decimal)))
+        values = pvl.loads(text, parser=_LabelParser(decoder=OmniDecoder(real_cls=Decimal)))
     except _PARSER_FAULTS as error:
         reason = one_line(error)[:200] or type(error).__name__
         raise BoresightError(f"{path}: not a readable PDS3 label: {reason}") from error
@@ -120,16 +119,16 @@ def parse_label(content: bytes, path: Path) -> Label:
 
 
 def _flattened(values: Mapping[str, object]) -> dict[str, object]:
-    """Lift what stands in an OBJECT = FILE to the top, where other labels have it."""
+    """Move the keywords of an OBJECT = FILE to the top level, where other labels have them."""
     flat = dict(values)
     inner = flat.pop("FILE", None)
     return {**flat, **dict(inner)} if isinstance(inner, Mapping) else flat
 
 
 def pixel_file(label: Label) -> Path:
-    """Return the file that holds the image: the label's own where ^IMAGE names none.
+    """Return the file with the pixels: the label's own where ^IMAGE names none.
 
-    Names are matched whatever their case: labels often shout what lies in the folder in small letters.
+    Case is ignored, as labels often give file names in capitals.
 
     Raises
     ------
@@ -147,12 +146,12 @@ def pixel_file(label: Label) -> Path:
 
 
 def read_pixels(label: Label) -> NDArray[np.float32]:
-    """Read the image that a label describes, (lines, samples), in the order of the file, scaled as the label says.
+    """Read the image that a label describes, (lines, samples), in the order of the file, scaled as the label states.
 
     Raises
     ------
     BoresightError
-        If the layout is one that is not read, the file is too short, or pixels are marked as missing.
+        If the layout is not supported, the file is too short, or pixels are marked as missing.
     """
     layout, image = _layout(label), label.part("IMAGE")
     stride = layout.prefix + layout.samples * layout.dtype.itemsize + layout.suffix
@@ -204,7 +203,7 @@ def _layout(label: Label) -> _Layout:
 
 
 def _offset(label: Label) -> int:
-    """Bytes before the image: places in a pointer count from 1, in records unless it says BYTES."""
+    """Bytes before the image: positions in a pointer count from 1, in records unless the unit is BYTES."""
     places = [item for item in _pointer(label) if not isinstance(item, str)]
     place = places[0] if places else 1
     if isinstance(place, Quantity):
@@ -243,3 +242,13 @@ def _number(label: Label, values: Mapping[str, object], key: str, default: float
     if not abs(found) <= _LARGEST:
         raise label.fault(f"{key}: {value!r} is not a finite number of any use")
     return found
+
+
+def number(value: object) -> float:
+    """Convert a value of a label or header to float; NaN if it is no number or overflows."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        return float("nan")
+    try:
+        return float(value)
+    except (OverflowError, ValueError):  # a whole number of too many digits; a signalling NaN
+        return float("nan")

@@ -1,19 +1,28 @@
-"""One grey image file as an array."""
+"""Readers of single grey image files: PNG, TIFF and FITS."""
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+import zlib
+from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.images.fits import read_fits
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
+
+if TYPE_CHECKING:
+    from astropy.io import fits
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cv2
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 BITMAP_SUFFIXES = (".png", ".tif", ".tiff")
@@ -25,9 +34,80 @@ _WIDTH, _HEIGHT, _SAMPLES = 256, 257, 277
 _BIG = 43
 _NUMBER = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
+_COUNT = re.compile(rb"(Z?NAXIS[0-9]*|TFIELDS) *= *([0-9]+)")
+_MOST_AXES, _LONGEST_AXIS = 999, 1 << 31
+# Exceptions that astropy raises for damaged headers and data, apart from its own.
+_FAULTS = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError, RecursionError,
+    RuntimeError, TypeError, ValueError, struct.error, zlib.error,
+)  # fmt: skip
+
+
+def read_fits(content: bytes, path: Path) -> NDArray[np.generic]:
+    """Read the first image of a FITS file, (H, W), scaled as its header says.
+
+    Raises
+    ------
+    BoresightError
+        If the file is damaged or holds no image of two dimensions.
+    """
+    return _fits(content, path)[0]
+
+
+def read_fits_header(content: bytes, path: Path) -> dict[str, object]:
+    """Read the keywords of a FITS file: those of the primary header, overridden by those of the first image.
+
+    Raises
+    ------
+    BoresightError
+        As ``read_fits``.
+    """
+    return _fits(content, path)[1]
+
+
+def _check_axes(content: bytes, path: Path) -> None:
+    """Refuse headers with excessive sizes, for which astropy would loop or allocate without bound."""
+    packed = 1
+    for card in _COUNT.finditer(content):
+        name, value = card.group(1), int(card.group(2)[:30])
+        packed = packed * max(value, 1) if name.startswith(b"Z") and name != b"ZNAXIS" else packed
+        if value > (_MOST_AXES if name.endswith(b"S") else _LONGEST_AXIS) or packed > MOST_PIXELS:
+            raise BoresightError(
+                f"{path}: not a readable FITS file: {name.decode()} = {value} is more than an image has"
+            )
+
+
+def _keywords(header: fits.Header) -> dict[str, object]:
+    """Values of a header by keyword; the first where a keyword is repeated.
+
+    Not looked up by name, as astropy takes a damaged name with an asterisk for a pattern.
+    """
+    return dict(reversed(list(header.items())))
+
+
+def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, object]]:
+    """Read the first image and the keywords from memory, as astropy leaves a damaged file open."""
+    # Imported here, as astropy takes an eighth of the start-up time and most runs read no FITS file.
+    from astropy.io import fits
+    from astropy.io.fits.hdu.compressed._compression import CfitsioException  # derives from Exception directly
+
+    _check_axes(content, path)
+    try:
+        with warnings.catch_warnings(action="ignore"), fits.open(BytesIO(content)) as units:
+            unit = next((unit for unit in units if unit.is_image and unit.data is not None), None)
+            header = {} if unit is None else {**_keywords(units[0].header), **_keywords(unit.header)}
+            image = None if unit is None else unit.data
+    except (*_FAULTS, fits.VerifyError, CfitsioException) as error:
+        raise BoresightError(f"{path}: not a readable FITS file: {one_line(error) or type(error).__name__}") from error
+    if image is None:
+        raise BoresightError(f"{path}: holds no image")
+    if np.ndim(image) != 2:
+        raise BoresightError(f"{path}: a grey image has rows and columns alone, this one has shape {np.shape(image)}")
+    return np.asarray(image), header
+
 
 def bitmap_size(content: bytes) -> tuple[int, int, int]:
-    """Return width, height and channels as the header states them; (0, 0, 1) where there is no such header.
+    """Return width, height and channels stated in a PNG or TIFF header; (0, 0, 1) where there is none.
 
     TIFF: the first directory, classic or BigTIFF (TIFF 6.0, section 2).
     """
@@ -42,7 +122,7 @@ def bitmap_size(content: bytes) -> tuple[int, int, int]:
 
 
 def is_cut_short(content: bytes) -> bool:
-    """Tell whether a chunk of a PNG is longer than what is left of the file; others are never."""
+    """Return whether a chunk of a PNG extends beyond the end of the file; False for other formats."""
     place = len(_PNG)
     while content.startswith(_PNG) and place + 12 <= len(content):
         length, kind = struct.unpack_from(">I4s", content, place)
@@ -78,7 +158,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
     Raises
     ------
     BoresightError
-        If the file is missing, damaged, of another format, in colour, or holds values that are not finite.
+        If the file is missing, damaged, of another format or in colour, or contains values that are not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
@@ -91,7 +171,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file whole.
+    """Read a whole file.
 
     Raises
     ------
@@ -107,7 +187,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def finite_float32(image: NDArray[np.generic], path: Path) -> NDArray[np.float32]:
-    """Return an image as float32.
+    """Convert an image to float32.
 
     Raises
     ------
@@ -129,7 +209,7 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
         raise BoresightError(
             f"{path}: {width} x {height} pixels of {channels} channels are more than the {MOST_PIXELS} that are read"
         )
-    if is_cut_short(content):  # OpenCV takes memory for as much as a chunk says that it holds
+    if is_cut_short(content):  # OpenCV allocates the size that a chunk states
         raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image: it is cut short")
     try:
         with _quiet():
@@ -143,7 +223,7 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from printing beside the one line that is said here."""
+    """Silence OpenCV's log, as an error is reported as one line."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield

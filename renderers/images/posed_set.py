@@ -1,10 +1,24 @@
-"""A folder of real images with a table of poses, in the place of a renderer."""
+"""Image set from a folder of images and a CSV table of their poses.
+
+Columns of the table, in any order; others are not read:
+
+================================== ==================================================================
+file                               file name in the folder of the set, unique
+time_s                             epoch of the exposure, s
+PREFIX_qw, _qx, _qy, _qz           quaternion (w, x, y, z) from body to camera axes
+PREFIX_tx_m, _ty_m, _tz_m          origin of the body in camera axes, m: x_cam = R(q) x_body + t
+sun_body_x, _y, _z                 direction to the Sun in the body frame, normalised here
+================================== ==================================================================
+
+A table may contain poses under several prefixes (``ref``, ``label``). Camera axes: x right, y down, z forward.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import ClassVar, Self
 
 import numpy as np
@@ -12,18 +26,172 @@ from numpy.typing import NDArray
 
 from renderers.images.image_set import check_size, files_digest
 from renderers.images.pixels import read_image
-from renderers.images.table import PoseTable, read_table
 from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
+from scenarios.geometry import Camera, Pose, View
+from scenarios.limits import LARGEST_NUMBER
 from scenarios.spec.images import ImageSetSpec
+
+FloatArray = NDArray[np.float64]
+QUATERNION_TOLERANCE = 1e-3
+_EXCESS = "\n"
+_SUN = ("sun_body_x", "sun_body_y", "sun_body_z")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseTable:
+    """Content of a checked table of poses.
+
+    Parameters
+    ----------
+    files
+        N file names.
+    times_s
+        (N,) epochs, s.
+    sun_dirs_body
+        (N, 3) unit vectors towards the Sun.
+    poses
+        N poses T_cam_body for each prefix.
+    """
+
+    files: tuple[str, ...]
+    times_s: FloatArray
+    sun_dirs_body: FloatArray
+    poses: Mapping[str, tuple[Pose, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """Cells of one line of the table by column, and its place (FILE:LINE) for errors."""
+
+    place: str
+    cells: Mapping[str, str | None]
+
+    def number(self, column: str) -> float:
+        """Return a cell as a finite number."""
+        text = self.cells[column] or ""
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise BoresightError(f"{self.place}: {column}: {text!r} is not a finite number")
+        if abs(value) > LARGEST_NUMBER:
+            raise BoresightError(f"{self.place}: {column}: {text!r} is larger than anything that this can be")
+        return value
+
+    def numbers(self, columns: Sequence[str]) -> FloatArray:
+        """Return several cells as an array."""
+        return np.array([self.number(column) for column in columns])
+
+
+def read_table(path: Path, prefixes: Sequence[str]) -> PoseTable:
+    """Read and check a table of poses.
+
+    Raises
+    ------
+    BoresightError
+        If the table is missing or no CSV, has no rows, lacks a column or contains a wrong value; the message names
+        file, line and column.
+    """
+    rows = _read_rows(path, prefixes)
+    return PoseTable(
+        tuple(_files(rows)),
+        np.array([row.number("time_s") for row in rows]),
+        np.array([_sun(row) for row in rows]),
+        {prefix: tuple(_pose(row, prefix) for row in rows) for prefix in prefixes},
+    )
+
+
+def _pose_columns(prefix: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    quaternion = tuple(f"{prefix}_q{axis}" for axis in "wxyz")
+    return quaternion, tuple(f"{prefix}_t{axis}_m" for axis in "xyz")
+
+
+def _read_rows(path: Path, prefixes: Sequence[str]) -> list[_Row]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream, strict=True)
+            columns = [name.strip() for name in reader.fieldnames or ()]
+            _check_columns(path, columns, prefixes)
+            reader.fieldnames = columns
+            reader.restkey = _EXCESS
+            rows = [_Row(f"{path}:{reader.line_num}", cells) for cells in reader]
+    except FileNotFoundError as error:
+        raise BoresightError(f"{path}: no such table of poses") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BoresightError(f"{path}: cannot be read as a CSV table: {error}") from error
+    if not rows:
+        raise BoresightError(f"{path}: the table has no rows")
+    for row in rows:
+        if _EXCESS in row.cells:
+            raise BoresightError(f"{row.place}: more cells than the {len(columns)} columns of the heading")
+    return rows
+
+
+def _check_columns(path: Path, columns: Sequence[str], prefixes: Sequence[str]) -> None:
+    needed = ["file", "time_s", *_SUN]
+    for prefix in prefixes:
+        needed += [column for group in _pose_columns(prefix) for column in group]
+    missing = [column for column in needed if column not in columns]
+    if missing:
+        found = ", ".join(name.removesuffix("_qw") for name in columns if name.endswith("_qw")) or "none"
+        raise BoresightError(f"{path}: missing column {', '.join(missing)} (prefixes with poses: {found})")
+    twice = sorted({column for column in columns if columns.count(column) > 1})
+    if twice:
+        raise BoresightError(f"{path}: column {', '.join(twice)} appears twice")
+
+
+def _files(rows: Sequence[_Row]) -> list[str]:
+    """Return the file names, refusing repeated ones, which would count twice in every statistic."""
+    first: dict[str, str] = {}
+    for row in rows:
+        name = (row.cells["file"] or "").strip()
+        if not name:
+            raise BoresightError(f"{row.place}: file: no file name")
+        if _leaves_folder(name):
+            raise BoresightError(f"{row.place}: file: {name!r} leads out of the folder of the image set")
+        if name in first:
+            raise BoresightError(f"{row.place}: file: {name} appears twice, first at {first[name]}")
+        first[name] = row.place
+    return list(first)
+
+
+def _leaves_folder(name: str) -> bool:
+    paths = (PurePosixPath(name), PureWindowsPath(name))
+    return any(path.is_absolute() or path.drive or path.root or ".." in path.parts for path in paths)
+
+
+def _sun(row: _Row) -> FloatArray:
+    sun = row.numbers(_SUN)
+    length = float(np.linalg.norm(sun))
+    if not length > 0.0:
+        raise BoresightError(f"{row.place}: sun_body_x, _y, _z: {sun.tolist()} has no direction")
+    return sun / length
+
+
+def _pose(row: _Row, prefix: str) -> Pose:
+    quaternion_columns, translation_columns = _pose_columns(prefix)
+    quat_wxyz = row.numbers(quaternion_columns)
+    length = float(np.linalg.norm(quat_wxyz))
+    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+        raise BoresightError(
+            f"{row.place}: {prefix}_qw, _qx, _qy, _qz: the length is {length:.6g},"
+            f" not 1 within {QUATERNION_TOLERANCE:g}"
+        )
+    translation_m = row.numbers(translation_columns)
+    if translation_m[2] <= 0.0:
+        raise BoresightError(
+            f"{row.place}: {prefix}_tz_m: {translation_m[2]:g} puts the body behind the camera: z points forward"
+        )
+    return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedImageSet:
-    """Real images, each with its time, its Sun and one or more poses.
+    """Image set whose epochs, directions to the Sun and poses come from a table.
 
-    ``version`` is part of every result's key: raise it when pixels or views change.
+    ``version`` enters the digest of every run: raise it when pixels or views change.
     """
 
     name: ClassVar[str] = "posed-images"
@@ -37,21 +205,21 @@ class PosedImageSet:
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
-        """Read and check the table, and that every image is there; the images themselves are read later.
+        """Read and check the table, and check that every image exists; the images are read later.
 
         Parameters
         ----------
         spec
             The images section of a scenario.
         camera
-            The camera that took them.
+            The camera of the images.
         search_dirs
-            Folders where a relative ``folder`` is looked for before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
+            Folders searched for a relative ``folder`` before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
 
         Raises
         ------
         BoresightError
-            If the table or an image is missing, or the table is wrong.
+            If the table or an image is missing, or the table contains an error.
         """
         path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
         folder = path.parent
@@ -75,11 +243,11 @@ class PosedImageSet:
         return (self.folder / self.spec.table, *(self.folder / name for name in self.names))
 
     def time_s(self, index: int) -> float:
-        """Return the epoch of an image."""
+        """Epoch of an image, s."""
         return float(self.table.times_s[index])
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image by the pose under ``prefix``; the one that is scored against by default.
+        """View of an image with the pose under ``prefix``, by default the reference pose ``truth``.
 
         Raises
         ------
@@ -105,7 +273,7 @@ class PosedImageSet:
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 
     def content_digest(self) -> str:
-        """Digest (hexadecimal SHA-256) of the table and of every image: what results depend on.
+        """Hexadecimal SHA-256 of the table and every image.
 
         Raises
         ------
@@ -115,7 +283,7 @@ class PosedImageSet:
         return files_digest(self.files)
 
     def check_images(self) -> None:
-        """Read every image once, so that a damaged one is found before a campaign starts.
+        """Read every image, so that a damaged one is found before a campaign starts.
 
         Raises
         ------

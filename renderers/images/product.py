@@ -1,36 +1,157 @@
-"""An image as a mission publishes it: a FITS file, a PDS3 image, or either of them with a detached label."""
+"""Published mission images and their metadata: FITS files and PDS3 images, with attached or detached labels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pvl.collections import Quantity
 
-from renderers.images.fits import read_fits, read_fits_header
-from renderers.images.metadata import ImageMetadata, metadata_of
-from renderers.images.pds3 import ATTACHED_SUFFIXES, LABEL_SUFFIXES, Label, has_label, parse_label, pixel_file
+from renderers.images.pds3 import ATTACHED_SUFFIXES, LABEL_SUFFIXES, Label, has_label, number, parse_label, pixel_file
 from renderers.images.pds3 import read_pixels as read_pds3_pixels
-from renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes
+from renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_fits_header
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
+
+_UNKNOWN = ("", "N/A", "NA", "UNK", "UNKNOWN", "NULL")
+_SECONDS = {"S": 1.0, "SECOND": 1.0, "SECONDS": 1.0, "SEC": 1.0, "MS": 1e-3, "MILLISECOND": 1e-3, "MILLISECONDS": 1e-3}
+# Keywords in order of precedence: those of PDS3, then those of FITS.
+_KEYWORDS = {
+    "spacecraft": ("INSTRUMENT_HOST_NAME", "SPACECRAFT_NAME", "INSTRUMENT_HOST_ID", "TELESCOP"),
+    "instrument": ("INSTRUMENT_ID", "INSTRUME", "INSTRUMENT_NAME"),
+    "filter": ("FILTER_NAME", "FILTER_NUMBER", "FILTER"),
+    "target": ("TARGET_NAME", "OBJECT"),
+    "unit": ("UNIT", "BUNIT"),
+}
+_START = ("START_TIME", "DATE-OBS")
+_EXPOSURE = ("EXPOSURE_DURATION", "EXPTIME", "EXPOSURE")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageMetadata:
+    """Metadata from label and FITS header; None where neither gives it.
+
+    Parameters
+    ----------
+    start_utc
+        Start of the exposure, UTC, ISO 8601 without zone.
+    exposure_s
+        Exposure time.
+    spacecraft, instrument, filter, target
+        Names as the mission writes them.
+    unit
+        Unit of the pixels: ``I/F``, ``DN``, ...
+    line_display
+        Direction of the stored lines on a display (LINE_DISPLAY_DIRECTION). It may show the image mirrored: the
+        direction of the lines in the camera is a property of the instrument.
+    """
+
+    start_utc: str | None = None
+    exposure_s: float | None = None
+    spacecraft: str | None = None
+    instrument: str | None = None
+    filter: str | None = None
+    target: str | None = None
+    unit: str | None = None
+    line_display: Literal["up", "down"] | None = None
+
+
+def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: float = 1.0) -> ImageMetadata:
+    """Extract the metadata from the keywords of label and header.
+
+    Parameters
+    ----------
+    values
+        Values by keyword; objects of a label are mappings.
+    path
+        The file, for error messages.
+    exposure_unit_s
+        Unit, in seconds, of an exposure time without a unit.
+
+    Raises
+    ------
+    BoresightError
+        If a time or an exposure time is invalid.
+    """
+    flat = {**_inside(values, "IMAGE"), **values}
+    words = {name: _text(flat, keywords) for name, keywords in _KEYWORDS.items()}
+    display = _text(flat, ("LINE_DISPLAY_DIRECTION",))
+    return ImageMetadata(
+        start_utc=_start(flat, path),
+        exposure_s=_exposure_s(flat, path, exposure_unit_s),
+        line_display={"UP": "up", "DOWN": "down"}.get((display or "").upper()),  # type: ignore[arg-type]
+        **words,
+    )
+
+
+def _inside(values: Mapping[str, object], name: str) -> Mapping[str, object]:
+    found = values.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _first(values: Mapping[str, object], keywords: tuple[str, ...]) -> object:
+    """Return the value of the first keyword that has a known one, else None."""
+    found = (values.get(keyword) for keyword in keywords)
+    return next((value for value in found if value is not None and str(value).strip().upper() not in _UNKNOWN), None)
+
+
+def _text(values: Mapping[str, object], keywords: tuple[str, ...]) -> str | None:
+    value = _first(values, keywords)
+    return None if value is None or isinstance(value, Mapping) else " ".join(str(value).split())
+
+
+def _start(values: Mapping[str, object], path: Path) -> str | None:
+    value = _first(values, _START)
+    if value is None:
+        return None
+    if isinstance(value, str):
+        try:
+            value = datetime.fromisoformat(value.strip())
+        except ValueError as error:
+            raise BoresightError(f"{path}: {value!r} is not a time such as 2005-10-01T12:34:56.789") from error
+    if not isinstance(value, datetime):
+        raise BoresightError(f"{path}: the start of the exposure is {value}, which has no time of the day")
+    try:
+        utc = value if value.tzinfo is None else value.astimezone(UTC)
+    except OverflowError as error:
+        raise BoresightError(f"{path}: the start of the exposure is {value}, before or after all years") from error
+    return utc.replace(tzinfo=None).isoformat()
+
+
+def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> float | None:
+    value = _first(values, _EXPOSURE)
+    if value is None:
+        return None
+    if isinstance(value, Quantity):
+        unit = str(value.units).strip().upper()
+        if unit not in _SECONDS:
+            raise BoresightError(f"{path}: exposure: {value.units} is not a unit of time that is read")
+        value, unit_s = value.value, _SECONDS[unit]
+    exposure = number(value)
+    if not 0.0 <= exposure <= LARGEST_NUMBER:
+        raise BoresightError(f"{path}: exposure: {value!r} is not a number of at least 0")
+    return exposure * unit_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Product:
-    """What is told about one image; its pixels are read when they are wanted.
+class ImageProduct:
+    """A published image; its pixels are read on demand.
 
     Parameters
     ----------
     path
-        The file that holds the pixels.
+        File of the pixels.
     label
-        The PDS3 label, or None for a FITS file by itself.
+        The PDS3 label; None for a FITS file without one.
     keywords
         Keywords of the FITS header, overridden by those of the label.
     files
-        Every file that the product consists of.
+        Every file of the product.
     """
 
     path: Path
@@ -39,12 +160,12 @@ class Product:
     files: tuple[Path, ...]
 
     def metadata(self, exposure_unit_s: float = 1.0) -> ImageMetadata:
-        """Return the metadata; exposures without a unit are in units of ``exposure_unit_s``."""
-        return metadata_of(self.keywords, self.path, exposure_unit_s)
+        """Return the metadata; exposure times without a unit are in units of ``exposure_unit_s``."""
+        return parse_metadata(self.keywords, self.path, exposure_unit_s)
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Samples and lines as label or header state them; 0 where they do not."""
+        """Samples and lines stated by label or header; 0 where neither states them."""
         image = self.label.part("IMAGE") if self.label is not None else {}
         sizes = [
             image.get("LINE_SAMPLES", self.keywords.get("NAXIS1")),
@@ -54,7 +175,7 @@ class Product:
         return samples, lines
 
     def pixels(self) -> NDArray[np.float32]:
-        """Read the pixels, (lines, samples), in the order of the file and scaled as it says.
+        """Read the pixels, (lines, samples), in the order of the file, with its scaling applied.
 
         Raises
         ------
@@ -68,8 +189,8 @@ class Product:
         return finite_float32(read_pds3_pixels(self.label), self.path)
 
 
-def open_product(path: Path) -> Product:
-    """Open a label, a FITS file or a PDS3 image; a label beside a file, of the same name, is read with it.
+def open_product(path: Path) -> ImageProduct:
+    """Open a label, a FITS file or a PDS3 image, with a detached label of the same name if there is one.
 
     Raises
     ------
@@ -85,17 +206,17 @@ def open_product(path: Path) -> Product:
     is_fits = image.suffix.lower() in FITS_SUFFIXES
     header = read_fits_header(read_bytes(image), image) if is_fits else {}
     files = dict.fromkeys([image, *([] if label is None else [label.path])])
-    return Product(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
+    return ImageProduct(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
 
 
 def _label(path: Path) -> Label | None:
-    """Parse the label that is in a file or beside it; only a FITS file may do without."""
+    """Parse the attached or detached label of a file; only a FITS file may have none."""
     content = read_bytes(path)
     if has_label(content) or path.suffix.lower() in LABEL_SUFFIXES:
         return parse_label(content, path)
-    beside = [other for other in sorted(path.parent.glob(f"{path.stem}.*")) if other.suffix.lower() in LABEL_SUFFIXES]
-    if beside:
-        return parse_label(read_bytes(beside[0]), beside[0])
+    detached = [other for other in sorted(path.parent.glob(f"{path.stem}.*")) if other.suffix.lower() in LABEL_SUFFIXES]
+    if detached:
+        return parse_label(read_bytes(detached[0]), detached[0])
     if path.suffix.lower() in FITS_SUFFIXES:
         return None
     raise BoresightError(f"{path}: has no PDS3 label, neither in it nor beside it ({path.stem}.lbl)")

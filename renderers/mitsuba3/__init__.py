@@ -1,9 +1,9 @@
-"""Rendering with Mitsuba 3: images, shadows and de-projection, on a GPU, with LLVM or without either."""
+"""Rendering with Mitsuba 3 (images, shadows, de-projection) by its CUDA, LLVM or scalar variant."""
 
 from renderers.mitsuba3.bsdf import register_bsdfs
 from renderers.mitsuba3.llvm import LlvmSearch, find_llvm
+from renderers.mitsuba3.rays import check_outside
 from renderers.mitsuba3.renderer import MitsubaRenderer
-from renderers.mitsuba3.surface import check_outside
 from renderers.mitsuba3.tiled import BodyRenderer, TiledRenderer, renderer_version
 from renderers.mitsuba3.variant import Variant, choose_variant, code_generator, gpu_status, limit_threads
 

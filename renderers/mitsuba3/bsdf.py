@@ -1,9 +1,9 @@
-"""Mitsuba BSDF plugins of the reflectance models that Mitsuba lacks, for use in any Mitsuba scene.
+"""Mitsuba BSDF plugins of reflectance models that Mitsuba lacks, for any Mitsuba scene.
 
 ``boresight_oren_nayar``, ``boresight_hapke``, ``boresight_lommel_seeliger`` and ``boresight_mcewen`` take the keys of a
 scenario's ``brdf`` section as properties, with the same names, units, ranges and defaults, and a texture ``factor``
 (1 by default) that multiplies the reflectance, such as the vertex attribute ``vertex_albedo`` of a mesh. They are
-one-sided and sampled by the cosine.
+one-sided and importance-sampled by the cosine.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from scenarios.errors import BoresightError
 
 @dataclass(frozen=True, slots=True)
 class _Plugin:
-    """A model under the name that scenes know it by."""
+    """A reflectance model and the name of its plugin."""
 
     name: str
     model: ReflectanceModel
 
     def read(self, properties: Any) -> dict[str, Any]:
-        """Values of all keys, checked as those of a scenario file are."""
+        """Return the values of all keys, validated by the schema of scenario files."""
         model = self.model
         given = {key: properties[key] for key in model.keys if key in properties}
         try:
@@ -48,8 +48,8 @@ PLUGINS = tuple(
 def register_bsdfs(variant: Variant) -> Any:
     """Register the plugins with a variant, make it active, and return the library ``mitsuba``.
 
-    In the LLVM and CUDA variants the numbers appear among the scene's parameters and can be changed and
-    differentiated; in the scalar variant they are fixed.
+    In the LLVM and CUDA variants the numbers are parameters of the scene, which can be changed and differentiated; in
+    the scalar variant they are constants.
     """
     mi = load_mitsuba(variant)
     for plugin in PLUGINS:
@@ -58,14 +58,14 @@ def register_bsdfs(variant: Variant) -> Any:
 
 
 def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
-    """Make the plugin's class: its base class is another one in every variant."""
+    """Define the plugin's class, whose base class depends on the variant."""
     import drjit as dr
 
     math = drjit_math(dr)
     jit = dr.is_jit_v(mi.Float)
 
     class ReflectanceBsdf(mi.BSDF):  # type: ignore[misc]
-        """A diffuse-like lobe, sampled by the cosine of the outgoing direction."""
+        """Diffuse lobe, sampled by the cosine of the outgoing direction."""
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
@@ -84,7 +84,7 @@ def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
             sample.eta = 1.0
             sample.sampled_type = +mi.BSDFFlags.DiffuseReflection
             sample.sampled_component = 0
-            # Where the density is 0 the value is 0 too, and so is the weight.
+            # Where the density is 0 the value is 0 too: dividing by 1 avoids 0 / 0.
             return sample, self.eval(context, si, wo, active) / dr.select(sample.pdf > 0.0, sample.pdf, 1.0)
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:

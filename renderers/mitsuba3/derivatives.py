@@ -1,10 +1,10 @@
-"""How an image changes with the pose: derivatives through the renderer by Dr.Jit's automatic differentiation.
+"""Derivatives of rendered images with respect to the pose, by automatic differentiation with Dr.Jit.
 
-What a ray hits jumps at silhouettes, shadows and the edges of facets, and the derivative of a sample's shading alone
-sees nothing of the jumps. So samples are bound to the body: as the pose changes they move in the image, jumps and all,
-and a pixel is the mean of the samples about it, weighted by a filter that is continuous. That is the
-reparameterisation of G. Loubet, N. Holzschuch and W. Jakob (Reparameterizing discontinuous integrands for
-differentiable rendering, ACM Trans. Graphics 38, 2019), with a motion that a rigid body gives in closed form.
+The radiance is discontinuous at silhouettes, shadows and edges of facets, which derivatives of the samples' shading
+alone ignore. Samples are therefore fixed to the body and move in the image when the pose changes; a pixel is the mean
+of the samples around it, weighted by a continuous filter. This is the reparameterisation of G. Loubet, N. Holzschuch
+and W. Jakob (Reparameterizing discontinuous integrands for differentiable rendering, ACM Trans. Graphics 38, 2019),
+with the motion of a rigid body in closed form.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.arguments import opaque
-from renderers.mitsuba3.rays import Window, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, ray_bundle
 from renderers.mitsuba3.variant import load_mitsuba
+from renderers.mitsuba3.wavefront import opaque
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 
@@ -27,20 +27,19 @@ if TYPE_CHECKING:
 Image = NDArray[np.float32]
 
 _PARAMETERS = 6
-# Samples of the neighbouring pixels take part in a pixel, and those next to them in their motion.
+# The filter of a pixel covers its neighbours, whose motion depends on the samples next to them.
 _MARGIN_PX = 3
 _MOTION_PX = 1.5
 _SKY_M = np.float32(1e30)
 
 
-def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -> tuple[Image, Image]:
+def image_and_derivatives(tracer: WavefrontTracer, view: View, window: PixelWindow) -> tuple[Image, Image]:
     """Radiance factor (height, width) of the pixels of a window, and its derivatives (6, height, width).
 
-    The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, and the Sun stands still in
-    the camera. Two motions are left out: cast shadows move with the surface that they fall on, though a turning body
-    casts them elsewhere; and where one part of the body hides another, what is seen of the far one moves by itself, and
-    not with the edge in front of it. The derivatives are those of the image smoothed by a tent of two pixels, and not
-    by the pixel's square.
+    The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, with the Sun fixed in camera
+    axes. Two effects are neglected: the motion of cast shadows over the surface as the body rotates, and the motion of
+    occluding edges relative to the surface behind them. The derivatives are those of the image filtered by a tent two
+    pixels wide, not by the square of a pixel.
 
     Raises
     ------
@@ -52,7 +51,7 @@ def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -
     if view.camera.distortion is not None:
         raise BoresightError("derivatives of images are worked out for a pinhole camera: take camera.pinhole")
     mi = load_mitsuba(tracer.variant)
-    grown = Window(
+    grown = PixelWindow(
         window.column - _MARGIN_PX,
         window.row - _MARGIN_PX,
         window.width + 2 * _MARGIN_PX,
@@ -68,9 +67,9 @@ def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -
 
 
 class _Samples:
-    """The samples of a window: what they hit, and how they would move."""
+    """Samples of a window: their hits, and the derivatives of their positions and values."""
 
-    def __init__(self, mi: Any, tracer: WavefrontTracer, view: View, window: Window) -> None:
+    def __init__(self, mi: Any, tracer: WavefrontTracer, view: View, window: PixelWindow) -> None:
         import drjit as dr
 
         self.mi, self.tracer, self.view, self.window = mi, tracer, view, window
@@ -90,10 +89,10 @@ class _Samples:
         self.depth = mi.Float(self._surface_about(depth.numpy()))
 
     def _surface_about(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Depth beyond the body's origin, along the boresight, of the surface that each sample moves with.
+        """Depth, along the boresight from the body's origin, of the surface that each sample moves with.
 
-        Where a sample sees the body it is that, and just off the body the farthest surface about it, which is the
-        limb. Farther off there is none, and nothing moves.
+        It is the depth of the hit on the body, and within 1.5 pixels off the body that of the farthest surface nearby,
+        the limb. Samples farther off do not move.
         """
         n, window = round(self.tracer.samples_per_pixel**0.5), self.window
         pixels = depth_m.reshape(window.height, window.width, n, n)
@@ -106,7 +105,7 @@ class _Samples:
         return np.ascontiguousarray(blocks).ravel()
 
     def tangents(self) -> tuple[Any, Any, Any]:
-        """Differentiate each sample's position (u, v), px, and its value: six runs of all samples, one each."""
+        """Differentiate position (u, v), px, and value of each sample: all samples for each of six parameters."""
         import drjit as dr
 
         mi = self.mi
@@ -120,13 +119,13 @@ class _Samples:
         u, v = self._position(sample, rotation, translation)
         value = self._value(sample, rotation, translation)
         dr.set_grad(size, 1.0)
-        forward_to: Any = dr.forward_to  # its type hints want arrays one by one
+        forward_to: Any = dr.forward_to  # its type hints allow single arrays only
         tangents: tuple[Any, Any, Any] = forward_to((u, v, value))
         dr.eval(*tangents)
         return tangents
 
     def _position(self, sample: Any, rotation: Any, translation: Any) -> tuple[Any, Any]:
-        """Where the body's points of the samples' depth lie in the image after a small change of the pose."""
+        """Image positions of the samples' points after a small change of the pose."""
         import drjit as dr
 
         mi, camera, window = self.mi, self.view.camera, self.window
@@ -147,10 +146,10 @@ class _Samples:
         return still * u, still * v
 
     def _value(self, sample: Any, rotation: Any, translation: Any) -> Any:
-        """Radiance factor of the samples' points of the body after a small change of the pose.
+        """Radiance factor of the samples' points after a small change of the pose.
 
-        In body axes it is the Sun and the camera that move: with R' = exp(w) R and t' = t + d the camera stands at
-        -R'^T t', to first order -R^T (t + d - w x t), and the Sun at R^T (s - w x s).
+        In body axes the Sun and the camera move: with R' = exp(w) R and t' = t + d the camera is at -R'^T t', to first
+        order -R^T (t + d - w x t), and the direction to the Sun is R^T (s - w x s).
         """
         import drjit as dr
 
@@ -166,10 +165,10 @@ class _Samples:
         return dr.select(albedo > 0.0, albedo * value, 0.0)
 
 
-def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window: Window) -> Any:
-    """Combine the derivatives of the samples to those of the pixels, six runs.
+def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window: PixelWindow) -> Any:
+    """Combine the derivatives of the samples to those of the pixels, for six parameters.
 
-    With weights K of the samples about a pixel that add up to S, I = sum(K f) / S has the derivative
+    With weights K of the samples around a pixel and their sum S, I = sum(K f) / S has the derivative
     (sum(K f' + K' f) - I sum(K')) / S.
     """
     import drjit as dr
@@ -199,9 +198,9 @@ def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window
 
 
 def _tent(n: int) -> dict[int, tuple[float, float]]:
-    """Weight of each row of samples about a pixel in a tent of two pixels, and its slope; n rows to a pixel.
+    """Weight and slope, by row of samples, of a tent filter two pixels wide around a pixel of n rows.
 
-    Rows are counted from the pixel's first. At the tent's kinks the slope is the mean of both sides.
+    Row 0 is the first of the pixel. At the ends of the tent the slope is the mean of both sides.
     """
     result = {}
     for row in range(-n, 2 * n):

@@ -1,11 +1,11 @@
-"""Find a libLLVM that Dr.Jit can use, before Dr.Jit loads one by itself.
+"""Search for a libLLVM that works with Dr.Jit, before Dr.Jit is imported.
 
-Dr.Jit picks a libLLVM the moment it is imported, and with LLVM 14 to 16 it later aborts the process at its first
-real kernel. So the choice is made here, without importing Dr.Jit, and handed over in ``DRJIT_LIBLLVM_PATH``.
-The candidates, in order: the path the user set, the ``karellen-llvm-core`` wheel, and the system's libraries,
-newest first. Each is loaded in a process of its own, which reports its version: two LLVMs in one process clash.
+Dr.Jit selects a libLLVM when it is imported, and with LLVM 14 to 16 it later aborts the process at its first real
+kernel. The library is therefore chosen here, without importing Dr.Jit, and passed on in ``DRJIT_LIBLLVM_PATH``.
+The candidates, in order: the path that the user set, the ``karellen-llvm-core`` wheel, and the system's libraries,
+newest first. Each is loaded in a subprocess that reports its version, as two LLVMs in one process conflict.
 
-``BORESIGHT_HIDE_LLVM=1`` hides them all, so that the rendering without LLVM can be tried on any machine.
+``BORESIGHT_HIDE_LLVM=1`` hides all of them, to test rendering without LLVM on any machine.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class LlvmLibrary:
 
 @dataclass(frozen=True, slots=True)
 class RejectedLibrary:
-    """A libLLVM that was looked at and not taken."""
+    """A libLLVM that cannot be used, and the reason."""
 
     path: Path
     reason: str
@@ -67,14 +67,14 @@ class RejectedLibrary:
 
 @dataclass(frozen=True, slots=True)
 class LlvmSearch:
-    """What a search found: the library to use, if any, and those that were turned down before it."""
+    """Result of a search: the library to use, if any, and those rejected before it."""
 
     found: LlvmLibrary | None
     rejected: tuple[RejectedLibrary, ...] = ()
 
 
 def find_llvm() -> LlvmSearch:
-    """Search for the first usable libLLVM; nothing is loaded into this process."""
+    """Search for the first usable libLLVM, without loading any into this process."""
     if os.environ.get(HIDE_VARIABLE, "0") not in ("", "0"):
         return LlvmSearch(None)
     rejected: list[RejectedLibrary] = []
@@ -87,7 +87,7 @@ def find_llvm() -> LlvmSearch:
 
 
 def use_llvm(library: LlvmLibrary) -> None:
-    """Make Dr.Jit, not yet imported, take this library; child processes inherit the choice."""
+    """Make Dr.Jit, not yet imported, load this library, also in child processes."""
     for path in library.preload:
         ctypes.CDLL(str(path))
     os.environ[PATH_VARIABLE] = str(library.path)
@@ -97,14 +97,14 @@ def _candidates() -> Iterator[tuple[Path, tuple[Path, ...]]]:
     user = os.environ.get(PATH_VARIABLE)
     wheel = _wheel_files()
     if user:
-        # A parent process may have handed over the wheel's library, which needs its companions here too.
+        # A parent process may have set the wheel's library, which needs the libraries loaded before it here too.
         yield next((item for item in wheel if item[0] == Path(user)), (Path(user), ()))
     yield from (item for item in wheel if item[0] != Path(user or ""))
     yield from ((path, ()) for path in _system_files() if str(path) != user)
 
 
 def _wheel_files() -> list[tuple[Path, tuple[Path, ...]]]:
-    """Find the wheel's libLLVM with the C++ runtime that it was built against."""
+    """Return the wheel's libLLVM with the C++ runtime libraries that it was built against."""
     try:
         files = importlib.metadata.distribution(WHEEL).files or []
     except importlib.metadata.PackageNotFoundError:
@@ -119,7 +119,7 @@ def _wheel_files() -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _system_files() -> list[Path]:
-    """Find the system's libLLVM files, each once, newest first by the version in their names."""
+    """Return the system's libLLVM files without duplicates, newest first by the version in their names."""
     patterns = [f"{folder.lstrip('/')}/libLLVM{tail}" for folder in _SYSTEM_FOLDERS for tail in ("*.so*", "*.dylib")]
     found = {path.resolve() for pattern in patterns for path in Path("/").glob(pattern)}
     return sorted(found, key=lambda path: (_version_in_name(path), str(path)), reverse=True)
@@ -131,7 +131,7 @@ def _version_in_name(path: Path) -> tuple[int, ...]:
 
 
 def _probe(path: Path, preload: tuple[Path, ...]) -> tuple[str, str]:
-    """Load a library in a process of its own: its version and an empty string, or a reason against it."""
+    """Load a library in a subprocess; return its version, and why it cannot be used ('' if it can)."""
     if not path.is_file():
         return "", "no such file"
     command = [sys.executable, "-I", "-S", "-c", _PROBE, str(path), *map(str, preload)]

@@ -1,4 +1,4 @@
-"""Which pixels can show the body, and the rays through them."""
+"""Rays through pixels and their hits on a mesh, in double precision and independent of the ray tracer."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
 
 FloatArray = NDArray[np.float64]
 
 _BOX_STEPS = 65
 
+IndexArray = NDArray[np.int64]
+
+_CHUNK = 200_000
+
 
 @dataclass(frozen=True, slots=True)
-class Window:
-    """A rectangle of whole pixels: its first column and row, its width and its height."""
+class PixelWindow:
+    """Rectangle of whole pixels: first column and row, width and height."""
 
     column: int
     row: int
@@ -30,21 +35,21 @@ class Window:
         """Rows and columns of the window in an image array."""
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
-    def strips(self, rows: int) -> Iterator[Window]:
-        """Parts of the window of at most ``rows`` rows, from the top."""
+    def strips(self, rows: int) -> Iterator[PixelWindow]:
+        """Yield parts of the window of at most ``rows`` rows each, from the top."""
         end = self.row + self.height
         for row in range(self.row, end, rows):
-            yield Window(self.column, row, self.width, min(rows, end - row))
+            yield PixelWindow(self.column, row, self.width, min(rows, end - row))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayBundle:
     """Rays as linear functions of the pinhole's pixel position (u, v) counted from a window's corner.
 
-    A position of a camera with distortion is first taken to that of its pinhole. The origin of a ray is
-    ``origin_m + u origin_u_m + v origin_v_m``, and its direction the same of the other three, to be normalised; all
-    (3,), body frame. Rays start just before the body rather than at the camera, so that single precision resolves the
-    body however far the camera is; each constant is worked out in double precision.
+    Positions of a camera with distortion are first converted to those of its pinhole. The origin of a ray is
+    ``origin_m + u origin_u_m + v origin_v_m`` and its direction, to be normalised,
+    ``direction + u direction_u + v direction_v``; all (3,), body frame. Rays start just in front of the body, so that
+    single precision resolves it at any range; the constants are in double precision.
     """
 
     origin_m: FloatArray
@@ -57,7 +62,7 @@ class RayBundle:
     corner_px: tuple[float, float]
 
     def at(self, uv_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Origins and unit directions, (N, 3) each, at window positions (N, 2)."""
+        """Origins, m, and unit directions, (N, 3) each, at positions (N, 2), px, in the window."""
         if self.camera.distortion is not None:
             uv_px = self.camera.undistorted(uv_px + self.corner_px) - self.corner_px
         u, v = uv_px[:, :1], uv_px[:, 1:]
@@ -67,35 +72,35 @@ class RayBundle:
 
 
 def outline_points(mesh: TriangleMesh) -> FloatArray:
-    """Vertices (N, 3) of the convex hull: they bound the body in every projection."""
+    """Vertices (N, 3) of the convex hull, which bound the body in every projection."""
     try:
         return mesh.vertices_m[ConvexHull(mesh.vertices_m).vertices]
     except QhullError:  # a flat mesh has no hull
         return mesh.vertices_m
 
 
-def body_window(view: View, outline_m: FloatArray) -> Window | None:
-    """Smallest window that holds the body, given the points that bound it; None where it is out of sight."""
+def body_window(view: View, outline_m: FloatArray) -> PixelWindow | None:
+    """Smallest window that contains the body, given the points that bound it; None if it is outside the frame."""
     camera = view.camera
     points_cam_m = view.T_cam_body.transform(outline_m)
     in_front = points_cam_m[:, 2] > 0.0
     if not in_front.any():
         return None
     if not in_front.all():
-        return Window(0, 0, camera.width_px, camera.height_px)
+        return PixelWindow(0, 0, camera.width_px, camera.height_px)
     low_px, high_px = _bounds(camera, camera.pinhole.project(points_cam_m))
     size = (camera.width_px, camera.height_px)
     low = np.clip(np.floor(low_px), 0, size).astype(int)
     high = np.clip(np.ceil(high_px), 0, size).astype(int)
     width, height = (int(n) for n in high - low)
-    return Window(int(low[0]), int(low[1]), width, height) if width and height else None
+    return PixelWindow(int(low[0]), int(low[1]), width, height) if width and height else None
 
 
 def _bounds(camera: Camera, pinhole_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest pixel (2,) of what the pinhole sees within the hull of ``pinhole_px`` (N, 2).
+    """Least and greatest pixel (2,) of the hull of the pinhole's positions ``pinhole_px`` (N, 2).
 
-    A lens bends the sides of the bounding box, so points along them are followed. Where one has no pixel the box
-    reaches beyond the field.
+    Distortion bends the sides of the bounding box, so points along them are distorted too. If one of them has no
+    pixel, the box extends beyond the field and the whole frame is returned.
     """
     low, high = pinhole_px.min(axis=0), pinhole_px.max(axis=0)
     if camera.distortion is None:
@@ -106,11 +111,11 @@ def _bounds(camera: Camera, pinhole_px: FloatArray) -> tuple[FloatArray, FloatAr
     seen = camera.distorted(low + sides * (high - low))
     if not np.isfinite(seen).all():
         return np.zeros(2), np.array([camera.width_px, camera.height_px], dtype=np.float64)
-    return seen.min(axis=0) - 1.0, seen.max(axis=0) + 1.0  # between two steps a side bends by far less
+    return seen.min(axis=0) - 1.0, seen.max(axis=0) + 1.0  # between two steps a side bends by much less
 
 
 def ray_bundle(view: View, radius_m: float, corner_px: tuple[float, float]) -> RayBundle:
-    """Rays of a view, with pixels counted from ``corner_px``; the body lies within ``radius_m`` of its origin."""
+    """Rays of a view, with pixels counted from ``corner_px``, to a body within ``radius_m`` of its origin."""
     camera, pose = view.camera, view.T_cam_body
     start_m = max(0.0, pose.translation_m[2] - 1.01 * radius_m)  # depth of the plane on which the rays start
     slope = np.array([(corner_px[0] - camera.cx_px) / camera.fx_px, (corner_px[1] - camera.cy_px) / camera.fy_px, 1.0])
@@ -134,3 +139,73 @@ def grid_positions(samples_per_pixel: int) -> FloatArray:
     steps = (np.arange(n) + 0.5) / n
     v, u = np.meshgrid(steps, steps, indexing="ij")
     return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+def vertex_normals(mesh: TriangleMesh) -> FloatArray:
+    """Outward unit normals (V, 3): the mean of the adjoining facets' normals, weighted by their areas."""
+    total = np.zeros_like(mesh.vertices_m)
+    for corner in mesh.faces.T:
+        for axis in range(3):
+            total[:, axis] += np.bincount(corner, mesh.area_vectors_m2[:, axis], len(total))
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    unit: FloatArray = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    return unit
+
+
+def interpolate(mesh: TriangleMesh, values: FloatArray, facets: IndexArray, weights: FloatArray) -> FloatArray:
+    """Values (V, ...) of the vertices, interpolated to (N, ...) points of ``facets`` with corner weights (N, 3)."""
+    corners = values[mesh.faces[facets]]
+    result: FloatArray = np.einsum("nk,nk...->n...", weights, corners)
+    return result
+
+
+def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
+    """Barycentric weights (N, 3) of the points where rays meet given facets, clipped to the facets.
+
+    The ray tracer finds the facet in single precision; the point follows here in double precision (Moeller and
+    Trumbore 1997). Clipping keeps a grazing hit on its facet.
+    """
+    corner_m = mesh.vertices_m[mesh.faces[facets]]
+    edge_1, edge_2 = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
+    p = np.cross(directions, edge_2)
+    s = origins_m - corner_m[:, 0]
+    q = np.cross(s, edge_1)
+    determinant = np.einsum("ni,ni->n", edge_1, p)
+    determinant = np.where(determinant == 0.0, np.finfo(float).tiny, determinant)
+    with np.errstate(over="ignore"):
+        w1 = np.clip(np.einsum("ni,ni->n", s, p) / determinant, 0.0, 1.0)
+        w2 = np.clip(np.einsum("ni,ni->n", directions, q) / determinant, 0.0, 1.0 - w1)
+    return np.stack([1.0 - w1 - w2, w1, w2], axis=1)
+
+
+def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
+    """Raise an error if the camera is inside the body.
+
+    The solid angle of the closed mesh seen from a point is 4 pi inside it and 0 outside (A. van Oosterom and
+    J. Strackee, IEEE Trans. Biomed. Eng. 30, 1983, equation 8). It is not computed beyond the farthest vertex.
+
+    Raises
+    ------
+    BoresightError
+        If ``position_body_m`` (3,) lies inside.
+    """
+    position = np.asarray(position_body_m, dtype=np.float64)
+    distance_m = float(np.linalg.norm(position))
+    if distance_m > mesh.radius_m:
+        return
+    solid_angle = sum(_solid_angle(mesh, slice(k, k + _CHUNK), position) for k in range(0, len(mesh.faces), _CHUNK))
+    if abs(solid_angle) > 2.0 * np.pi:
+        where = ", ".join(f"{x:.6g}" for x in position)
+        raise BoresightError(
+            f"the camera at ({where}) m, {distance_m:.6g} m from the body's origin, is inside the body, whose farthest"
+            f" point is at {mesh.radius_m:.6g} m: choose a larger range"
+        )
+
+
+def _solid_angle(mesh: TriangleMesh, faces: slice, position: FloatArray) -> float:
+    """Signed solid angle, sr, of a slice of the faces seen from a point."""
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces[faces]] - position, 1, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    volume = np.einsum("ni,ni->n", a, np.cross(b, c))
+    dots = [np.einsum("ni,ni->n", x, y) for x, y in ((a, b), (a, c), (b, c))]
+    return float(2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la).sum())

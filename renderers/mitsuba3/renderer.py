@@ -1,4 +1,4 @@
-"""Images and de-projection of a body by ray tracing."""
+"""Rendering and de-projection of a body by ray tracing."""
 
 from __future__ import annotations
 
@@ -8,36 +8,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.mitsuba3.derivatives import image_and_derivatives
-from renderers.mitsuba3.rays import body_window, outline_points, ray_bundle
+from renderers.mitsuba3.rays import (
+    body_window,
+    check_outside,
+    corner_weights,
+    interpolate,
+    outline_points,
+    ray_bundle,
+    vertex_normals,
+)
 from renderers.mitsuba3.scalar import ScalarTracer
-from renderers.mitsuba3.surface import check_outside, corner_weights, interpolate, vertex_normals
 from renderers.mitsuba3.variant import Variant, choose_variant
 from renderers.mitsuba3.wavefront import WavefrontTracer
 from scenarios.errors import BoresightError
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 
-# Samples traced at once: bounds the memory of a large image.
+# Samples traced at once, which bounds the memory for large images.
 _MAX_SAMPLES = 1 << 22
 
 
 class MitsubaRenderer:
-    """Renders one body in one reflectance model, lit by the Sun alone, with hard shadows.
+    """Renderer of one body with one reflectance model, lit by the Sun as a point source, with hard shadows.
 
-    Images do not depend on chance: each pixel is the mean of a regular grid of samples.
+    Images are deterministic: each pixel is the mean of a regular grid of samples.
 
     Parameters
     ----------
     mesh
-        The body; closed, with outward normals.
+        The body: a closed mesh with outward normals.
     brdf
         The scenario's ``brdf`` section; the mesh's albedo multiplies it.
     samples_per_pixel
         A square number.
     shading
-        ``flat`` takes the normals of the facets, ``smooth`` interpolates those of the vertices.
+        ``flat`` uses the normals of the facets, ``smooth`` interpolates those of the vertices.
     variant
-        The Mitsuba variant; the fastest that works by default.
+        The Mitsuba variant; by default the fastest that works.
 
     Raises
     ------
@@ -72,7 +79,7 @@ class MitsubaRenderer:
 
     @property
     def outline_m(self) -> NDArray[np.float64]:
-        """Points (N, 3) of the body frame whose hull holds the body."""
+        """Points (N, 3) of the body frame whose convex hull contains the body."""
         return self._outline_m
 
     def render(self, view: View) -> NDArray[np.float32]:
@@ -93,14 +100,14 @@ class MitsubaRenderer:
 
     @property
     def differentiable(self) -> bool:
-        """Whether `render_with_derivatives` works: Dr.Jit differentiates in the LLVM and CUDA variants alone."""
+        """Whether `render_with_derivatives` works: Dr.Jit differentiates only in the LLVM and CUDA variants."""
         return self.variant.is_wavefront
 
     def render_with_derivatives(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Render (H, W) as `render` does but for rounding, with the derivatives (6, H, W) by the pose.
+        """Render (H, W) as `render` does except for rounding, with the derivatives (6, H, W) by the pose.
 
-        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, camera axes; the Sun stands still in the
-        camera. See `renderers.mitsuba3.derivatives` for what they hold for.
+        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, with the Sun fixed in
+        camera axes. `renderers.mitsuba3.derivatives` states what is neglected.
 
         Raises
         ------
@@ -120,9 +127,9 @@ class MitsubaRenderer:
         return image, derivatives
 
     def surface(self, view: View, uv_px: NDArray[np.float64]) -> SurfaceHits:
-        """De-project pixel positions (N, 2): the first points of the body on their lines of sight.
+        """De-project pixel positions (N, 2) to the first points of the body on their lines of sight.
 
-        Facets and shadows come from the ray tracer, points and normals from double precision.
+        Facets and shadows come from the ray tracer; points and normals are computed in double precision.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""Ray tracing without LLVM or CUDA: Mitsuba's own integrators, and the reflectance on NumPy arrays.
+"""Ray tracing without LLVM or CUDA, by Mitsuba's own integrators and with the reflectance on NumPy arrays.
 
-A BSDF written in Python would be called back for every ray here. So Mitsuba renders the body as a diffuse one,
-whose colour tells the facet and whose brightness tells where the Sun shines; the rest is array work, with the same
-formulas as in the other variants.
+In the scalar variant a BSDF written in Python would be called for every ray. Instead, Mitsuba renders a diffuse body
+whose colour encodes the facet and whose brightness shows where the Sun shines; the reflectance is then computed on
+arrays, with the same formulas as in the other variants.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import Window, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, corner_weights, interpolate, ray_bundle
 from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
-from renderers.mitsuba3.surface import corner_weights, interpolate
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
@@ -23,18 +22,19 @@ from scenarios.spec.brdf import BrdfSpec
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-# A facet's index is the colour (1, index // _BASE, index % _BASE); single precision tells their ratios apart.
+# The index of a facet is encoded as the colour (1, index // _BASE, index % _BASE), whose ratios are exact enough in
+# single precision.
 _BASE = 4096
-# Shadow rays of single positions start this far off the surface, in units of the body's radius.
+# Distance from the surface at which shadow rays of single positions start, in units of the body's radius.
 _SHADOW_OFFSET = 1e-5
 
 
 class ScalarTracer:
-    """Traces one body sample by sample in compiled code.
+    """Tracer of one body in compiled code, one sample at a time.
 
-    The samples are those of the wavefront tracer: the film has n x n pixels for each of the image's, and each is
-    sampled in its middle. Shadows next to what casts them are a little shorter than there: Mitsuba starts its shadow
-    rays 9e-5 of the largest coordinate off the surface, the wavefront tracer 1e-5 of the radius.
+    The samples are those of the wavefront tracer: the film has n x n pixels for each pixel of the image, sampled at
+    their centres. Shadows are slightly shorter next to the edges that cast them: Mitsuba starts shadow rays 9e-5 of the
+    largest coordinate off the surface, the wavefront tracer 1e-5 of the radius.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class ScalarTracer:
         self._vertex_normals = vertex_normals
         self._scene = _coded_scene(load_mitsuba(variant), mesh)
 
-    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+    def image(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         n = self._grid
         facets = self._lit_facets(view, window)
@@ -63,8 +63,8 @@ class ScalarTracer:
         pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
         return pixels.astype(np.float32)
 
-    def _lit_facets(self, view: View, window: Window) -> IndexArray:
-        """Facet of every sample, in rows and columns of the finer film; -1 where the Sun does not shine on one."""
+    def _lit_facets(self, view: View, window: PixelWindow) -> IndexArray:
+        """Facet of every sample, in rows and columns of the finer film; -1 off the body and in shadow."""
         if view.camera.distortion is not None:
             return self._lit_facets_one_by_one(view, window)
         light = self._colours(view, window)
@@ -74,8 +74,8 @@ class ScalarTracer:
         facets[lit] = high * _BASE + low
         return facets
 
-    def _lit_facets_one_by_one(self, view: View, window: Window) -> IndexArray:
-        """Do the same for a camera that is none of Mitsuba's, ray by ray: slow."""
+    def _lit_facets_one_by_one(self, view: View, window: PixelWindow) -> IndexArray:
+        """Return the same for a camera with distortion, which Mitsuba lacks, by slow single rays."""
         shape = (window.height * self._grid, window.width * self._grid)
         row, column = (index.ravel() for index in np.indices(shape))
         uv = _sample_positions(window, self._grid, row, column)
@@ -100,14 +100,14 @@ class ScalarTracer:
             lit[k] = normal @ sun > 0.0 and not self._scene.ray_test(mi.Ray3f(list(start), list(sun)))
         return facets, lit
 
-    def _colours(self, view: View, window: Window) -> NDArray[np.float32]:
+    def _colours(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Colours (rows, columns, 3) of every sample, in rows and columns of the finer film; black where unlit."""
         mi = load_mitsuba(self._variant)
         stretch = _stretch(view)
         scene = self._scene
         if stretch is not None:
-            # Mitsuba's camera has square pixels. Hits and shadows do not change under an affine map of the world,
-            # so the body is stretched instead; only this rare camera pays for a scene of its own.
+            # Mitsuba's camera has square pixels. Hits and shadows are invariant under an affine map of the world,
+            # so the body is stretched instead, in a scene built for this rare case.
             scene = _coded_scene(mi, TriangleMesh(self._mesh.vertices_m @ stretch.T, self._mesh.faces))
         _point_sun(mi, scene, view.sun_dir_body if stretch is None else stretch @ view.sun_dir_body)
         sensor = _sensor(mi, view, window, self._grid, self._mesh.radius_m)
@@ -134,13 +134,13 @@ class ScalarTracer:
         return value
 
 
-def _sample_positions(window: Window, grid: int, row: IndexArray, column: IndexArray) -> FloatArray:
-    """Pixel positions (N, 2) of samples by their rows and columns on a film of grid x grid samples a pixel."""
+def _sample_positions(window: PixelWindow, grid: int, row: IndexArray, column: IndexArray) -> FloatArray:
+    """Pixel positions (N, 2) of samples at rows and columns of a film with grid x grid samples per pixel."""
     return np.stack([window.column + (column + 0.5) / grid, window.row + (row + 0.5) / grid], axis=1)
 
 
 def _coded_scene(mi: Any, mesh: TriangleMesh) -> Any:
-    """Build the body with facets coloured by their index, under a white Sun."""
+    """Build a scene of the body with facets coloured by their index, under a white Sun."""
     colour = {"type": "mesh_attribute", "name": "face_code"}
     shape = build_shape(mi, mesh, mi.load_dict({"type": "diffuse", "reflectance": colour}))
     index = np.arange(len(mesh.faces))
@@ -171,7 +171,7 @@ def _point_sun(mi: Any, scene: Any, sun_dir: FloatArray) -> None:
 
 
 def _stretch(view: View) -> FloatArray | None:
-    """Body-frame map (3, 3) after which a camera with square pixels of size fx sees the same; None where it does."""
+    """Map (3, 3) of the body frame that compensates for pixels that are not square; None for square pixels."""
     camera = view.camera
     if camera.fx_px == camera.fy_px:
         return None
@@ -180,10 +180,10 @@ def _stretch(view: View) -> FloatArray | None:
     return rotation.T @ scale @ rotation
 
 
-def _sensor(mi: Any, view: View, window: Window, grid: int, radius_m: float) -> Any:
+def _sensor(mi: Any, view: View, window: PixelWindow, grid: int, radius_m: float) -> Any:
     camera, pose = view.camera, view.T_cam_body
     to_world = np.eye(4)
-    # The body's origin keeps its image when the camera is moved by the stretch of its own y axis.
+    # The body's origin keeps its image if the camera's y coordinate is stretched likewise.
     centre_cam_m = pose.translation_m * np.array([1.0, camera.fy_px / camera.fx_px, 1.0])
     to_world[:3, :3] = pose.rotation.T @ np.diag([-1.0, -1.0, 1.0])
     to_world[:3, 3] = -pose.rotation.T @ centre_cam_m
@@ -205,7 +205,7 @@ def _sensor(mi: Any, view: View, window: Window, grid: int, radius_m: float) -> 
     )
 
 
-def _film(camera: Camera, window: Window, grid: int) -> dict[str, object]:
+def _film(camera: Camera, window: PixelWindow, grid: int) -> dict[str, object]:
     return {
         "type": "hdrfilm",
         "width": camera.width_px * grid,

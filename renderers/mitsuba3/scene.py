@@ -1,4 +1,4 @@
-"""A Mitsuba scene of one body, built from arrays."""
+"""Mitsuba meshes and scenes of one body, built from arrays."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderers.mitsuba3.variant import Variant, load_mitsuba
+from scenarios.craters.tiles import facet_normals
 from scenarios.geometry import TriangleMesh
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
 
 SHAPE_ID = "body"
 SUN_ID = "sun"
@@ -24,9 +31,9 @@ def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
     mi
         The library ``mitsuba``.
     mesh
-        The body; Mitsuba's coordinates are body coordinates in metres, in single precision.
+        The body. Mitsuba's coordinates are body coordinates, m, in single precision.
     bsdf
-        A Mitsuba BSDF; Mitsuba's default one where it is None.
+        A Mitsuba BSDF; None for Mitsuba's default.
     """
     properties = mi.Properties()
     properties["face_normals"] = True
@@ -44,7 +51,7 @@ def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceMesh:
-    """A mesh as a variant holds it: its scene, unit normals (3 F,), vertices of facets (3 F,), albedo (V,) or None."""
+    """Mesh in arrays of a variant: scene, normals (3 F,), vertex indices of facets (3 F,), albedo (V,) or None."""
 
     scene: Any
     facet_normals: Any
@@ -56,9 +63,9 @@ _held: MutableMapping[TriangleMesh, dict[str, DeviceMesh]] = WeakKeyDictionary()
 
 
 def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
-    """Give a mesh to a variant, once for all reflectances, as long as the mesh is in use.
+    """Convert a mesh for a variant, cached as long as the mesh exists and shared by all reflectance models.
 
-    The tree of a body of some million facets takes longer than many images.
+    Building the tree of a body of millions of facets takes longer than rendering many images.
     """
     by_variant = _held.setdefault(mesh, {})
     if variant.name not in by_variant:
@@ -70,3 +77,45 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
             albedo=None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32)),
         )
     return by_variant[variant.name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetScene:
+    """Scene of loose facets with corners (F, 3, 3), body frame, m."""
+
+    scene: Any
+    corners_m: SingleArray
+
+    @classmethod
+    def of(cls, mi: Any, corners_m: SingleArray) -> FacetScene:
+        """Build the scene under the active variant."""
+        properties = mi.Properties()
+        properties["face_normals"] = True
+        shape = mi.Mesh("part", 3 * len(corners_m), len(corners_m), props=properties)
+        parameters = mi.traverse(shape)
+        parameters["vertex_positions"] = corners_m.ravel()
+        parameters["faces"] = np.arange(3 * len(corners_m), dtype=np.uint32)
+        parameters.update()
+        return cls(mi.load_dict({"type": "scene", "part": shape}), corners_m)
+
+    def first_hits(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> tuple[SingleArray, IndexArray]:
+        """Distances (N,), m, inf for a miss, and facets (N,) of the first hits of rays (N, 3)."""
+        hit = self.scene.ray_intersect_preliminary(_rays(mi, origins_m, directions), coherent=True)
+        met = hit.is_valid().numpy()
+        return np.where(met, hit.t.numpy(), np.inf).astype(np.float32), np.where(met, hit.prim_index.numpy(), 0)
+
+    def blocks(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> BoolArray:
+        """(N,) whether a facet blocks each of the rays (N, 3)."""
+        blocked: BoolArray = self.scene.ray_test(_rays(mi, origins_m, directions), coherent=True).numpy()
+        return blocked
+
+    def normals(self, facets: IndexArray) -> SingleArray:
+        """Compute unit normals (N, 3) of facets (N,); 0 for a facet without area."""
+        found = np.zeros((len(facets), 3), dtype=np.float32)
+        facet_normals(found, self.corners_m, facets)
+        return found
+
+
+def _rays(mi: Any, origins_m: FloatArray, directions: FloatArray) -> Any:
+    origin = mi.Point3f(np.ascontiguousarray(origins_m.T, dtype=np.float32))
+    return mi.Ray3f(origin, mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32)))

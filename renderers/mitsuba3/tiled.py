@@ -1,4 +1,4 @@
-"""Images of a cratered surface that is cut finely where the camera looks."""
+"""Rendering of a cratered surface, finely tessellated only where the camera needs it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.parts import Part, tiles_casting, tiles_seen
-from renderers.mitsuba3.rays import Window, body_window, grid_positions, outline_points, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, body_window, check_outside, grid_positions, outline_points, ray_bundle
 from renderers.mitsuba3.renderer import MitsubaRenderer
-from renderers.mitsuba3.surface import check_outside
+from renderers.mitsuba3.scene import FacetScene
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
-from scenarios.craters.meeting import Fan, facets_met
+from scenarios.craters.ray_culling import RayProjection, candidate_facets
+from scenarios.craters.tiles import may_face
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -28,10 +28,13 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _SHADOW_OFFSET = 1e-5
+_RELIEF_PX = 5.0  # how far a facet may lie outside the bounding box of its tile's corners
+_SHADOWS_PX = 20.0
+_SINGLE = 1e-4  # rad, more than the rounding of single precision
 
 
 class BodyRenderer(Protocol):
-    """What renders a body, however it is made."""
+    """A renderer of a body, as a mesh or as a cratered surface."""
 
     @property
     def outline_m(self) -> FloatArray:
@@ -57,22 +60,22 @@ class _Hits:
 
 @dataclass(eq=False)
 class TiledRenderer:
-    """Renders a cratered body lit by the Sun alone, with hard shadows, as `MitsubaRenderer` does a mesh.
+    """Renderer of a cratered body lit by the Sun alone, with hard shadows, as `MitsubaRenderer` for a mesh.
 
-    Of the fine surface, Mitsuba is given the facets that a bundle of rays can meet: they are found by laying rays and
-    facets on a plane, which costs far less than a tree of all facets. Below lies the coarse body, in a scene of its
-    own, so that there is no gap where the fine surface ends; the nearer hit counts.
+    Mitsuba gets only the facets of the fine surface that a bundle of rays can hit. They are found by projecting rays
+    and facets onto a plane, which costs much less than a tree of all facets. The coarse body below it, in a separate
+    scene, closes the gaps where the fine surface ends; the nearer hit counts.
 
     Parameters
     ----------
     ground
-        The surface.
+        The cratered surface.
     brdf
         The scenario's ``brdf`` section.
     samples_per_pixel
         A square number.
     variant
-        The Mitsuba variant; without LLVM or CUDA the same facets are traced as one mesh, slowly.
+        The Mitsuba variant; the scalar one traces the same facets as one mesh, slowly.
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
@@ -106,9 +109,9 @@ class TiledRenderer:
         return outline_points(TriangleMesh(self.ground.corners_m * 1.01, self.ground.tiling.mesh.faces))
 
     def surface(self, view: View, uv_px: FloatArray) -> SurfaceHits:
-        """De-project pixel positions (N, 2), as `MitsubaRenderer.surface` does, to single precision (millimetres).
+        """De-project pixel positions (N, 2), as `MitsubaRenderer.surface` does, in single precision (millimetres).
 
-        ``facets`` are 0 where the body is hit: its facets have no lasting numbers.
+        ``facets`` are 0 where the body is hit, as facets of the fine surface have no permanent numbers.
         """
         points, hits = self._first(view, uv_px)
         met = np.isfinite(hits.distance_m)
@@ -122,8 +125,8 @@ class TiledRenderer:
         return self._first(view, uv_px)[0]
 
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
-        """(N,): whether nothing that a view shows stands on the rays from points (N, 3) along a unit vector (3,)."""
-        fan = Fan.of_parallel(direction)
+        """(N,) whether no facet near a view's frame blocks the rays from points (N, 3) along a unit vector (3,)."""
+        fan = RayProjection.of_parallel(direction)
         clear = np.ones(len(points_m), dtype=bool)
         along = np.broadcast_to(direction, (len(points_m), 3))
         for part in self._parts(tiles_casting(self.ground, view), fan, fan.of_points(points_m)):
@@ -141,16 +144,16 @@ class TiledRenderer:
         return 1.01 * float(np.linalg.norm(self.ground.corners_m, axis=1).max())
 
     @cached_property
-    def _under(self) -> Part:
+    def _under(self) -> FacetScene:
         under = self.ground.under
-        return Part.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
+        return FacetScene.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
-    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[Part]:
-        """Give the coarse body, and the fine facets of tiles that rays (N, 3) of a fan may meet, where there are."""
-        corners_m = facets_met(self.ground, tiles, fan, rays)
-        return [self._under, Part.of(self._mi, corners_m)] if len(corners_m) else [self._under]
+    def _parts(self, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> list[FacetScene]:
+        """Scenes of the coarse body and of the fine facets, if any, of tiles that rays (N, 3) of a fan may hit."""
+        corners_m = candidate_facets(self.ground, tiles, fan, rays)
+        return [self._under, FacetScene.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 
-    def _window(self, view: View, window: Window) -> SingleArray:
+    def _window(self, view: View, window: PixelWindow) -> SingleArray:
         """Radiance factor (height, width) of the pixels of a window."""
         spp = self.samples_per_pixel
         rows, columns = np.indices((window.height, window.width))
@@ -180,7 +183,7 @@ class TiledRenderer:
         hits = _Hits(np.full(n, np.inf, dtype=np.float32), np.zeros((n, 3), dtype=np.float32))
         if n == 0:
             return hits
-        fan = Fan.of_view(view)
+        fan = RayProjection.of_view(view)
         for part in self._parts(tiles_seen(self.ground, view), fan, fan.of_directions(directions)):
             distance, facet = part.first_hits(self._mi, origins_m, directions)
             nearer = distance < hits.distance_m
@@ -189,7 +192,7 @@ class TiledRenderer:
         return hits
 
     def _lit(self, view: View, points_m: FloatArray, normals: SingleArray) -> BoolArray:
-        """(N,): whether the Sun shines on points of facets with given normals."""
+        """(N,) whether the Sun shines on points of facets with given normals."""
         sun = view.sun_dir_body
         lit = normals @ sun.astype(np.float32) > 0.0
         start = points_m[lit] + normals[lit] * (_SHADOW_OFFSET * self._radius_m)
@@ -197,10 +200,10 @@ class TiledRenderer:
         return lit
 
     def _radiance_factor(self, view: View, normals: SingleArray, directions: FloatArray) -> SingleArray:
-        """I/F = pi f_r cos(i) where rays along unit directions (N, 3) meet facets of normals (N, 3)."""
+        """I/F = pi f_r cos(i) where rays along unit directions (N, 3) hit facets of normals (N, 3)."""
         import drjit as dr
 
-        if not len(directions):  # Dr.Jit joins no empty array with a number
+        if not len(directions):  # Dr.Jit cannot combine an empty array with a number
             return np.zeros(0, dtype=np.float32)
         mi, sun = self._mi, view.sun_dir_body
         cos_i = np.maximum(normals @ sun, 0.0)
@@ -214,7 +217,7 @@ class TiledRenderer:
         return MitsubaRenderer(self.one_mesh(view), self.brdf, self.samples_per_pixel, "flat", self.variant)
 
     def one_mesh(self, view: View) -> TriangleMesh:
-        """All facets that a view is rendered with, as one mesh."""
+        """Return all facets that a view is rendered with, as one mesh."""
         tiles = np.union1d(tiles_seen(self.ground, view), tiles_casting(self.ground, view))
         under, facets = self.ground.under, self.ground.tiling.facets(tiles)
         used, faces = np.unique(facets, return_inverse=True)
@@ -223,7 +226,32 @@ class TiledRenderer:
         return TriangleMesh(vertices_m, np.concatenate([under.faces, faces]).astype(np.int32))
 
 
+def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
+    """Tiles with facets that may be in the frame and face the camera."""
+    to_camera = view.T_cam_body.camera_position_m - ground.middles_m
+    distance_m = np.linalg.norm(to_camera, axis=1)
+    span_rad = 2.0 * ground.tiling.reach_m / distance_m
+    facing = may_face(ground.cones, to_camera / distance_m[:, None], span_rad)
+    return np.flatnonzero(facing & _near_frame(ground, view, _RELIEF_PX))
+
+
+def tiles_casting(ground: CrateredSurface, view: View) -> IndexArray:
+    """Tiles near the frame with facets that may face the Sun: a ray leaves the body only through such a facet."""
+    facing = may_face(ground.cones, view.sun_dir_body, _SINGLE)
+    return np.flatnonzero(facing & _near_frame(ground, view, _SHADOWS_PX))
+
+
+def _near_frame(ground: CrateredSurface, view: View, margin_px: float) -> BoolArray:
+    """(T,) whether the bounding box of a tile's corners in the image overlaps the frame, extended by a margin."""
+    seen = view.camera.project(view.T_cam_body.transform(ground.corners_m))
+    a, b, c = (seen[corners] for corners in ground.tiling.mesh.faces.T)
+    size = np.array([view.camera.width_px, view.camera.height_px])
+    # A corner without a pixel is NaN and compares as False: the tile is outside the lens's field or behind the camera.
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.asarray(((high > -margin_px) & (low < size + margin_px)).all(axis=1))
+
+
 def renderer_version(spec: ScenarioSpec) -> tuple[str, int]:
-    """Name and version of what renders a scenario's images."""
+    """Name and version of the renderer of a scenario's images."""
     kind = MitsubaRenderer if spec.craters is None else TiledRenderer
     return kind.name, kind.version

@@ -1,7 +1,8 @@
-"""Choose the Mitsuba variant that works on this machine, probing it in a subprocess, and load it."""
+"""Choice of the Mitsuba variant that works on this machine, and of the NVIDIA GPU of each worker process."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -9,7 +10,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from renderers.mitsuba3.gpus import nvidia_gpus
 from renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
 from scenarios.errors import BoresightError
 
@@ -24,7 +24,7 @@ _LLVM_ADVICE = (
 _TIMEOUT_S = 120.0
 _SAYS = "it traces rays"
 
-# A cube of two units about the origin, a ray that meets it at distance 4, and one that passes by.
+# A cube of side 2 about the origin, a ray that hits it at distance 4, and one that misses it.
 _PROBE = f"""
 import sys
 import mitsuba
@@ -40,9 +40,12 @@ if abs(distance[0] - 4.0) > 1e-4 or distance[1] != -1.0 or list(blocked) != [Tru
 print({_SAYS!r})
 """
 
+VISIBLE_GPUS = "CUDA_VISIBLE_DEVICES"
+"""Environment variable of NVIDIA's driver that lists the GPUs a process may use."""
+
 
 def variant_fault(name: str, timeout_s: float = _TIMEOUT_S) -> str:
-    """Say in one line why Mitsuba's variant ``name`` traces no rays here; '' where it does."""
+    """Test ray tracing with a variant in a subprocess, as a faulty driver can crash it; return the fault or ''."""
     try:
         done = subprocess.run(  # noqa: S603  this interpreter, with a script of ours
             [sys.executable, "-c", _PROBE, name],
@@ -62,7 +65,7 @@ def variant_fault(name: str, timeout_s: float = _TIMEOUT_S) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A Mitsuba variant, why it was chosen, and what would make rendering faster (or an empty string)."""
+    """A Mitsuba variant, the reason for its choice, and advice for faster rendering ('' if there is none)."""
 
     name: str
     why: str
@@ -70,14 +73,14 @@ class Variant:
 
     @property
     def is_wavefront(self) -> bool:
-        """Whether arrays of rays are traced at once, rather than one ray at a time."""
+        """Whether it traces arrays of rays at once, rather than single rays."""
         return self.name != SCALAR
 
 
 def choose_variant(request: str | None = None) -> Variant:
     """Choose the fastest variant that works, or check the requested one.
 
-    The first call makes Dr.Jit load, with a libLLVM that it can use where there is one.
+    The first call imports Dr.Jit, with a libLLVM that works with it if there is one.
 
     Raises
     ------
@@ -109,12 +112,12 @@ def choose_variant(request: str | None = None) -> Variant:
 
 
 def gpu_status() -> str:
-    """Say whether rendering on a GPU is possible here, and why not."""
+    """Return one line on whether rendering on a GPU works on this machine, and why."""
     return _cuda_status()[1]
 
 
 def code_generator(variant: Variant) -> str:
-    """Name the compiler behind a variant, which may round differently from another: "LLVM 19.1.7", or ''."""
+    """Return the compiler of a variant ("LLVM 19.1.7", or ''), as another version may round differently."""
     if variant.name != LLVM:
         return ""
     return f"LLVM {'.'.join(map(str, _load_drjit().detail.llvm_version()))}"
@@ -123,7 +126,7 @@ def code_generator(variant: Variant) -> str:
 def load_mitsuba(variant: Variant) -> Any:
     """Return the library ``mitsuba`` with this variant active.
 
-    Mitsuba's active variant is global to the process, so whoever is about to use the library asks here for it.
+    Mitsuba's active variant is global to the process, so every user of the library gets it from here.
     """
     import mitsuba
 
@@ -133,7 +136,7 @@ def load_mitsuba(variant: Variant) -> Any:
 
 
 def limit_threads(threads: int) -> None:
-    """Let Mitsuba and Dr.Jit use this many threads in this process; give each worker cores / workers.
+    """Set the number of threads of Mitsuba and Dr.Jit in this process.
 
     Raises
     ------
@@ -146,7 +149,7 @@ def limit_threads(threads: int) -> None:
 
 
 def _load_drjit() -> Any:
-    """Import Dr.Jit, having chosen its libLLVM unless the program imported it earlier."""
+    """Import Dr.Jit with a suitable libLLVM, unless the program imported it earlier."""
     if "drjit" not in sys.modules:
         found = find_llvm().found
         if found is not None:
@@ -158,7 +161,7 @@ def _load_drjit() -> Any:
 
 @cache
 def _llvm_status() -> tuple[bool, str]:
-    """Tell whether Dr.Jit's LLVM backend can be trusted, and why or why not."""
+    """Return whether Dr.Jit's LLVM backend works, and why or why not."""
     drjit = _load_drjit()
     search = find_llvm()
     if search.found is None:
@@ -174,7 +177,7 @@ def _llvm_status() -> tuple[bool, str]:
 
 @cache
 def _cuda_status() -> tuple[bool, str]:
-    """Tell whether an NVIDIA GPU with OptiX is there and traces rays: the driver is asked, and then rays are traced."""
+    """Return whether an NVIDIA GPU traces rays with OptiX, by the driver and then by a test, and why or why not."""
     gpus, fault = nvidia_gpus()
     if not gpus:
         return False, fault
@@ -185,5 +188,40 @@ def _cuda_status() -> tuple[bool, str]:
         fault = variant_fault(CUDA)
         if fault:
             return False, f"the NVIDIA driver finds {gpus} GPU, but Mitsuba traces no rays on it: {fault}"
-        os.environ[CUDA_PROBED] = "1"  # worker processes need not ask again
+        os.environ[CUDA_PROBED] = "1"  # inherited by worker processes, which need not test again
     return True, f"{gpus} NVIDIA GPU with OptiX"
+
+
+def nvidia_gpus() -> tuple[int, str]:
+    """Return the number of NVIDIA GPUs by the driver, and for 0 the reason."""
+    count = ctypes.c_int(0)
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+        ctypes.CDLL("libnvoptix.so.1")
+    except OSError as error:
+        return 0, f"no NVIDIA driver with OptiX ({error})"
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        return 0, "the NVIDIA driver finds no GPU"
+    return count.value, ""
+
+
+def gpu_names() -> tuple[str, ...]:
+    """Names of the GPUs in CUDA_VISIBLE_DEVICES, or of all GPUs if it is not set."""
+    chosen = os.environ.get(VISIBLE_GPUS)
+    if chosen is not None:
+        return tuple(name.strip() for name in chosen.split(",") if name.strip())
+    return tuple(str(number) for number in range(nvidia_gpus()[0]))
+
+
+def gpu_of_worker(place: int) -> dict[str, str]:
+    """Environment variables that give a worker a GPU of its own; none if there is only one GPU.
+
+    Dr.Jit uses the first visible GPU, which all workers would share otherwise.
+
+    Parameters
+    ----------
+    place
+        Index of the worker, from 0; with more workers than GPUs, several share a GPU.
+    """
+    names = gpu_names()
+    return {VISIBLE_GPUS: names[place % len(names)]} if len(names) > 1 else {}

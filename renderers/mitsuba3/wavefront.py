@@ -1,4 +1,4 @@
-"""Ray tracing of whole images at once: the LLVM and CUDA variants."""
+"""Ray tracing of all samples of an image at once, with the LLVM and CUDA variants."""
 
 from __future__ import annotations
 
@@ -8,19 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import ArrayMath, brdf_value, phase_angle
-from renderers.mitsuba3.arguments import opaque
-from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, RayBundle, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import mesh_on_device
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 
-# Shadow rays start this far off the surface, in units of the body's radius; single precision needs about a tenth.
+# Distance from the surface at which shadow rays start, in units of the body's radius: ten times what single precision
+# needs.
 _SHADOW_OFFSET = 1e-5
 
 
+def opaque(mi: Any, vector: NDArray[np.float64]) -> Any:
+    """Pass a 3-vector to a kernel as data: as literals it would require a new compilation for every pose."""
+    import drjit as dr
+
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in vector))
+
+
 def drjit_math(drjit: Any) -> ArrayMath:
-    """Name the elementwise functions of Dr.Jit."""
+    """Elementwise functions of Dr.Jit."""
     return ArrayMath(
         sqrt=drjit.sqrt,
         exp=drjit.exp,
@@ -35,10 +42,10 @@ def drjit_math(drjit: Any) -> ArrayMath:
 
 
 class WavefrontTracer:
-    """Traces one body with one kernel for all samples of an image.
+    """Tracer of one body by one kernel for all samples of an image.
 
-    Every sample is worked out by itself and those of a pixel are added in a fixed order, so images are identical
-    bit for bit, whatever the number of threads. Poses enter the kernel as data: it is compiled once.
+    Samples are independent and those of a pixel are added in a fixed order, so images are identical bit for bit for any
+    number of threads. Poses enter the kernel as data, so it is compiled once.
     """
 
     def __init__(
@@ -59,7 +66,7 @@ class WavefrontTracer:
         self.samples_per_pixel = samples_per_pixel
         self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
 
-    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+    def image(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         import drjit as dr
 
@@ -85,8 +92,8 @@ class WavefrontTracer:
         facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
         return facets, lit.numpy()
 
-    def camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
-        """Origins and unit directions of all samples: pixel by pixel, the samples of a pixel together."""
+    def camera_rays(self, mi: Any, rays: RayBundle, window: PixelWindow) -> tuple[Any, Any]:
+        """Origins and unit directions of all samples, pixel by pixel."""
         import drjit as dr
 
         index = dr.arange(mi.UInt32, window.width * window.height * self.samples_per_pixel)
@@ -103,14 +110,14 @@ class WavefrontTracer:
         return mi.Point3f(origin), dr.normalize(direction)
 
     def grid(self, sample: Any) -> tuple[Any, Any]:
-        """Positions of samples, by their numbers, within their pixels."""
+        """Positions of samples within their pixels, by sample number."""
         import drjit as dr
 
         mi = load_mitsuba(self.variant)
         return dr.gather(mi.Float, self._grid_u, sample), dr.gather(mi.Float, self._grid_v, sample)
 
     def trace(self, mi: Any, origin: Any, direction: Any, sun: Any) -> tuple[Any, Any, Any]:
-        """First hits, normals of their facets, and whether the Sun shines on them."""
+        """First hits, normals of their facets, and whether the Sun illuminates them."""
         import drjit as dr
 
         hit = self._mesh.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
@@ -122,7 +129,7 @@ class WavefrontTracer:
         return hit, normal, facing & ~shadowed
 
     def shading(self, mi: Any, hit: Any, normal: Any) -> tuple[Any, Any]:
-        """Return normals that the shading uses and factors on the reflectance, at hits on facets of given normals."""
+        """Shading normals and albedo factors at hits on facets of given normals."""
         import drjit as dr
 
         if self._vertex_normals is not None:
@@ -130,7 +137,7 @@ class WavefrontTracer:
         return normal, 1.0 if self._mesh.albedo is None else self._interpolate(mi, mi.Float, self._mesh.albedo, hit)
 
     def radiance_factor(self, normal: Any, direction: Any, sun: Any) -> Any:
-        """I/F = pi f_r cos(i) where a ray of unit ``direction`` meets a surface of albedo factor 1."""
+        """I/F = pi f_r cos(i) where rays of unit ``direction`` hit a surface of albedo factor 1."""
         import drjit as dr
 
         cos_i = dr.maximum(dr.dot(normal, sun), 0.0)
@@ -140,7 +147,7 @@ class WavefrontTracer:
         return dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, xp) * cos_i
 
     def _interpolate(self, mi: Any, kind: Any, values: Any, hit: Any) -> Any:
-        """Values of the vertices at the hits."""
+        """Interpolate values of the vertices at the hits."""
         import drjit as dr
 
         valid = hit.is_valid()
@@ -151,7 +158,7 @@ class WavefrontTracer:
 
 
 def _undistorted(mi: Any, rays: RayBundle, u: Any, v: Any) -> tuple[Any, Any]:
-    """Take window positions of a real lens to those of the pinhole, as ``Camera.undistorted`` does."""
+    """Convert window positions of a distorting lens to those of the pinhole, as ``Camera.undistorted`` does."""
     import drjit as dr
 
     camera, lens = rays.camera, rays.camera.distortion

@@ -1,8 +1,16 @@
-"""Pose, Sun and camera from SPICE kernels."""
+"""Poses, directions to the Sun and camera models from SPICE kernels."""
 
-from renderers.spice.geometry import Actors, Sighting, sight
-from renderers.spice.image_set import SpiceImageSet
+from renderers.spice.image_set import ApparentGeometry, SpiceImageSet, SpiceNames, apparent_geometry
 from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import Constants, loaded
+from renderers.spice.kernels import Constants, loaded_kernels
 
-__all__ = ["INSTRUMENTS", "Actors", "Constants", "Instrument", "Sighting", "SpiceImageSet", "loaded", "sight"]
+__all__ = [
+    "INSTRUMENTS",
+    "ApparentGeometry",
+    "Constants",
+    "Instrument",
+    "SpiceImageSet",
+    "SpiceNames",
+    "apparent_geometry",
+    "loaded_kernels",
+]

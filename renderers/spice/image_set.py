@@ -1,44 +1,104 @@
-"""Images as a mission publishes them, posed by its SPICE kernels."""
+"""Image set from published mission images, with poses from SPICE kernels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
+import spiceypy
 from numpy.typing import NDArray
 
 from renderers.images.image_set import check_size, files_digest
-from renderers.images.product import Product, open_product
-from renderers.spice.geometry import Actors, Sighting, sight
+from renderers.images.product import ImageProduct, open_product
 from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import SPICE_ERRORS, complaint, loaded
+from renderers.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
+from scenarios.geometry import Camera, Pose, View
 from scenarios.spec.images import ImageSetSpec, SpiceSpec
 
-# How far the camera of a scenario may lie off that of the kernels, anywhere in the image.
+# Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01
+
+FloatArray = NDArray[np.float64]
+Aberration = Literal["LT+S", "NONE"]
+_M_PER_KM = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class SpiceNames:
+    """NAIF names of the spacecraft, the camera's frame, the body and the body's frame."""
+
+    spacecraft: str
+    camera_frame: str
+    target: str
+    target_frame: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ApparentGeometry:
+    """Apparent pose of a body and direction to the Sun at an epoch.
+
+    Parameters
+    ----------
+    T_cam_body
+        Body to camera coordinates, m; the camera's axes are those of its frame.
+    sun_dir_body
+        (3,) unit vector towards the Sun in the body frame.
+    """
+
+    T_cam_body: Pose
+    sun_dir_body: FloatArray
+
+
+def apparent_geometry(names: SpiceNames, et: float, aberration: Aberration = "LT+S") -> ApparentGeometry:
+    """Compute the pose and the direction to the Sun of an exposure from the loaded kernels.
+
+    With ``LT+S`` the pose is apparent: position and attitude of the body when the light left it (light time), in the
+    direction changed by the spacecraft's motion (stellar aberration). The two nearly cancel where spacecraft and body
+    move together; either alone is an error of v / c, 20 arcsec at 30 km/s. The range is the light path, which differs
+    from the geometric range by up to the same factor of 1e-4.
+    ``NONE`` gives the geometric state, which ISIS uses for AMICA.
+
+    The direction to the Sun is apparent (LT+S) from the body when the light left it.
+
+    Parameters
+    ----------
+    names
+        Names of spacecraft, camera frame, body and body frame.
+    et
+        Middle of the exposure, s past J2000 TDB.
+    aberration
+        Aberration correction of the body's position.
+    """
+    position_km, light_s = spiceypy.spkpos(names.target, et, "J2000", aberration, names.spacecraft)
+    left_et = et - (0.0 if aberration == "NONE" else light_s)
+    R_cam_j2000 = np.array(spiceypy.pxform("J2000", names.camera_frame, et))
+    R_body_j2000 = np.array(spiceypy.pxform("J2000", names.target_frame, left_et))
+    sun_km, _ = spiceypy.spkpos("SUN", left_et, "J2000", "LT+S", names.target)
+    sun_body = R_body_j2000 @ np.array(sun_km)
+    pose = Pose(R_cam_j2000 @ R_body_j2000.T, _M_PER_KM * (R_cam_j2000 @ np.array(position_km)))
+    return ApparentGeometry(pose, sun_body / np.linalg.norm(sun_body))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """One image with what label and kernels say."""
+    """One image with its epoch (s past J2000 TDB) and its geometry."""
 
-    product: Product
+    product: ImageProduct
     et: float
-    sighting: Sighting
+    geometry: ApparentGeometry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpiceImageSet:
-    """Real images whose poses and Sun come from SPICE kernels at the middle of each exposure.
+    """Image set whose poses and directions to the Sun come from SPICE kernels at the middle of each exposure.
 
-    Nothing of SPICE is left when it is open: all is worked out at once and kept as values. ``version`` is part of
-    every result's key: raise it when pixels or views change.
+    All geometry is computed when the set is opened, and the kernels are unloaded. ``version`` enters the digest of
+    every run: raise it when pixels or views change.
     """
 
     name: ClassVar[str] = "spice-images"
@@ -52,7 +112,7 @@ class SpiceImageSet:
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
-        """Read all labels and work out all views; images that are of no use are left out with the reason.
+        """Read all labels and compute all views; unusable images are left out, each with the reason.
 
         Parameters
         ----------
@@ -61,7 +121,7 @@ class SpiceImageSet:
         camera
             The scenario's camera; it must be that of the kernels.
         search_dirs
-            Folders where relative paths are looked for before ``$BORESIGHT_DATA``.
+            Folders searched for relative paths before ``$BORESIGHT_DATA``.
 
         Raises
         ------
@@ -80,9 +140,9 @@ class SpiceImageSet:
         kernels = [
             find_data_file(name, (folder, *search_dirs), "spice", "images.spice.kernels") for name in spice.kernels
         ]
-        with loaded(kernels):
+        with loaded_kernels(kernels):
             _check_camera(camera, instrument, spice)
-            judged = [_judge(product, instrument, spice) for product in products]
+            judged = [_frame_or_reason(product, instrument, spice) for product in products]
         frames = tuple(frame for frame in judged if isinstance(frame, _Frame))
         left_out = tuple(
             (product.path.name, reason)
@@ -99,25 +159,25 @@ class SpiceImageSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """File names of the images in the order of the alphabet."""
+        """File names of the images, in alphabetical order."""
         return tuple(frame.product.path.name for frame in self.frames)
 
     def time_s(self, index: int) -> float:
-        """Return the middle of an exposure, s past J2000 TDB."""
+        """Middle of an exposure, s past J2000 TDB."""
         return self.frames[index].et
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image by the kernels.
+        """View of an image by the kernels.
 
         Raises
         ------
         BoresightError
-            If another pose is asked for.
+            If ``prefix`` names another pose.
         """
         if prefix not in (None, self.truth):
             raise BoresightError(f"images: no poses {prefix!r} were read, only {self.truth}")
-        sighting = self.frames[index].sighting
-        return View(self.camera, sighting.T_cam_body, sighting.sun_dir_body)
+        geometry = self.frames[index].geometry
+        return View(self.camera, geometry.T_cam_body, geometry.sun_dir_body)
 
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.
@@ -133,11 +193,11 @@ class SpiceImageSet:
         return image
 
     def content_digest(self) -> str:
-        """Digest (hexadecimal SHA-256) of kernels, labels and images: what results depend on."""
+        """Hexadecimal SHA-256 of kernels, labels and images."""
         return files_digest(self.files)
 
     def check_images(self) -> None:
-        """Read every image once, so that a damaged one is found before a campaign starts."""
+        """Read every image, so that a damaged one is found before a campaign starts."""
         for index in range(len(self)):
             self.image(index)
 
@@ -150,7 +210,7 @@ def _instrument(spice: SpiceSpec) -> Instrument:
 
 
 def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> None:
-    """Refuse a scenario whose camera is another than the kernels say."""
+    """Raise an error if the scenario's camera differs from that of the kernels."""
     known = instrument.camera(instrument.constants())
     if (known.width_px, known.height_px) != (camera.width_px, camera.height_px):
         raise BoresightError(
@@ -169,19 +229,19 @@ def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> N
         )
 
 
-def _judge(product: Product, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:
-    """Work out the view of an image, or say why it cannot be used; kernels are loaded."""
-    told = product.metadata(instrument.exposure_unit_s)
+def _frame_or_reason(product: ImageProduct, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:
+    """Compute the geometry of an image from the loaded kernels, or return why it cannot be used."""
+    metadata = product.metadata(instrument.exposure_unit_s)
     known = instrument.camera(instrument.constants())
-    if told.instrument not in instrument.names:
-        return f"its instrument is {told.instrument}, not {' or '.join(instrument.names)}"
-    if told.target is not None and spice.target.upper() not in told.target.upper():
-        return f"its target is {told.target}, not {spice.target}"
+    if metadata.instrument not in instrument.names:
+        return f"its instrument is {metadata.instrument}, not {' or '.join(instrument.names)}"
+    if metadata.target is not None and spice.target.upper() not in metadata.target.upper():
+        return f"its target is {metadata.target}, not {spice.target}"
     if product.size_px != (known.width_px, known.height_px):
         return f"it is {product.size_px[0]} x {product.size_px[1]} pixels, not the whole field"
-    actors = Actors(instrument.spacecraft, instrument.frame, spice.target, spice.target_frame)
+    names = SpiceNames(instrument.spacecraft, instrument.frame, spice.target, spice.target_frame)
     try:
         et = instrument.middle_et(product)
-        return _Frame(product, et, sight(actors, et, spice.aberration))
+        return _Frame(product, et, apparent_geometry(names, et, spice.aberration))
     except SPICE_ERRORS as error:
-        return f"SPICE: {complaint(error)}"
+        return f"SPICE: {spice_message(error)}"

@@ -1,9 +1,9 @@
-"""Cameras of missions: what their kernels call their constants, and how their images lie in them.
+"""Mission cameras: camera models from the constants of their kernels, and start times of their exposures.
 
-Camera axes are x along the stored samples, y along the stored lines and z forward. Both cameras here store their
-images so that these are the axes of the kernel's frame: line 1 is at the top, whatever the labels say about displays.
-(ISIS turns the lines over when it imports them and turns them back by a negative TRANSY. A rendering of Eros agrees
-with NEAR's M0126865998F4 with a correlation of 0.97 in the order of the file, and of less than 0.5 in any other.)
+Camera axes are x along the stored samples, y along the stored lines and z forward. For both cameras here these are the
+axes of the kernel's frame: line 1 is at the top, whatever the labels state about displays. (ISIS flips the lines on
+import and compensates with a negative TRANSY. A rendering of Eros correlates with NEAR's M0126865998F4 by 0.97 in the
+order of the file, and by less than 0.5 in any other.)
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from types import MappingProxyType
 
 import spiceypy
 
-from renderers.images.metadata import ImageMetadata
-from renderers.images.product import Product
+from renderers.images.product import ImageMetadata, ImageProduct
 from renderers.spice.kernels import Constants
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, RadialDistortion
@@ -28,19 +27,19 @@ class Instrument:
     Parameters
     ----------
     names
-        What labels call it (INSTRUMENT_ID).
+        Its names in labels (INSTRUMENT_ID).
     spacecraft
-        NAIF's name of the spacecraft.
+        NAIF name of the spacecraft.
     frame
-        NAIF's name of the camera's frame.
+        NAIF name of the camera's frame.
     kernel_id
-        NAIF's number of the camera.
+        NAIF identifier of the camera.
     exposure_unit_s
-        Seconds in the unit of an exposure that is given without one.
+        Unit, in seconds, of an exposure time without a unit.
     camera
-        Makes the camera of the constants in the pool.
+        Creates the camera from the constants in the kernel pool.
     start_et
-        Finds the start of an exposure, s past J2000 TDB; kernels are loaded.
+        Returns the start of an exposure, s past J2000 TDB; kernels must be loaded.
     """
 
     names: tuple[str, ...]
@@ -49,31 +48,31 @@ class Instrument:
     kernel_id: int
     exposure_unit_s: float
     camera: Callable[[Constants], Camera]
-    start_et: Callable[[Product, ImageMetadata], float]
+    start_et: Callable[[ImageProduct, ImageMetadata], float]
 
     def constants(self) -> Constants:
-        """Return the instrument's constants in the loaded pool."""
+        """Constants of the instrument in the kernel pool."""
         return Constants(self.kernel_id)
 
-    def middle_et(self, product: Product) -> float:
-        """Return the middle of an exposure, s past J2000 TDB; kernels are loaded.
+    def middle_et(self, product: ImageProduct) -> float:
+        """Middle of an exposure, s past J2000 TDB; kernels must be loaded.
 
         Raises
         ------
         BoresightError
-            If label and header do not tell it.
+            If label and header do not give it.
         """
-        told = product.metadata(self.exposure_unit_s)
-        if told.exposure_s is None:
+        metadata = product.metadata(self.exposure_unit_s)
+        if metadata.exposure_s is None:
             raise BoresightError(f"{product.path}: neither label nor header gives the length of the exposure")
-        return self.start_et(product, told) + 0.5 * told.exposure_s
+        return self.start_et(product, metadata) + 0.5 * metadata.exposure_s
 
 
 def _amica(constants: Constants) -> Camera:
-    """AMICA: kernel amica31.ti; the distortion is that of Ishiguro et al. (2010), in USGS's addendum.
+    """Camera AMICA of kernel amica31.ti, with the distortion of Ishiguro et al. (2010) from USGS's addendum.
 
-    CENTER = (511.5, 511.5) counts pixels from 0, as the middle of 1024 pixels: so the kernel's field of view is
-    symmetric. (ISIS counts it from 1 and lies a pixel, 20 arcsec, off.) OD_K holds the k of 1 - k0 - k1 r2 - k2 r4.
+    CENTER = (511.5, 511.5) counts pixel centres from 0, so that the field of view of the kernel is symmetric. (ISIS
+    counts from 1, an error of one pixel, 20 arcsec.) OD_K holds k0, k1 and k2 of 1 - k0 - k1 r^2 - k2 r^4.
     """
     samples, lines = (int(constants.above_zero(name)) for name in ("PIXEL_SAMPLES", "PIXEL_LINES"))
     focal_mm, pitch_mm = 1e3 * constants.above_zero("FOCAL_LENGTH"), 1e3 * constants.above_zero("PIXEL_SIZE")
@@ -88,9 +87,9 @@ def _amica(constants: Constants) -> Camera:
     return Camera(samples, lines, focal_px, focal_px, float(centre[0]), float(centre[1]), lens)
 
 
-def _amica_start_et(product: Product, told: ImageMetadata) -> float:
-    """Take the clock of the FITS header: START_TIME is cut to whole seconds."""
-    del told
+def _amica_start_et(product: ImageProduct, metadata: ImageMetadata) -> float:
+    """Start of an exposure by the clock of the FITS header, as START_TIME is truncated to whole seconds."""
+    del metadata
     count = product.keywords.get("TI_0")
     if not isinstance(count, (int, str)):
         raise BoresightError(f"{product.path}: the FITS header has no TI_0, the clock at the start of the exposure")
@@ -101,25 +100,25 @@ _MSI_SAMPLES, _MSI_LINES, _MSI_DETECTOR_LINES = 537, 244, 412
 
 
 def _msi(constants: Constants) -> Camera:
-    """NEAR MSI: kernel msi15.ti in USGS's revision 1.5b, whose frame looks along +z, and USGS's addendum.
+    """NEAR's MSI of kernel msi15.ti in USGS's revision 1.5b, whose frame looks along +z, with USGS's addendum.
 
-    The addendum counts pixels of 0.016 mm, of which there are 412 lines; the images have 244 lines of 412 / 244
-    times that. BORESIGHT_SAMPLE and _LINE count from 1.
+    The addendum refers to 412 lines of square pixels of 0.016 mm; the images have 244 lines, higher by 412 / 244.
+    BORESIGHT_SAMPLE and _LINE count from 1.
     """
     focal_mm, pitch_mm = constants.above_zero("FOCAL_LENGTH"), constants.above_zero("PIXEL_PITCH")
     height = _MSI_LINES / _MSI_DETECTOR_LINES
     cx_px = constants.number("BORESIGHT_SAMPLE") - 0.5
-    from_last_line = constants.number("BORESIGHT_LINE") - 0.5  # ISIS turns the lines over
+    from_last_line = constants.number("BORESIGHT_LINE") - 0.5  # ISIS flips the lines
     lens = RadialDistortion(constants.number("K1") * focal_mm**2)
     focal_px = focal_mm / pitch_mm
     cy_px = (_MSI_DETECTOR_LINES - from_last_line) * height
     return Camera(_MSI_SAMPLES, _MSI_LINES, focal_px, focal_px * height, cx_px, cy_px, lens)
 
 
-def _start_time_et(product: Product, told: ImageMetadata) -> float:
-    if told.start_utc is None:
+def _start_time_et(product: ImageProduct, metadata: ImageMetadata) -> float:
+    if metadata.start_utc is None:
         raise BoresightError(f"{product.path}: neither label nor header gives the start of the exposure")
-    return float(spiceypy.str2et(told.start_utc))
+    return float(spiceypy.str2et(metadata.start_utc))
 
 
 INSTRUMENTS: Mapping[str, Instrument] = MappingProxyType(

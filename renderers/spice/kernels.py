@@ -1,4 +1,4 @@
-"""The kernel pool of SPICE, which is lent to one image set at a time, and the frame of binary kernels."""
+"""SPICE kernels: loading under a lock, checks of binary kernels, and constants of instruments in the kernel pool."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _ORDERS = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}
 
 
 def check_binary(path: Path) -> None:
-    """Refuse a binary kernel whose counts and pointers lead out of the file or round in it; texts are left alone.
+    """Check that counts and pointers of a binary kernel stay within the file and do not loop; ignore text kernels.
 
     Raises
     ------
     OSError, ValueError
-        If it is one, or of a kind that boresight has no use for.
+        If they do not, or the kernel is of a type that is not supported.
     """
     records, words = path.stat().st_size // _RECORD, path.stat().st_size // _WORD
     with path.open("rb") as file:
@@ -51,7 +51,7 @@ def check_binary(path: Path) -> None:
 
 
 def _summary_records(file: BinaryIO, record: int, records: int, order: str) -> Iterator[bytes]:
-    """Walk the list of summary records to its end."""
+    """Yield the linked summary records up to the last."""
     seen: set[float] = set()
     number: float = record
     while number != 0.0:
@@ -65,7 +65,7 @@ def _summary_records(file: BinaryIO, record: int, records: int, order: str) -> I
 
 
 def _arrays(summaries: bytes, order: str, counts: tuple[int, int]) -> Iterator[tuple[int, int]]:
-    """Yield where each array of a record of summaries begins and ends: the last two integers of its summary."""
+    """Yield first and last word of each array in a summary record: the last two integers of its summary."""
     doubles, integers = counts
     size = doubles + (integers + 1) // 2
     _, _, number = struct.unpack_from(f"{order}3d", summaries)
@@ -77,16 +77,16 @@ def _arrays(summaries: bytes, order: str, counts: tuple[int, int]) -> Iterator[t
 
 
 @contextmanager
-def loaded(paths: Sequence[Path]) -> Iterator[None]:
-    """Load kernels in the order given, where a later one overrides an earlier; unload them whatever happens.
+def loaded_kernels(paths: Sequence[Path]) -> Iterator[None]:
+    """Load kernels in the given order, later ones overriding earlier ones, and unload them on exit.
 
-    The pool is locked meanwhile: another thread waits, and another process has a pool of its own. What SPICE
-    complains about inside becomes a `BoresightError` of one line.
+    Meanwhile the kernel pool is locked for other threads; other processes have pools of their own. Errors of SPICE
+    inside the context become a `BoresightError` of one line.
 
     Raises
     ------
     BoresightError
-        If a kernel is missing or is none, or SPICE signals an error inside.
+        If a kernel is missing or invalid, or SPICE signals an error inside the context.
     """
     with _POOL:
         done: list[Path] = []
@@ -96,7 +96,7 @@ def loaded(paths: Sequence[Path]) -> Iterator[None]:
                 done.append(path)
             yield
         except SPICE_ERRORS as error:
-            raise BoresightError(f"SPICE: {complaint(error)}") from error
+            raise BoresightError(f"SPICE: {spice_message(error)}") from error
         finally:
             for path in reversed(done):
                 spiceypy.unload(str(path))
@@ -116,11 +116,11 @@ def _load(path: Path) -> None:
     try:
         spiceypy.furnsh(str(path))
     except SpiceyError as error:
-        raise BoresightError(f"{path}: not a kernel that SPICE reads: {complaint(error)}") from error
+        raise BoresightError(f"{path}: not a kernel that SPICE reads: {spice_message(error)}") from error
 
 
-def complaint(error: Exception) -> str:
-    """Return what SPICE has to say as one line."""
+def spice_message(error: Exception) -> str:
+    """Return the message of a SPICE error as one line."""
     parts = (getattr(error, "short", ""), getattr(error, "long", ""))
     said = " ".join(" ".join(str(part).split()) for part in parts if part)
     return said or " ".join(str(error).split())
@@ -128,12 +128,12 @@ def complaint(error: Exception) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Constants of an instrument in the loaded pool.
+    """Constants of an instrument in the kernel pool.
 
     Parameters
     ----------
     kernel_id
-        NAIF's number of the instrument.
+        NAIF identifier of the instrument.
     """
 
     kernel_id: int
@@ -144,7 +144,7 @@ class Constants:
         Raises
         ------
         BoresightError
-            If no loaded kernel has them, they are not so many, or one of them is far too large.
+            If no loaded kernel has them, their number differs, or one of them is too large.
         """
         key = f"INS{self.kernel_id}_{name}"
         try:

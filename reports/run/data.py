@@ -267,6 +267,8 @@ def _read_table(folder: Path, experiment: str) -> pd.DataFrame:
     table = read_frame(folder, layout(folder.name, experiment))
     missing = [name for name in columns if name not in table.columns]
     if missing:
-        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing: run the campaign again, into another folder (--out)")
+        raise BoresightError(
+            f"{folder}: columns {', '.join(missing)} are missing: run the campaign again, into another folder (--out)"
+        )
     keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
     return table.sort_values(keys, kind="stable").reset_index(drop=True)

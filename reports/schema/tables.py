@@ -16,7 +16,7 @@ import pyarrow as pa
 from reports.schema import common
 from reports.schema import kinds as _kinds
 from reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
-from scenarios.parquet import Layout
+from scenarios.parquet import TableLayout
 
 FORMAT_VERSION = 3
 _USUAL = "single_image"
@@ -53,11 +53,11 @@ def schema(table: str, experiment: str = "") -> pa.Schema:
     return pa.schema(fields, metadata={"boresight_table": table, "boresight_format": str(FORMAT_VERSION)})
 
 
-def layout(table: str, experiment: str = "") -> Layout:
+def layout(table: str, experiment: str = "") -> TableLayout:
     """Return what a reader of a table requires: its key, and text where the columns are text."""
     texts = {c.name: c.type == pa.string() for c in columns_of(table, experiment)}
     keys = {*names(common.KEY), *({"status"} if table == "rows" else ())}
-    return Layout(tuple(name for name in texts if name in keys), texts.get)
+    return TableLayout(tuple(name for name in texts if name in keys), texts.get)
 
 
 @cache

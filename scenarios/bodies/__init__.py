@@ -1,4 +1,4 @@
-"""Bodies: shape files and embedded shapes, checked, with detail added by a seed."""
+"""Bodies: shape files and built-in shapes, checked, with optional random surface detail."""
 
 from scenarios.bodies.embedded import EMBEDDED
 from scenarios.bodies.load import Body, body_digest, load_body

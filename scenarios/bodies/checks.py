@@ -1,4 +1,4 @@
-"""What a shape must be before anything is rendered from it: closed, outward, in metres, about its origin."""
+"""Validate and repair shapes: closed meshes with outward facets, in metres, with the origin inside."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ METRES = {"m": 1.0, "km": 1000.0}
 def checked_mesh(
     shape: RawShape, where: Path, unit: str, expected_diameter_m: tuple[float, float]
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Turn the numbers of a file into a sound mesh in metres.
+    """Convert the vertices and faces of a file to a valid mesh in metres.
 
-    Mended, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
-    vertex, a closed mesh that is inside out as a whole. Everything else that is wrong is refused.
+    Repaired, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
+    vertex, a closed mesh whose facets all face inward. Any other defect raises an error.
 
     Parameters
     ----------
@@ -36,14 +36,14 @@ def checked_mesh(
 
     Returns
     -------
-    The mesh, and one note for each thing that was mended or is worth knowing.
+    The mesh, and one note for each repair or remarkable property.
 
     Raises
     ------
     BoresightError
         The extent does not fit, the mesh is open or inconsistently wound, or the origin lies outside.
     """
-    vertices, faces, notes = _tidied(shape.vertices * METRES[unit], shape.faces)
+    vertices, faces, notes = _repaired(shape.vertices * METRES[unit], shape.faces)
     _check_extent(vertices, where, unit, expected_diameter_m)
     _check_closed(faces, where)
     mesh = TriangleMesh(vertices, faces.astype(np.int32))
@@ -58,7 +58,7 @@ def checked_mesh(
     return mesh, tuple(notes)
 
 
-def _tidied(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
+def _repaired(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
     notes = []
     if not is_closed(faces):
         welded, group = np.unique(vertices, axis=0, return_inverse=True)
@@ -98,12 +98,12 @@ def _check_closed(faces: IndexArray, where: Path) -> None:
     if is_closed(faces):
         return
     forward, backward = directed_edge_keys(faces)
-    lonely = ~np.isin(forward, backward)
+    unpaired = ~np.isin(forward, backward)
     _, count = np.unique(forward, return_counts=True)
-    if lonely.any():
-        facet = int(np.argmax(lonely)) // 3
+    if unpaired.any():
+        facet = int(np.argmax(unpaired)) // 3
         raise BoresightError(
-            f"{where}: the mesh is not closed: {int(lonely.sum())} facet edges have no partner in the opposite"
+            f"{where}: the mesh is not closed: {int(unpaired.sum())} facet edges have no partner in the opposite"
             f" direction, the first at facet {facet + 1}; mend the holes and the winding in the shape file"
         )
     raise BoresightError(
@@ -122,7 +122,7 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
 
 
 def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
-    """How often a closed mesh wraps a point: 1 inside, 0 outside.
+    """Compute the winding number of a closed mesh about a point: 1 inside, 0 outside.
 
     The sum of the facets' signed solid angles over 4 pi (van Oosterom and Strackee 1983, equation 8).
     """

@@ -1,4 +1,4 @@
-"""Bodies that come with the package, made from formulas."""
+"""Built-in bodies, generated from formulas: spheres, a contact binary and an Eros-like body."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scenarios.bodies import cubegrid
 from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.eros_like import eros_like
-from scenarios.bodies.icosphere import icosphere
+from scenarios.bodies.readers.icq import cube_lattice, cube_quads, weld_seams
 from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
 
 __all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"]
 
 EMBEDDED_VERSION = 1
-"""Part of every embedded body's key: raise it when a formula gives another mesh."""
+"""Part of the digest of every built-in body: increase it when a formula gives another mesh."""
 
 _BOX_M = np.array([560.0, 305.0, 243.0])
 _GRID = 32
@@ -27,6 +25,97 @@ _SPHERE_ROUNDS = 4
 _LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
 _LUMPS_RMS_M = 5.0
 _LUMPS_SEED = 25143
+
+_EROS_BOX_M = np.array([34_000.0, 17_000.0, 12_000.0])
+_EDGE_M = 350.0
+_EROS_LUMPS = Band(longest_m=9000.0, shortest_m=1500.0, hurst=1.2)
+_EROS_LUMPS_RMS_M = 350.0
+_EROS_LUMPS_SEED = 433
+_STEPS = 4000
+
+
+def eros_like() -> TriangleMesh:
+    """Make a body of 34 x 17 x 12 km with facets of similar size, about 350 m wide.
+
+    Rings of evenly spaced points about a bent long axis are joined by triangles. A saddle is subtracted on the concave
+    side, as Himeros on Eros, a fractal height field with a fixed seed is added, and the mesh is scaled to the box. The
+    origin is the centre of volume.
+    """
+    along, radius = _rings()
+    points, faces = _net(along, radius)
+    lumps, _ = fractal_field(points, _EROS_LUMPS, 0.0, np.random.SeedSequence(_EROS_LUMPS_SEED))
+    points = points + _EROS_LUMPS_RMS_M * lumps[:, None] * vertex_normals(points, faces)
+    points = points * (_EROS_BOX_M / np.ptp(points, axis=0))
+    return TriangleMesh(points - _centre_of_volume(points, faces), faces.astype(np.int32))
+
+
+def _rings() -> tuple[FloatArray, FloatArray]:
+    """Positions (R,) along the axis and radii (R,) of rings, spaced by the height of an equilateral triangle."""
+    half = 0.5 * _EROS_BOX_M[0]
+    t = np.linspace(0.0, np.pi, _STEPS)
+    x, r = -half * np.cos(t), 0.5 * _EROS_BOX_M[2] * np.sin(t) ** 0.8 * (1.0 - 0.12 * np.cos(t))
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(r)))])
+    count = round(arc[-1] / (_EDGE_M * np.sqrt(0.75)))
+    wanted = np.linspace(0.0, arc[-1], count + 1)
+    return np.interp(wanted, arc, x), np.interp(wanted, arc, r)
+
+
+def _net(along: FloatArray, radius: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Points (V, 3) and faces (F, 3) of the mesh that joins the rings, with one point at each end."""
+    counts = np.maximum(np.rint(2.0 * np.pi * radius / _EDGE_M).astype(int), 5)
+    counts[[0, -1]] = 1
+    start = np.concatenate([[0], np.cumsum(counts)])
+    points = [_ring(x, r, n, 0.5 * (row % 2)) for row, (x, r, n) in enumerate(zip(along, radius, counts, strict=True))]
+    faces = [
+        _band(counts[row], counts[row + 1], start[row], start[row + 1], 0.5 * (row % 2), 0.5 * ((row + 1) % 2))
+        for row in range(len(counts) - 1)
+    ]
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
+    """Points (count, 3) of a ring about the bent axis, starting at the azimuth of ``shift`` steps."""
+    azimuth = 2.0 * np.pi * (np.arange(count) + shift) / count
+    share = x / (0.5 * _EROS_BOX_M[0])
+    bend_m = 0.25 * _EROS_BOX_M[1] * (share**2 - 0.5)
+    saddle = (
+        0.45
+        * np.exp(-((share / 0.3) ** 2))
+        * np.exp(-((((azimuth - 0.5 * np.pi + np.pi) % (2 * np.pi) - np.pi) / 0.8) ** 2))
+    )
+    r = 0.0 if count == 1 else radius
+    return np.stack(
+        [
+            np.full(count, x),
+            bend_m + r * (1.0 - saddle) * np.cos(azimuth - 0.5 * np.pi),
+            r * np.sin(azimuth - 0.5 * np.pi),
+        ],
+        axis=1,
+    )
+
+
+def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: float) -> IndexArray:
+    """Faces between two rings of n and m points; each triangle advances on the ring whose next azimuth is smaller."""
+    faces, i, j = [], 0, 0
+    while i < (n if n > 1 else 0) or j < (m if m > 1 else 0):
+        next_i, next_j = (i + 1 + shift) / n, (j + 1 + next_shift) / m
+        a, b = first + i % n, second + j % m
+        if n > 1 and i < n and (m == 1 or j >= m or next_i <= next_j):
+            faces.append([a, first + (i + 1) % n, b])
+            i += 1
+        else:
+            faces.append([a, second + (j + 1) % m, b])
+            j += 1
+    return np.array(faces, dtype=np.int64)
+
+
+def icosphere(rounds: int, radius_m: float) -> TriangleMesh:
+    """Make a sphere of 20 * 4**rounds facets by subdividing an icosahedron ``rounds`` times."""
+    # Imported here: trimesh takes a tenth of the start-up, and most runs find their body in the cache.
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=rounds, radius=radius_m)
+    return TriangleMesh(np.array(ball.vertices), np.array(ball.faces))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +140,7 @@ class _Lobe:
         return distance_m
 
 
-# A long body and a smaller head that leans against it, as on (25143) Itokawa, with shoulders that break the symmetry.
+# A long body and a smaller head in contact with it, as on (25143) Itokawa; the other lobes break the symmetry.
 _LOBES = (
     _Lobe((-70.0, 0.0, 0.0), (190.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
     _Lobe((190.0, 40.0, 10.0), (98.0, 98.0, 86.0), yaw_deg=-25.0),
@@ -60,7 +149,7 @@ _LOBES = (
     _Lobe((225.0, -5.0, -20.0), (60.0, 65.0, 60.0)),
 )
 _BLEND_M = 25.0
-# Every ray from here leaves the union once: the shape is a graph over directions.
+# The union is star-shaped about this point, so that bisection along each ray finds the only crossing.
 _NECK_M = np.array([90.0, 15.0, 0.0])
 
 
@@ -83,19 +172,18 @@ def _on_surface(directions: FloatArray) -> FloatArray:
 
 
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
-    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube blown up to a unit sphere."""
-    first, group = cubegrid.weld(q)
-    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cubegrid.lattice(q)[first] / q - 1.0)))
-    quads = group[cubegrid.quads(q)]
+    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube grid projected to the unit sphere."""
+    first, group = weld_seams(q)
+    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
+    quads = group[cube_quads(q)]
     return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
 
 
 def contact_binary() -> TriangleMesh:
     """Make an Itokawa-like body of 560 x 305 x 243 m: two lobes with a concave neck, 12,288 facets.
 
-    An ellipsoid of even triangles is stretched, along rays from the neck, to the smooth union of a few
-    ellipsoids; then it gets lumps and hollows, always the same, and is scaled to the box. The origin is the
-    centre of volume.
+    A cube grid is projected, along rays from the neck, to the smooth union of a few ellipsoids; then a fractal
+    height field with a fixed seed is added and the mesh is scaled to the box. The origin is the centre of volume.
     """
     directions, faces = _cube_mesh(_GRID)
     points_m = _on_surface(unit(directions * _BOX_M))

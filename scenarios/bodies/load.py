@@ -1,4 +1,4 @@
-"""From the body section of a scenario to a mesh."""
+"""Load the body of a scenario: read or generate the shape, check it, cache its detail."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from scenarios.bodies.checks import checked_mesh
 from scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.detail.subdivide import rounds_for
-from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
-from scenarios.bodies.icosphere import icosphere
+from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
 from scenarios.bodies.readers import READER_VERSION, read_shape
 from scenarios.bodies.topology import find_edges, vertex_normals
 from scenarios.cache import Cache, default_cache
@@ -27,35 +26,35 @@ from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec, HeightErrorSpec
 
 HEIGHT_ERROR_VERSION = 1
-"""Part of the key of every body with such an error: raise it when the same spec gives another mesh."""
+"""Part of the digest of every body with a height error: increase it when the same spec gives another mesh."""
 
 FloatArray = NDArray[np.float64]
 
 EVEN_VERSION = 1
-"""Part of the key of every such body: raise it when the same spec gives another mesh."""
+"""Part of the digest of every resampled body: increase it when the same spec gives another mesh."""
 
 _ICOSAHEDRON_FACETS = 20
-_AT_ONCE = 1 << 22  # pairs of a direction and a facet
+_PAIRS_AT_ONCE = 1 << 22  # pairs of a direction and a facet
 
 
 def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
-    """Take a star-shaped mesh where the rays through the vertices of an icosphere leave it.
+    """Resample a star-shaped mesh at the directions of the vertices of an icosphere.
 
-    With corners a, b, c of a facet, a direction d meets it where d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c
-    has no negative weight; the weights over their sum are the barycentric coordinates. The new vertices lie on the
-    shape; between them its edges are cut, so that a convex body loses a little volume.
+    A direction d intersects a facet with corners a, b, c if d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c
+    has no negative weight; the normalised weights are the barycentric coordinates of the intersection. The new
+    vertices lie on the shape; the facets between them cut its edges, so that a convex body loses a little volume.
 
     Parameters
     ----------
     facets
-        At least as many, and less than four times as many.
+        Minimum number of facets; the result has less than four times as many.
     source
-        Of the shape, for the message.
+        Name of the shape, for the error message.
 
     Raises
     ------
     BoresightError
-        If some facet does not face away from the origin: then a ray may leave the shape more than once.
+        If a facet does not face away from the origin, so that the shape is not star-shaped.
     """
     corners = np.asarray(mesh.corners_m, dtype=np.float64)
     opposite = np.cross(np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1))
@@ -67,17 +66,17 @@ def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
         )
     net = icosphere(rounds_for(_ICOSAHEDRON_FACETS, facets), 1.0)
     directions = net.vertices_m
-    facet, weights = _met(directions, opposite)
+    facet, weights = _intersections(directions, opposite)
     points_m = np.einsum("nk,nki->ni", weights, corners[facet])
     albedo = None if mesh.albedo is None else np.einsum("nk,nk->n", weights, mesh.albedo[mesh.faces[facet]])
     return TriangleMesh(points_m, net.faces, albedo)
 
 
-def _met(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """(n,) facet that each direction meets, and the barycentric coordinates (n, 3) of where it does."""
+def _intersections(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """(n,) facet that each direction intersects, and barycentric coordinates (n, 3) of the intersection."""
     found = np.empty(len(directions), dtype=np.int64)
     weights = np.empty((len(directions), 3))
-    step = max(1, _AT_ONCE // len(opposite))
+    step = max(1, _PAIRS_AT_ONCE // len(opposite))
     for first in range(0, len(directions), step):
         part = slice(first, first + step)
         products = np.einsum("ni,fki->nfk", directions[part], opposite, optimize=True)
@@ -92,8 +91,8 @@ def _met(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64
 def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh:
     """Move the vertices along their normals by a fractal field of RMS ``spec.rms_m``.
 
-    Octaves shorter than the mesh's mean edge cannot be carried by it and are left out; the field is scaled so that
-    its RMS over the vertices is ``rms_m`` whatever octaves are left.
+    Octaves shorter than the mesh's mean edge cannot be resolved and are left out; the field of the remaining octaves is
+    scaled to an RMS of ``rms_m`` over the vertices.
     """
     ends = find_edges(mesh.faces).ends
     edge_m = float(np.linalg.norm(mesh.vertices_m[ends[:, 0]] - mesh.vertices_m[ends[:, 1]], axis=1).mean())
@@ -107,7 +106,7 @@ def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
 class Body:
-    """A body ready for rendering.
+    """A body's mesh with its source and digest.
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ class Body:
     sha256
         Digest of everything that determines the mesh: see `body_digest`.
     notes
-        What was mended in the shape or left out of the detail.
+        Repairs of the shape, and features left out of the detail.
     """
 
     mesh: TriangleMesh
@@ -134,7 +133,7 @@ _in_use: WeakValueDictionary[tuple[object, ...], Body] = WeakValueDictionary()
 
 
 def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None) -> Body:
-    """Read or make the shape, check it, and add the detail; a body that is in use in this process is lent again.
+    """Read or make the shape, check it, and add the detail; a body already in use in this process is shared.
 
     Parameters
     ----------
@@ -148,10 +147,10 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     Raises
     ------
     BoresightError
-        The shape is not found or is not sound, or the spec says what has no meaning for it.
+        The shape is not found or not valid, or a key of the spec does not apply to it.
     """
     path, cache, digest = _shape_path(spec, search_dirs), cache or default_cache(), body_digest(spec, search_dirs)
-    # What is checked of a shape and what it is called are no part of its digest.
+    # The expected diameter and the path are not part of the digest, but decide about errors and names.
     key = (digest, path, spec.expected_diameter_m, cache)
     body = _in_use.get(key)
     if body is None:
@@ -175,7 +174,7 @@ def _mesh(
 def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     """Digest (hexadecimal SHA-256) of what determines the mesh, without making it.
 
-    It covers the bytes of the shape file (not its place) or the name of the embedded body, the keys that change
+    It covers the bytes of the shape file (not its path) or the name of the embedded body, the keys that change
     how it is read, the detail, and the versions of the code. Shading and the expected diameter are not in it:
     they do not change the mesh.
     """
@@ -214,14 +213,14 @@ def _bytes(path: Path) -> bytes:
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    mesh, notes = _given(spec, path)
+    mesh, notes = _original(spec, path)
     if spec.even_facets is not None:
         mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
     return mesh, notes
 
 
-def _given(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Return the shape as it is in the file or the package."""
+def _original(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Return the shape of the file or the built-in one, before resampling and detail."""
     if path is None:
         return EMBEDDED[spec.shape](), ()
     shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")

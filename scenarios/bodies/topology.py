@@ -1,4 +1,4 @@
-"""Vertex and edge bookkeeping of triangle meshes, as whole-array operations."""
+"""Vertices, edges and normals of triangle meshes, as whole-array operations."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class MeshEdges:
     """The undirected edges of a mesh.
 
     Parameters
@@ -29,19 +29,19 @@ class Edges:
 
 
 def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
-    """One number for each half-edge (F * 3,), in its own direction and in the opposite one."""
+    """Return one integer key for each half-edge (F * 3,), in its own direction and in the opposite one."""
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)
     stride = int(start.max()) + 1
     return (start * stride + end).ravel(), (end * stride + start).ravel()
 
 
-def find_edges(faces: IntArray) -> Edges:
-    """Give each undirected edge of a mesh its number."""
+def find_edges(faces: IntArray) -> MeshEdges:
+    """Find the undirected edges of a mesh and number them."""
     forward, backward = directed_edge_keys(faces)
     key, of_face = np.unique(np.minimum(forward, backward), return_inverse=True)
     stride = int(faces.max()) + 1
-    return Edges(np.stack([key // stride, key % stride], axis=1), of_face.reshape(-1, 3))
+    return MeshEdges(np.stack([key // stride, key % stride], axis=1), of_face.reshape(-1, 3))
 
 
 def is_closed(faces: IntArray) -> bool:
@@ -51,7 +51,7 @@ def is_closed(faces: IntArray) -> bool:
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V, 3) unit normals at the vertices: mean of the faces around, weighted by their area."""
+    """(V, 3) unit normals at the vertices: means of the adjacent faces' normals, weighted by area."""
     corner = vertices[faces[:, 0]]
     area = np.cross(vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner)
     return unit(sum_at_vertices(faces, area, len(vertices)))
@@ -69,3 +69,13 @@ def unit(vectors: FloatArray) -> FloatArray:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
     return scaled
+
+
+def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors (N, 3) perpendicular to ``up`` (N, 3) and to each other, rotated by angles (N,) about it."""
+    helper = np.zeros_like(up)
+    np.put_along_axis(helper, np.abs(up).argmin(axis=1)[:, None], 1.0, axis=1)
+    first = unit(np.cross(up, helper))
+    second = np.cross(up, first)
+    cosine, sine = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    return cosine * first + sine * second, cosine * second - sine * first

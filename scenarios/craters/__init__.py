@@ -1,10 +1,9 @@
-"""Craters whose every one is known: a population, its relief on a smooth body, and the truth of it in an image."""
+"""Cratered surfaces with a known population: relief on a smooth body, and the true craters of an image."""
 
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.rims import Rims
-from scenarios.craters.size import check_size
 from scenarios.craters.surface import CrateredSurface, cratered_surface, shape_digest, surface_digest
-from scenarios.craters.tiles import Tiling
+from scenarios.craters.tiles import Tiling, check_size
 from scenarios.craters.truth import CraterTruth, crater_truth
 
 __all__ = [

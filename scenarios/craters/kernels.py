@@ -1,22 +1,25 @@
-"""Kernels of the fine surface: vertices of curved tiles, facets, relief of craters and noise, crest curves."""
+"""Compiled kernels of cratered surfaces: vertices of curved tiles, facets, relief and crest curves."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.jit import kernel
-from scenarios.craters.profile import profile_height
+from scenarios.compiled import compiler
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
 
+kernel = compiler(Path(__file__).parent)
+"""The decorator of the kernels of this package."""
 
-class Layout(NamedTuple):
-    """How tiles are cut: their corners and edges, the ends and pieces of edges, and where vertices of each begin."""
+
+class TileLayout(NamedTuple):
+    """Subdivision of tiles: corners and edges of tiles, ends and pieces of edges, and offsets of their vertices."""
 
     faces: IndexArray
     of_face: IndexArray
@@ -29,7 +32,7 @@ class Layout(NamedTuple):
 
 @kernel
 def _bend(out: FloatArray, p: FloatArray, q: FloatArray, normal: FloatArray) -> None:
-    """Control point a third of the way from p to q, in the plane at p across its normal: b_210 of Vlachos et al."""
+    """Write the control point b_210 of Vlachos et al. (2001): p + (q - p) / 3, projected to the tangent plane at p."""
     along = (q[0] - p[0]) * normal[0] + (q[1] - p[1]) * normal[1] + (q[2] - p[2]) * normal[2]
     for x in range(3):
         out[x] = p[x] + (q[x] - p[x] - along * normal[x]) / 3.0
@@ -43,10 +46,10 @@ def _normalise(v: FloatArray, row: int) -> None:
 
 
 @kernel
-def place_edges(
+def place_edge_vertices(
     points: FloatArray, up: FloatArray, normals: FloatArray, ends: IndexArray, pieces: IndexArray, start: IndexArray
 ) -> None:
-    """Lay the inner vertices of each edge on its cubic, from its first end to its second."""
+    """Write the inner vertices of each edge on its cubic Bezier curve, from its first end to its second."""
     near, far = np.empty(3), np.empty(3)
     for e in range(len(ends)):
         a, b = ends[e, 0], ends[e, 1]
@@ -64,10 +67,10 @@ def place_edges(
 
 
 @kernel
-def place_interiors(
+def place_inner_vertices(
     points: FloatArray, up: FloatArray, normals: FloatArray, faces: IndexArray, pieces: IndexArray, start: IndexArray
 ) -> None:
-    """Lay the inner vertices of each tile on its cubic patch, row by row."""
+    """Write the inner vertices of each tile on its cubic Bezier triangle, row by row."""
     side = np.empty((6, 3))
     middle = np.empty(3)
     for f in range(len(faces)):
@@ -99,7 +102,7 @@ def place_interiors(
 
 @kernel
 def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step: int, n: int) -> int:
-    """Vertex of an edge that is nearest to step / n of the way from one end to the other."""
+    """Return the vertex of an edge that is nearest to the fraction step / n from one end to the other."""
     k = (2 * step * pieces + n) // (2 * n)
     if k == 0:
         return corner
@@ -109,15 +112,15 @@ def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step:
 
 
 @kernel
-def room_for_tile(layout: Layout) -> IndexArray:
-    """Array that holds the numbers of the vertices of any tile."""
+def tile_buffer(layout: TileLayout) -> IndexArray:
+    """Return an array that is large enough for the vertex numbers of any tile."""
     most = layout.tile_pieces.max() + 1
     return np.empty((most, most), dtype=np.int64)
 
 
 @kernel
-def number_tile(ids: IndexArray, f: int, layout: Layout) -> int:
-    """Write the numbers of a tile's vertices and return n: at [i, j] is that of (n - i - j, i, j) / n, barycentric."""
+def number_tile(ids: IndexArray, f: int, layout: TileLayout) -> int:
+    """Write the vertex numbers of a tile, [i, j] at barycentric coordinates (n - i - j, i, j) / n, and return n."""
     a, b, c = layout.faces[f, 0], layout.faces[f, 1], layout.faces[f, 2]
     ends, pieces, edge_start = layout.ends, layout.edge_pieces, layout.edge_start
     n, row = layout.tile_pieces[f], layout.tile_start[f]
@@ -134,9 +137,9 @@ def number_tile(ids: IndexArray, f: int, layout: Layout) -> int:
 
 
 @kernel
-def cut_tiles(found: IndexArray, tiles: IndexArray, layout: Layout) -> int:
-    """Write the facets of some tiles, and return how many they are; those of no area are left out."""
-    count, ids = 0, room_for_tile(layout)
+def cut_tiles(found: IndexArray, tiles: IndexArray, layout: TileLayout) -> int:
+    """Write the facets of the given tiles and return their number; facets with repeated vertices are left out."""
+    count, ids = 0, tile_buffer(layout)
     for f in tiles:
         n = number_tile(ids, f, layout)
         for i in range(n):
@@ -152,6 +155,21 @@ def cut_tiles(found: IndexArray, tiles: IndexArray, layout: Layout) -> int:
 
 
 @kernel
+def profile_height(r: float, rim: float, rounding: float, stretch: float, scale: float) -> float:
+    """Height in diameters of one crater at one distance in radii: `Profiles.heights`."""
+    if r >= 3.0:
+        return 0.0
+    x = r * stretch
+    square = x * x
+    bowl = rim - (1.0 - square)
+    blanket = rim * np.sqrt(1.5 / (0.5 + square * square * square))
+    half = 0.5 * (bowl - blanket)
+    height = 0.5 * (bowl + blanket) - np.sqrt(half * half + rounding * rounding)
+    taper = min(1.0, 3.0 - r)
+    return float(scale * height * taper * taper * (3.0 - 2.0 * taper))
+
+
+@kernel
 def add_crater(
     heights: FloatArray,
     points: FloatArray,
@@ -162,14 +180,14 @@ def add_crater(
     radius: float,
     shape: FloatArray,
 ) -> None:
-    """Put one crater on the relief that is there: see `scenarios.craters.relief`.
+    """Add one crater to the existing relief: see `scenarios.craters.relief`.
 
     Parameters
     ----------
     heights
-        (N,) along ``up``, changed here.
+        (N,) along ``up``; changed in place.
     runs
-        (R, 2) ranges of the vertices that may lie in reach.
+        (R, 2) ranges of the vertices that may be affected.
     frame
         (3, 3) axes of the crater, the last one up.
     shape
@@ -207,7 +225,7 @@ def _rim_plane(
     frame: FloatArray,
     radius: float,
 ) -> FloatArray:
-    """Least-squares plane (constant, slopes along the frame's axes) of the surface about the rim to be."""
+    """Least-squares plane (constant, slopes along the frame's axes) of the old surface at 0.8 to 1.2 radii."""
     normal = np.zeros((3, 3))
     right = np.zeros(3)
     row = np.ones(3)
@@ -241,7 +259,7 @@ def add_octave(
     shift: FloatArray,
     size: float,
 ) -> None:
-    """Add a cubic B-spline of a periodic lattice (n, n, n), n a power of two, at turned and shifted points."""
+    """Add a cubic B-spline of a periodic lattice (n, n, n), n a power of two, at rotated and shifted points."""
     n = lattice.shape[0]
     weights = np.empty((3, 4))
     first = np.empty(3, dtype=np.int64)
@@ -268,7 +286,7 @@ def add_octave(
 
 
 @kernel
-def crossings(
+def edge_crossings(
     found: FloatArray,
     facets: IndexArray,
     points: FloatArray,
@@ -276,9 +294,10 @@ def crossings(
     centre: FloatArray,
     radius: float,
 ) -> int:
-    """Where the edges of facets cross a distance from a centre: rows of smooth point and of surface point.
+    """Write the points where edges of facets cross the distance ``radius`` from a centre; return their number.
 
-    Each edge is met from both of its facets, so that a point may stand twice.
+    Rows of ``found`` are (smooth point, surface point). An edge is visited from both of its facets, so that a point may
+    occur twice.
     """
     count = 0
     r = np.empty(3)
@@ -301,10 +320,10 @@ def crossings(
 
 @kernel
 def least_heights(
-    least: FloatArray, vertices: SingleArray, origins: FloatArray, normals: FloatArray, layout: Layout
+    least: FloatArray, vertices: SingleArray, origins: FloatArray, normals: FloatArray, layout: TileLayout
 ) -> None:
-    """Least height of each tile's vertices over its plane, given by a point and a normal."""
-    ids = room_for_tile(layout)
+    """Write the least height of each tile's vertices over its plane, given by a point and a normal."""
+    ids = tile_buffer(layout)
     for f in range(len(least)):
         n = number_tile(ids, f, layout)
         lowest = np.inf

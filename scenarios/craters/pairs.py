@@ -1,4 +1,4 @@
-"""Two looks at one place of a body: where the cameras and the Sun stand, and what is detected."""
+"""Pairs of views of one place of a body under different geometry, with simulated crater detections."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from scenarios.craters.simulated import (
     LabelledDetections,
     PlaneCraters,
     detect_simulated,
-    draw_craters,
     in_view,
-    raised,
+    raise_craters,
+    sample_plane_craters,
 )
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View, look_at
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
-from scenarios.spec.crater_pairs import CraterPairsSpec, PlaneCratersSpec
+from scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
 from scenarios.spec.world import PoseErrorSpec
 
 FloatArray = NDArray[np.float64]
 
 _MOST_DRAWS = 2000
 LIMITS_DEG = (60.0, 20.0, 75.0)
-"""Largest emission, least and largest incidence at which a crater is detected."""
+"""Maximum emission, minimum and maximum incidence at which a crater is detected."""
 
-_SECOND_DEG = (55.0, 15.0, 70.0)  # the same of the place that both look at
+_SECOND_DEG = (55.0, 15.0, 70.0)  # the same limits for the common target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CraterLook:
-    """One of the two looks: the true view, what is detected in it, and what the spacecraft knows."""
+class CraterView:
+    """One of the two views: the true view, its detections, and the frame with a priori knowledge."""
 
     view: View
     detections: LabelledDetections
@@ -44,18 +44,18 @@ class CraterLook:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterPair:
-    """Two looks, and how far they differ, deg."""
+    """Two views, and the angles between their camera directions and Sun directions, deg."""
 
-    first: CraterLook
-    second: CraterLook
+    first: CraterView
+    second: CraterView
     view_deg: float
     sun_deg: float
 
 
-def population(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
-    """Draw the craters of a body: the same for the same seed."""
+def draw_plane_craters(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
+    """Draw the craters of a body from the seed of its spec."""
     radii = (0.5 * spec.min_diameter_m, 0.5 * spec.max_diameter_m)
-    return draw_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
+    return sample_plane_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
 
 
 def draw_pair(
@@ -71,23 +71,23 @@ def draw_pair(
     Raises
     ------
     BoresightError
-        If no two looks as different as asked for have their place in the light.
+        If no two views with the required angles have a lit and visible target.
     """
     views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
     errors = DetectionErrors(**spec.errors.model_dump())
-    real = raised(craters, errors.height_m, noise)  # one height in both looks
+    real = raise_craters(craters, errors.height_m, noise)  # the same height errors in both views
     looks = []
     for number, view in enumerate(views):
         visible = in_view(craters, ground, view, LIMITS_DEG)
         found = detect_simulated(real, visible, view, errors, noise)
         black = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
-        looks.append(CraterLook(view, found, known_frame(view, black, pose_error, priors, float(number))))
+        looks.append(CraterView(view, found, observed_frame(view, black, pose_error, priors, float(number))))
     return CraterPair(looks[0], looks[1], *angles)
 
 
-def turned(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
-    """Turn a unit vector (3,) by an angle, towards an azimuth about it."""
+def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
+    """Rotate a unit vector (3,) by an angle towards an azimuth about it."""
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
     across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
@@ -97,15 +97,15 @@ def turned(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> Float
 def draw_views(
     spec: CraterPairsSpec, camera: Camera, ground: MeshGround, rng: np.random.Generator
 ) -> tuple[tuple[View, View], tuple[float, float]]:
-    """Draw places and directions until both looks have the place in sight and in the light."""
+    """Draw targets and directions until the target is visible and lit in both views."""
     angles = (float(spec.view_deg.draw(rng)), float(spec.sun_deg.draw(rng)))
     for _ in range(_MOST_DRAWS):
         points, normals = ground.sample(1, rng)
         place, normal = points[0], normals[0]
-        one = turned(normal, np.radians(spec.emission_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
-        other = turned(one, np.radians(angles[0]), rng.uniform(0.0, 2.0 * np.pi))
-        sun = turned(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
-        later = turned(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
+        one = turn_direction(normal, np.radians(spec.emission_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        other = turn_direction(one, np.radians(angles[0]), rng.uniform(0.0, 2.0 * np.pi))
+        sun = turn_direction(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        later = turn_direction(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
         emission, incidence = np.degrees(np.arccos(np.clip([other @ normal, later @ normal], -1.0, 1.0)))
         above = (place + 1.0 * normal)[None]
         seen = all(ground.in_sight(above, normal[None], place + spec.range_m * d)[0] for d in (one, other))
@@ -127,10 +127,10 @@ def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatA
     return View(camera, Pose(rotation, -rotation @ position_m), sun)
 
 
-def known_frame(
+def observed_frame(
     view: View, image: NDArray[np.float32], pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float
 ) -> Frame:
-    """Make what the spacecraft knows of a look: the image, the Sun in the camera and a degraded pose."""
+    """Make the frame of a view: image, Sun direction in camera axes and degraded prior pose."""
     true, camera = view.T_cam_body, view.camera
     range_m = float(np.linalg.norm(true.translation_m))
     return Frame(

@@ -1,4 +1,4 @@
-"""Which craters a body has: places, sizes, ages and shapes, drawn from a seed."""
+"""Random crater populations: positions, diameters, ages and depths."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 _ROOM, _LEAST_FACING = 1.2, 0.5
 _MOST_DRAWS = 200
-_SCATTER = 0.25  # share of the range of depths that chance decides, the rest is degradation
+_SCATTER = 0.25  # share of the depth range that is random; the rest follows from degradation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,9 +31,9 @@ class Craters:
     axis_body
         (n, 3) unit normal of the smooth surface there.
     radius_m
-        (n,) of the crest.
+        (n,) radius of the crest.
     degradation
-        (n,) 0 fresh to 1, descending: a crater decays as it ages.
+        (n,) from 0 (fresh) to 1, descending with decreasing age.
     depth_ratio
         (n,) depth over diameter, from the crest to the floor.
     """
@@ -51,13 +51,13 @@ class Craters:
 def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Craters:
     """Draw a population, uniform over the area of a smooth surface with unit normals ``up`` (V, 3) at its vertices.
 
-    Ages are uniform, and degradation stands for age. Diameters follow the power law cut off at both ends. A crater that
-    the body is too small for at its place, which turns away by 60 deg or more within 1.2 radii, is put elsewhere.
+    Ages are uniform; degradation is proportional to age. Diameters follow a truncated power law. A crater is
+    drawn again at another place if the surface normal within 1.2 radii deviates by 60 deg or more.
 
     Raises
     ------
     BoresightError
-        If there is no place on the body for the largest of them.
+        If the body is too strongly curved everywhere for one of the craters.
     """
     rng = np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(1)[0])
     n = spec.count
@@ -89,7 +89,7 @@ def _move_from_edges(
     up: FloatArray,
     rng: np.random.Generator,
 ) -> None:
-    """Draw the places of craters anew, in the arrays, until the body is flat enough about each."""
+    """Redraw positions in place until the surface is flat enough about each crater."""
     tree = cKDTree(smooth.vertices_m)
     left = np.arange(len(radius_m))
     for _ in range(_MOST_DRAWS):

@@ -1,6 +1,8 @@
-"""The relief of a cratered surface: craters from the oldest to the youngest, and roughness."""
+"""Relief of a cratered surface: crater profiles applied from the oldest to the youngest, and roughness."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +10,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scenarios.bodies.detail.noise import Band
-from scenarios.bodies.detail.placement import tangent_axes
+from scenarios.bodies.topology import tangent_axes
 from scenarios.craters.kernels import add_crater, add_octave
 from scenarios.craters.population import Craters
-from scenarios.craters.profile import REACH, Profiles
 from scenarios.craters.tiles import Tiling
 from scenarios.spec.body import RoughnessSpec
 from scenarios.spec.craters import CratersSpec
@@ -21,6 +22,77 @@ FloatArray = NDArray[np.float64]
 _LATTICE = 64
 _SPLINE_RMS = 0.3321
 """RMS of a cubic B-spline of white noise of variance 1: (151 / 315)^(3/2), the mean squares of its weights."""
+
+REACH = 3.0
+"""The ejecta blanket ends at this many radii."""
+
+_TAPER_FROM = 2.0
+_FRESH_ROUNDING, _OLD_ROUNDING = 0.03, 0.08
+_OLD_RIM = 0.5  # of a fresh rim's height
+_BISECTIONS = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profiles:
+    """Crater profiles: height, in diameters, over the distance r from the centre, in radii.
+
+    A paraboloid b(r) = k - (1 - r^2) and a blanket e(r) = k sqrt(1.5 / (0.5 + r^6)), which falls as r^-3 (McGetchin,
+    Settle and Head 1973, Earth Planet. Sci. Lett. 20, 226), meet in a crest rounded over a width w,
+    s(r) = (b + e) / 2 - sqrt((b - e)^2 / 4 + w^2). A crater that decays by the creep of its regolith (Soderblom 1970,
+    J. Geophys. Res. 75, 2655; Fassett and Thomson 2014, J. Geophys. Res. Planets 119, 2255) gets a lower and rounder
+    rim. Distance and height are scaled so that the crest, where s is greatest, lies at r = 1 and the floor a given
+    depth below it.
+
+    Parameters
+    ----------
+    rim, rounding
+        (n,) k and w.
+    stretch
+        (n,) r at which s is greatest before the scaling.
+    scale
+        (n,) factor on s.
+    """
+
+    rim: FloatArray
+    rounding: FloatArray
+    stretch: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def of(
+        cls, degradation: FloatArray, depth_ratio: FloatArray, rim_ratio: float, fresh_depth_ratio: float
+    ) -> Profiles:
+        """Make profiles of degradations (n,), 0 to 1, and depths (n,) over diameter."""
+        rim = rim_ratio / fresh_depth_ratio * (1.0 - (1.0 - _OLD_RIM) * degradation)
+        rounding = _FRESH_ROUNDING + (_OLD_ROUNDING - _FRESH_ROUNDING) * degradation
+        stretch = _crest(rim, rounding)
+        one = np.ones_like(rim)
+        depth = _rounded(rim, rounding, stretch) - _rounded(rim, rounding, 0.0 * one)
+        return cls(rim, rounding, stretch, depth_ratio / depth)
+
+    def heights(self, r: FloatArray) -> FloatArray:
+        """Heights (n, m), in diameters, at distances (n, m) or (m,) in radii."""
+        rim, rounding, stretch, scale = (x[:, None] for x in (self.rim, self.rounding, self.stretch, self.scale))
+        taper = np.clip((REACH - r) / (REACH - _TAPER_FROM), 0.0, 1.0)
+        return np.asarray(scale * _rounded(rim, rounding, r * stretch) * taper * taper * (3.0 - 2.0 * taper))
+
+
+def _rounded(rim: FloatArray, rounding: FloatArray, r: FloatArray) -> FloatArray:
+    bowl = rim - (1.0 - r * r)
+    blanket = rim * np.sqrt(1.5 / (0.5 + r**6))
+    return np.asarray(0.5 * (bowl + blanket) - np.sqrt(0.25 * (bowl - blanket) ** 2 + rounding**2))
+
+
+def _crest(rim: FloatArray, rounding: FloatArray) -> FloatArray:
+    """Find the maximum of s at r > 0 by bisection of its derivative."""
+    low, high = np.full_like(rim, 0.5), np.full_like(rim, 2.5)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        half = 0.5 * (rim - (1.0 - middle**2) - rim * np.sqrt(1.5 / (0.5 + middle**6)))
+        bowl, blanket = 2.0 * middle, -3.0 * rim * np.sqrt(1.5) * middle**5 * (0.5 + middle**6) ** -1.5
+        rises = 0.5 * (bowl + blanket) - 0.5 * half * (bowl - blanket) / np.sqrt(half**2 + rounding**2) > 0.0
+        low, high = np.where(rises, middle, low), np.where(rises, high, middle)
+    return 0.5 * (low + high)
 
 
 def crater_frames(craters: Craters) -> FloatArray:
@@ -34,10 +106,10 @@ def crater_relief(
 ) -> FloatArray:
     """Heights (N,) along ``up`` after all impacts, over the smooth surface.
 
-    A crater replaces what was within its rim and adds to what was outside, as in the model of Howard (2007,
-    Geomorphology 91, 332) with the inheritance growing from 0, within half the radius, to 1 at the rim. What replaces
-    is its bowl below the least-squares plane of the old surface about the rim; so depths hold on slopes and on the
-    curved body too, and the crest lies on the old ground. Distances r are chords.
+    A crater replaces the old relief within its rim and is added to it outside, as in the model of Howard (2007,
+    Geomorphology 91, 332) with an inheritance that grows from 0, within half the radius, to 1 at the rim. The new bowl
+    is measured from the least-squares plane of the old surface about the rim, so that depths are right on slopes and
+    on the curved body. Distances r are chords.
     """
     heights = np.zeros(len(points_m))
     profiles = Profiles.of(craters.degradation, craters.depth_ratio, spec.rim_ratio, spec.depth_ratio[1])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scenarios.craters.kernels import crossings
+from scenarios.craters.kernels import edge_crossings
 from scenarios.craters.population import Craters
 from scenarios.craters.relief import crater_frames
 from scenarios.craters.tiles import Tiling
@@ -24,7 +24,7 @@ _PER_FACET = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rims:
-    """What is true of craters of at least some diameter, from the oldest to the youngest.
+    """True rims of the craters above a minimum diameter, from the oldest to the youngest.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ class Rims:
     crest_m
         (n, 72, 3) points of the crest on the rendered surface, every 5 deg of azimuth.
     cut
-        (n, 72) whether a younger crater has taken the crest away.
+        (n, 72) whether a younger crater has removed the crest.
     normal_body
-        (n, 3) unit normal of the plane of the crest, outward.
+        (n, 3) outward unit normal of the least-squares plane of the crest.
     diameter_m, depth_m, degradation
         (n,).
     """
@@ -53,12 +53,12 @@ class Rims:
 
     @property
     def centre_m(self) -> FloatArray:
-        """(n, 3) middle of each crest."""
+        """(n, 3) mean of each crest's points."""
         return np.asarray(self.crest_m.mean(axis=1), dtype=np.float64)
 
 
 def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatArray, surface_m: SingleArray) -> Rims:
-    """Follow the crests of all craters of diameter ``least_m`` or more.
+    """Trace the crests of all craters of diameter ``least_m`` or more.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatA
         near = tree.query_ball_point(craters.centre_m[crater], craters.radius_m[crater] + tiling.reach_m)
         tiles = np.sort(np.asarray(near, dtype=np.int64))
         far = np.linalg.norm(corners_m[tiles] - craters.centre_m[crater], axis=2) - craters.radius_m[crater]
-        # A tile that reaches across the rim has corners on both sides of it, or next to it.
+        # A tile that intersects the rim has corners on both sides of it or within the bulge of a curved tile.
         across = (far.min(axis=1) < tiling.bulge_m) & (far.max(axis=1) > -tiling.bulge_m)
         tiles = tiles[across & (facing[tiles] @ frame[2] > 0.0)]
         ring = _ring(tiles, tiling, smooth_m, surface_m, craters.centre_m[crater], float(craters.radius_m[crater]))
@@ -107,15 +107,15 @@ def _ring(
     centre_m: FloatArray,
     radius_m: float,
 ) -> FloatArray:
-    """(K, 6) smooth and surface points where facets cross the rim's distance."""
+    """(K, 6) smooth and surface points where facet edges cross the crater's radius."""
     facets = tiling.facets(tiles)
     found = np.empty((_PER_FACET * len(facets), 6))
-    count = crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
+    count = edge_crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
     return found[:count]
 
 
 def _by_azimuth(ring: FloatArray, centre_m: FloatArray, frame: FloatArray) -> FloatArray | None:
-    """(72, 6) the ring at even azimuths; None where it does not go round, at a body's thin end."""
+    """(72, 6) the ring interpolated at even azimuths; None if it has gaps, as at a thin end of a body."""
     if len(ring) < 8:
         return None
     offset = ring[:, :3] - centre_m

@@ -1,4 +1,4 @@
-"""Detections of craters without images: rims projected by geometry, with drawn errors, misses and false ones."""
+"""Simulated crater detections without images: projected rims with random errors, misses and false detections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.geometry import Ellipses, View, project_circles
-from scenarios.sequences.ground import MeshGround, faces
+from scenarios.sequences.ground import MeshGround, faces_camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -19,7 +19,7 @@ NO_CRATER = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneCraters:
-    """Craters as a detector of rims knows them: circles in planes that touch the shape.
+    """Craters as circles in planes tangent to the shape.
 
     Parameters
     ----------
@@ -37,20 +37,20 @@ class PlaneCraters:
 
 @dataclass(frozen=True, slots=True)
 class DetectionErrors:
-    """How a detector errs.
+    """Error model of a crater detector.
 
     Parameters
     ----------
     centre_px, centre_radii
-        Standard deviation of a coordinate of the centre, and its part that grows with the radius.
+        Standard deviation of a coordinate of the centre: constant part, and part proportional to the radius, in radii.
     axes_px, axes_ratio
         Standard deviation of a semi-axis, and of its logarithm.
     recall
         Probability that a visible crater is detected.
     false_share
-        Share of the detections that are no crater.
+        Share of false detections among all detections.
     least_radius_px
-        Smaller ones are not detected.
+        Radius below which craters are not detected.
     height_m
         Standard deviation of a crater's height above the a priori shape.
     """
@@ -67,23 +67,23 @@ class DetectionErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledDetections:
-    """Rims that were found, and which crater each is; ``NO_CRATER`` where it is none."""
+    """Detected rims with the index of the true crater, ``NO_CRATER`` for false detections."""
 
     ellipses: Ellipses
     crater: IndexArray
 
 
-def draw_craters(
+def sample_plane_craters(
     ground: MeshGround, count: int, radii_m: tuple[float, float], slope: float, rng: np.random.Generator
 ) -> PlaneCraters:
-    """Draw craters uniform over the area, with numbers above a radius falling as its power -slope."""
+    """Draw craters uniform over the area, with N(>r) proportional to r**-slope."""
     points, normals = ground.sample(count, rng)
     low, high = (radius ** (-slope) for radius in radii_m)
     return PlaneCraters(points, normals, (low + rng.uniform(size=count) * (high - low)) ** (-1.0 / slope))
 
 
-def raised(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> PlaneCraters:
-    """Move craters along their normals by what the a priori shape does not know."""
+def raise_craters(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> PlaneCraters:
+    """Move craters along their normals by random height errors of the a priori shape."""
     height = rng.normal(0.0, height_m, len(craters))
     return PlaneCraters(
         craters.centre_body_m + height[:, None] * craters.normal_body, craters.normal_body, craters.radius_m
@@ -93,7 +93,7 @@ def raised(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> 
 def in_view(
     craters: PlaneCraters, ground: MeshGround, view: View, limits_deg: tuple[float, float, float]
 ) -> IndexArray:
-    """List the craters whole in the frame, not hidden, with emission and incidence within limits.
+    """Return the indices of the craters entirely in the frame, not occluded, with emission and incidence within limits.
 
     ``limits_deg`` are the largest emission, and the least and largest incidence.
     """
@@ -102,7 +102,7 @@ def in_view(
     emission = _angle_deg(craters.normal_body, towards)
     incidence = _angle_deg(craters.normal_body, np.broadcast_to(view.sun_dir_body, towards.shape))
     seen = (emission < limits_deg[0]) & (incidence > limits_deg[1]) & (incidence < limits_deg[2])
-    seen &= faces(craters.centre_body_m, craters.normal_body, position)
+    seen &= faces_camera(craters.centre_body_m, craters.normal_body, position)
     cam = view.T_cam_body.transform(craters.centre_body_m)
     radius_px = craters.radius_m / np.maximum(cam[:, 2], 1.0) / view.camera.pixel_angle_rad
     uv = view.camera.project(cam)
@@ -117,7 +117,7 @@ def in_view(
 def detect_simulated(
     craters: PlaneCraters, visible: IndexArray, view: View, errors: DetectionErrors, rng: np.random.Generator
 ) -> LabelledDetections:
-    """Detect the visible craters of a view, with errors, and false ones of the same sizes anywhere in the frame."""
+    """Simulate detections of the visible craters with errors, and false ones of similar size anywhere in the frame."""
     rims = project_circles(
         view, craters.centre_body_m[visible], craters.normal_body[visible], craters.radius_m[visible]
     )

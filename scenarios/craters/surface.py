@@ -1,4 +1,4 @@
-"""The cratered surface of a body: built once from a scenario, kept in the cache, cut finely where it is asked for."""
+"""Cratered surface of a body: built once from a scenario and cached; facets are generated where they are needed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from scenarios.bodies.detail.subdivide import interpolating_control, limit, refi
 from scenarios.bodies.load import Body, body_digest, load_body
 from scenarios.bodies.topology import find_edges, unit, vertex_normals
 from scenarios.cache import Cache, default_cache
-from scenarios.craters.facing import facing_cones
 from scenarios.craters.kernels import least_heights
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
-from scenarios.craters.size import check_size, tile_rounds
-from scenarios.craters.tiles import Tiling
+from scenarios.craters.tiles import Tiling, check_size, normal_cones, tile_rounds
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
 from scenarios.spec.craters import CratersSpec
@@ -32,17 +30,16 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
 CRATERS_VERSION = 3
-"""Part of every cratered surface's key: raise it when the same spec gives another surface."""
+"""Part of the digest of every cratered surface: increase it when the same spec gives another surface."""
 
 _CLEARANCE_M = 0.5
 
 
 def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArray:
-    """(V, 3) corners of tiles moved inward until no flat tile rises above the relief of its own cuts.
+    """(V, 3) corners of tiles moved inward until no flat tile lies above its own refined surface.
 
-    Where fine tiles end, their edges lie above the coarse body, which is closed: there is no gap to look or shine
-    through. What is coarse is low by the relief within a tile, so that limbs and shadows that come from there are
-    short by that.
+    At the border of the refined tiles their edges lie above the coarse body, which is closed: rays cannot pass between
+    them. The coarse body is too low by the relief within a tile, and so are limbs and shadows cast by it.
     """
     mesh = tiling.mesh
     normals = mesh.normals
@@ -58,22 +55,22 @@ def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArra
 
 @dataclass(frozen=True, eq=False)
 class CrateredSurface:
-    """A body's surface with craters, as tiles that are cut into facets where they are needed.
+    """A body's surface with craters, as tiles that are subdivided into facets where they are needed.
 
     Parameters
     ----------
     tiling
-        The smooth surface's tiles and their cuts.
+        The smooth surface's tiles and their subdivision.
     vertices_m
-        (N, 3) the vertices of all cuts with the relief.
+        (N, 3) all vertices of the subdivision with the relief.
     under_m
         (V, 3) corners of the tiles moved below the relief: see `lower_envelope`.
     cones
-        (T, 4) which way the facets of each tile face: see `facing_cones`.
+        (T, 4) cones of the facets' normals of each tile: see `normal_cones`.
     craters
         The population.
     rims
-        The truth of its larger members.
+        True rims of its larger craters.
     sha256
         Digest of everything that the surface depends on.
     """
@@ -88,7 +85,7 @@ class CrateredSurface:
 
     @cached_property
     def under(self) -> TriangleMesh:
-        """The closed body that lies below the relief everywhere, coarse."""
+        """The coarse closed mesh that lies below the relief everywhere."""
         return TriangleMesh(self.under_m, self.tiling.mesh.faces)
 
     @cached_property
@@ -128,7 +125,7 @@ def cratered_surface(
         vertices_m = (points_m + heights_m[:, None] * up).astype(np.float32)
         np.save(folder / "vertices_m.npy", vertices_m)
         np.save(folder / "under_m.npy", lower_envelope(tiling, vertices_m))
-        np.save(folder / "cones.npy", facing_cones(tiling, vertices_m))
+        np.save(folder / "cones.npy", normal_cones(tiling, vertices_m))
         rims = find_rims(population, craters.known_diameter_m, tiling, points_m, vertices_m)
         np.savez(folder / "rims.npz", allow_pickle=False, **{f.name: getattr(rims, f.name) for f in fields(rims)})
 
@@ -141,13 +138,13 @@ def cratered_surface(
 
 
 def surface_digest(body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = ()) -> str:
-    """Digest (hexadecimal SHA-256) of all that decides a cratered surface, without making it."""
+    """Digest (hexadecimal SHA-256) of everything that determines a cratered surface, without building it."""
     content = [body_digest(body, search_dirs), craters.model_dump(mode="json"), CRATERS_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def shape_digest(spec: ScenarioSpec, search_dirs: Sequence[Path] = ()) -> str:
-    """Digest of what decides the shape of a scenario's body, cratered or not, without making it."""
+    """Digest of everything that determines the shape of a scenario's body, cratered or not, without building it."""
     if spec.craters is None:
         return body_digest(spec.body, search_dirs)
     return surface_digest(spec.body, spec.craters, search_dirs)
@@ -158,8 +155,8 @@ def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArra
 
     Returns
     -------
-    The tiles, and unit normals (V, 3) of the smooth surface at their corners. The relief is put on along them, so they
-    are smoothed over the depth of the deepest crater, that it may not fold.
+    The tiles, and unit normals (V, 3) of the smooth surface at their corners. The relief is applied along them, so they
+    are smoothed over the depth of the deepest crater to keep the surface from folding.
     """
     mesh = body.mesh
     edges = find_edges(mesh.faces)

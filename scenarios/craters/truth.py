@@ -1,4 +1,4 @@
-"""What is true of the craters in an image: from geometry alone, never from a detector."""
+"""True craters of an image, from geometry: ellipses, visibility, illumination and degradation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.craters.rims import Rims
 from scenarios.geometry import Ellipses, View
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -22,42 +22,42 @@ MOST_EMISSION_DEG, INCIDENCE_DEG = 60.0, (20.0, 75.0)
 MOST_DEGRADATION, MOST_CUT = 0.6, 0.25
 MOST_DEVIATION, LEAST_AXIS_RATIO = 0.01, 0.5
 
-_FACING = -0.2  # cosine: a crest whose plane faces away by more has no point in sight
-_LIFT_M, _LIFT = 1.0, 0.01  # of a point of the crest off the facets next to it: metres, and in radii
-_SAME_M, _SAME = 15.0, 0.03  # a line of sight that ends so far before a crest has not met it: metres, and in radii
+_FACING = -0.2  # cosine: no point of a crest is visible if its plane faces away by more
+_LIFT_M, _LIFT = 1.0, 0.01  # offset of a crest point from the adjacent facets: metres, and in radii
+_SAME_M, _SAME = 15.0, 0.03  # tolerance of the distance to a visible crest point: metres, and in radii
 
 
-class Sight(Protocol):
-    """How lines of sight and of the Sun meet the surface that is rendered."""
+class SurfaceRayTracer(Protocol):
+    """Ray tracer of the rendered surface."""
 
     def first_points(self, view: View, uv_px: FloatArray) -> FloatArray:
-        """(N, 3) where the lines of sight at pixel positions (N, 2) meet the body; NaN where they do not."""
+        """(N, 3) first intersections of the lines of sight at pixels (N, 2) with the body; NaN for misses."""
         ...
 
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
-        """(N,): whether nothing stands on the rays from points (N, 3) along a unit vector (3,)."""
+        """(N,) whether rays from points (N, 3) along a unit vector (3,) are unobstructed."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterTruth:
-    """The n craters of an image, from the oldest to the youngest: those with a point of the crest in sight.
+    """The n craters of an image with a visible crest point, from the oldest to the youngest.
 
     Parameters
     ----------
     crater
         (n,) number of each in the population.
     ellipses
-        Least-squares ellipses through their crests in the image, without what younger craters have cut where at least
-        half is left.
+        Least-squares ellipses of their projected crests; points removed by younger craters are excluded if at
+        least half remain.
     deviation
         (n,) RMS distance of the crest in the image from its ellipse, in radii of the ellipse.
     centre_m
-        (n, 3) middles of the crests, body frame.
+        (n, 3) means of the crest points, body frame.
     diameter_m, depth_m, degradation
         (n,).
     visible, in_frame, lit, cut
-        (n,) shares of the crest: not hidden from the camera, within the image, in sunlight, taken by younger craters.
+        (n,) shares of the crest: not occluded, within the image, in sunlight, removed by younger craters.
     emission_deg, incidence_deg
         (n,) angles of the camera and the Sun from the normal of the crest's plane.
     """
@@ -81,7 +81,7 @@ class CraterTruth:
 
     @property
     def detectable(self) -> BoolArray:
-        """(n,) 12 px or more across, seen, in the frame and lit well enough, and neither worn nor cut too much."""
+        """(n,) whether size, visibility, illumination, degradation and overlap are within the module's limits."""
         found: BoolArray = (
             (2.0 * self.ellipses.radius_px >= LEAST_DIAMETER_PX)
             & (self.visible >= LEAST_VISIBLE)
@@ -97,17 +97,17 @@ class CraterTruth:
 
     @property
     def clean(self) -> BoolArray:
-        """(n,) of the detectable: those whose crest is within 1 % of an ellipse of an axis ratio over one half."""
+        """(n,) detectable craters whose crest is within 1 % of an ellipse with an axis ratio above 0.5."""
         ratio = self.ellipses.semi_axes_px[:, 1] / self.ellipses.semi_axes_px[:, 0]
         found: BoolArray = self.detectable & (self.deviation <= MOST_DEVIATION) & (ratio > LEAST_AXIS_RATIO)
         return found
 
 
-def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
-    """Find which craters a view shows, and how.
+def crater_truth(rims: Rims, view: View, sight: SurfaceRayTracer) -> CraterTruth:
+    """Find the craters of a view.
 
-    A crest is the curve at the crater's radius on the surface that is rendered; it is seen where the line of sight to
-    it meets the surface there.
+    A crest is the curve at the crater's radius on the rendered surface; a point of it is visible if the line of sight
+    to it intersects the surface there first.
     """
     rows, uv = _in_frame_at_all(rims, view)
     crest_m, n, k = rims.crest_m[rows], len(rows), rims.crest_m.shape[1]
@@ -116,7 +116,7 @@ def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
     camera_m = view.T_cam_body.camera_position_m
     distance = np.linalg.norm(crest_m - camera_m, axis=2)
     met = np.linalg.norm(met_m - camera_m, axis=1).reshape(n, k)
-    # NaN: the line passes the body, just beside a crest on the limb.
+    # NaN (a miss next to a crest on the limb) compares false, so that the point counts as visible.
     visible = ~(met < distance - (_SAME_M + _SAME * radius_m[:, None]))
     in_frame = view.camera.contains(uv)
     lifted = crest_m + (rims.normal_body[rows] * (_LIFT_M + _LIFT * radius_m)[:, None])[:, None]

@@ -1,5 +1,77 @@
-"""Where data lie that are not part of boresight: shapes, images and kernels of missions."""
+"""Find the files and folders that a scenario names: shapes, images and kernels of missions."""
 
-from scenarios.data.find import DATA_VARIABLE, data_folder, find_data_file, find_data_folder
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import platformdirs
+
+from scenarios.errors import BoresightError
 
 __all__ = ["DATA_VARIABLE", "data_folder", "find_data_file", "find_data_folder"]
+
+DATA_VARIABLE = "BORESIGHT_DATA"
+
+
+def data_folder() -> Path:
+    """Return the data folder: ``$BORESIGHT_DATA``, or the user's data folder if it is not set."""
+    data = os.environ.get(DATA_VARIABLE)
+    return Path(data).expanduser() if data else Path(platformdirs.user_data_dir("boresight"))
+
+
+def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
+    """Find a file: as given if absolute, else in ``search_dirs``, then under ``data_folder()``.
+
+    Parameters
+    ----------
+    name
+        The file as the scenario names it.
+    search_dirs
+        Folders to try first.
+    folder
+        Folder under the data folder to try before the data folder itself.
+    key
+        The scenario's key, for the error message.
+
+    Raises
+    ------
+    BoresightError
+        Listing where it was looked for.
+    """
+    return _find(name, search_dirs, folder, key, Path.is_file)
+
+
+def find_data_folder(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
+    """Find a folder as ``find_data_file`` finds a file.
+
+    Raises
+    ------
+    BoresightError
+        Listing where it was looked for.
+    """
+    return _find(name, search_dirs, folder, key, Path.is_dir)
+
+
+def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_there: Callable[[Path], bool]) -> Path:
+    given = Path(name).expanduser()
+    places = [*search_dirs, data_folder() / folder, data_folder()]
+    candidates = [given] if given.is_absolute() else [place / given for place in places]
+    for candidate in candidates:
+        if is_there(candidate):
+            return candidate
+    looked = ", ".join(str(candidate) for candidate in candidates)
+    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(given, folder)}")
+
+
+def _advice(given: Path, folder: str) -> str:
+    # Imported here: the data sets are YAML files that are read only if a file is missing.
+    from scenarios.data.datasets import dataset_providing
+
+    known = None if given.is_absolute() else dataset_providing([f"{folder}/{given.as_posix()}", given.as_posix()])
+    if known is not None:
+        return f"to fetch it: boresight fetch {known}"
+    if DATA_VARIABLE in os.environ or given.is_absolute():
+        return "check the path"
+    return f"or set {DATA_VARIABLE} to the folder of the data"

@@ -1,4 +1,4 @@
-"""Data sets that can be fetched: where they lie on the net, where they go, and whom to thank."""
+"""Downloadable data sets: addresses, target folders, credits and licences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenarios.spec.base import SpecModel
 CATALOG = Path(__file__).parent / "catalog"
 _URL = r"^https?://[^\s]+$"
 FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$"
-"""Of a fetched file: it stays in its folder, and takes the place of no file that boresight keeps there itself."""
+"""Pattern of the name of a fetched file: it cannot leave its folder or replace a hidden file of boresight."""
 Url = Annotated[str, Field(pattern=_URL)]
 
 
@@ -52,7 +52,7 @@ class ListingSpec(SpecModel):
     @model_validator(mode="after")
     def _is_an_expression(self) -> Self:
         try:
-            # What is warned of is written otherwise by who means it.
+            # Warnings of re concern ambiguous expressions, which have an unambiguous form.
             with warnings.catch_warnings(action="error"):
                 re.compile(self.pattern)
         except (re.error, OverflowError, RecursionError, Warning) as error:
@@ -85,7 +85,7 @@ class DataSetSpec(SpecModel):
         return self
 
     def provides(self, path: str) -> bool:
-        """Tell whether a path below the data folder is one of its files, or lies in its folder."""
+        """Return whether a path below the data folder is one of its files, or lies in its folder."""
         here = PurePosixPath(self.folder)
         asked = PurePosixPath(path)
         if self.files is None:
@@ -99,12 +99,12 @@ def dataset_names() -> list[str]:
 
 
 def load_dataset(name_or_path: str) -> DataSetSpec:
-    """Read a data set of the catalogue, or of a YAML file.
+    """Read a data set by its name in the catalogue or from a YAML file.
 
     Raises
     ------
     BoresightError
-        If there is none of that name, or the file is wrong.
+        If there is no data set of that name, or the file is invalid.
     """
     path = find(name_or_path, CATALOG, what="data set")
     entry = read(path)
@@ -113,8 +113,8 @@ def load_dataset(name_or_path: str) -> DataSetSpec:
     return validated(DataSetSpec, type(entry)(section, entry.place))
 
 
-def who_provides(paths: list[str]) -> str | None:
-    """Return the name of a data set that holds one of the paths below the data folder."""
+def dataset_providing(paths: list[str]) -> str | None:
+    """Return the name of a data set that provides one of the paths below the data folder, or None."""
     try:
         sets = [load_dataset(name) for name in dataset_names()]
     except BoresightError:

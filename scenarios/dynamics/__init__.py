@@ -1,4 +1,4 @@
-"""What moves a spacecraft about a small body: forces, and motion under them."""
+"""Orbital dynamics about a small body: gravity, solar radiation pressure and propagation."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What accelerates a spacecraft about a small body, with derivatives: harmonics of a turning body, and sunlight."""
+"""Acceleration about a rotating body by spherical harmonics and solar radiation pressure, with partial derivatives."""
 
 from __future__ import annotations
 
@@ -10,25 +10,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.dynamics import kernel
-from scenarios.dynamics.harmonics import Harmonics, normalisation
-from scenarios.dynamics.solid import Table, derivative, index, outer_harmonics, terms
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.dynamics.harmonics import (
+    Harmonics,
+    HarmonicTable,
+    derivative,
+    normalisation,
+    outer_harmonics,
+    term_count,
+    term_index,
+)
 
 FloatArray = NDArray[np.float64]
 
 _TIDE_DEGREE = 4
-"""Of the potential whose second derivatives variations follow: the rest changes them by 1e-8 at 200 km about Eros."""
+"""Degree of the potential in the gravity gradient of the variational equations; truncation changes it by 1e-8 at
+200 km about Eros."""
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
-"""Second derivatives; the sixth follows from Laplace's equation."""
+"""Axes of the five second derivatives that are stored; the sixth follows from Laplace's equation."""
+
+
+@dataclass(frozen=True, eq=False)
+class UniformRotation:
+    """Uniform rotation of a body about its z axis, which is fixed in inertial space.
+
+    Parameters
+    ----------
+    R_body_inertial
+        (3, 3) attitude at the epoch, time 0.
+    rate_rad_s
+        Angular velocity about body z.
+    """
+
+    R_body_inertial: FloatArray
+    rate_rad_s: float
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3, 3) R_body_inertial at (n,) seconds after the epoch."""
+        angles = self.rate_rad_s * np.asarray(times_s, dtype=np.float64)
+        turns = np.zeros((len(angles), 3, 3))
+        turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
+        turns[:, 0, 1] = np.sin(angles)
+        turns[:, 1, 0] = -np.sin(angles)
+        turns[:, 2, 2] = 1.0
+        return np.asarray(turns @ self.R_body_inertial, dtype=np.float64)
 
 
 class FlatField(NamedTuple):
-    """A field as the kernels take it; tables of V and W come as (2, ..., terms).
+    """A force field as arrays for the kernels; tables of V and W have the shape (2, ..., terms).
 
     ``pull`` (2, 3, t1) and ``tide`` (2, 5, t2) are first and second derivatives of the potential, the latter to a lower
-    degree, ``parts``
-    (2, K, 3, t3) the pull of each coefficient that derivatives are taken by; all in units of ``unit`` = GM / R^2.
+    degree; ``parts`` (2, K, 3, t3) are the accelerations by each estimated coefficient. All are in units of
+    ``unit`` = GM / R^2.
     """
 
     unit: float
@@ -48,13 +81,13 @@ class HarmonicField:
     Parameters
     ----------
     harmonics
-        Of the body, about its centre of mass.
+        Gravity of the body about its centre of mass.
     rotation
-        Of the body.
+        Rotation of the body.
     light_m_s2
-        (3,) acceleration by sunlight, constant.
+        (3,) acceleration by solar radiation pressure, constant.
     by_degree
-        Derivatives are taken by the coefficients of degree 2 up to this one; 0 for none.
+        Highest degree of the coefficients of which partial derivatives are computed (from 2 on); 0 for none.
     """
 
     harmonics: Harmonics
@@ -64,7 +97,7 @@ class HarmonicField:
 
     @cached_property
     def coefficients(self) -> tuple[tuple[str, int, int], ...]:
-        """What derivatives are taken by: ("c" or "s", degree, order)."""
+        """Coefficients of the partial derivatives: ("c" or "s", degree, order)."""
         return tuple(
             (name, n, m)
             for n in range(2, self.by_degree + 1)
@@ -74,11 +107,11 @@ class HarmonicField:
 
     @property
     def parameters(self) -> int:
-        """Count the parameters: ratio of GM, factor on sunlight, coefficients."""
+        """Number of parameters: ratio of GM, factor on solar pressure, coefficients."""
         return 2 + len(self.coefficients)
 
     def changed(self, gm_ratio: float, light_factor: float, coefficients: FloatArray) -> HarmonicField:
-        """Return the field with another GM, another size of sunlight, and normalised coefficients with additions."""
+        """Return the field with scaled GM and solar pressure, and with additions to the normalised coefficients."""
         size = max(self.by_degree, self.harmonics.degree) + 1
         c, s = np.zeros((2, size, size))
         kept = self.harmonics.degree + 1
@@ -90,7 +123,7 @@ class HarmonicField:
 
     @cached_property
     def flat(self) -> FlatField:
-        """The field as the kernels take it."""
+        """The field as arrays for the kernels."""
         potential = self.harmonics.flat
         pull = [derivative(potential, axis) for axis in range(3)]
         coarse = self.harmonics.truncated(_TIDE_DEGREE).flat
@@ -106,11 +139,11 @@ class HarmonicField:
         )
 
     @cached_property
-    def _room(self) -> FloatArray:
+    def _work_array(self) -> FloatArray:
         return self.work()
 
     def work(self) -> FloatArray:
-        """Return room for `accelerate` and `differentiate`."""
+        """Return the work array of `accelerate` and `differentiate`."""
         return np.empty((2, max(self.flat.pull.shape[2], self.flat.tide.shape[2], self.flat.parts.shape[3])))
 
     def _parts(self) -> FloatArray:
@@ -119,25 +152,25 @@ class HarmonicField:
         scale = normalisation(self.by_degree)
         found = []
         for name, n, m in self.coefficients:
-            table: Table = (np.zeros(terms(self.by_degree)), np.zeros(terms(self.by_degree)))
-            table["cs".index(name)][index(n, m)] = 1.0 / scale[index(n, m)]
+            table: HarmonicTable = (np.zeros(term_count(self.by_degree)), np.zeros(term_count(self.by_degree)))
+            table["cs".index(name)][term_index(n, m)] = 1.0 / scale[term_index(n, m)]
             found.append(_stacked([derivative(table, axis) for axis in range(3)]))
         return np.ascontiguousarray(np.stack(found, axis=1))
 
     def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) in inertial axes."""
         out = np.empty(3)
-        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._room, out)
+        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._work_array, out)
         return out
 
 
-def _stacked(tables: list[Table]) -> FloatArray:
+def _stacked(tables: list[HarmonicTable]) -> FloatArray:
     return np.ascontiguousarray(np.stack([np.stack(part) for part in zip(*tables, strict=True)]))
 
 
 @kernel
-def turned(field: FlatField, time: float) -> FloatArray:
-    """R_body_inertial at a time."""
+def body_attitude(field: FlatField, time: float) -> FloatArray:
+    """Return R_body_inertial, (3, 3), at a time."""
     angle = field.rate_rad_s * time
     c, s = np.cos(angle), np.sin(angle)
     R, out = field.R_body_inertial, np.empty((3, 3))
@@ -150,8 +183,8 @@ def turned(field: FlatField, time: float) -> FloatArray:
 
 @kernel
 def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatArray, out: FloatArray) -> None:
-    """Fill ``out`` (3,) with the acceleration; ``work`` is (2, terms) of the pull's degree."""
-    R = turned(field, time)
+    """Write the acceleration, m/s2, inertial axes, to ``out`` (3,); ``work`` is (2, terms) of the pull's degree."""
+    R = body_attitude(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
     y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
@@ -167,12 +200,12 @@ def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatA
 def differentiate(
     field: FlatField, time: float, position: FloatArray, work: FloatArray, tide: FloatArray, by_parameters: FloatArray
 ) -> None:
-    """Fill ``tide`` (3, 3) and ``by_parameters`` (3, 2 + K) with derivatives of the acceleration.
+    """Write partial derivatives of the acceleration to ``tide`` (3, 3) and ``by_parameters`` (3, 2 + K).
 
-    By the position, by the ratio of GM, the factor on sunlight and the coefficients. ``work`` is (2, terms) of the
-    higher degree of pull and tide.
+    ``tide`` is by the position; ``by_parameters`` by the ratio of GM, the factor on solar pressure and the
+    coefficients. ``work`` is (2, terms) of the higher degree of pull and tide.
     """
-    R = turned(field, time)
+    R = body_attitude(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
     y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
@@ -208,7 +241,7 @@ def differentiate(
 
 @kernel
 def _sum(c: FloatArray, s: FloatArray, work: FloatArray) -> float:
-    """Sum a table over V and W."""
+    """Sum the products of a table with V and W."""
     total = 0.0
     for k in range(len(c)):
         total += c[k] * work[0, k] + s[k] * work[1, k]

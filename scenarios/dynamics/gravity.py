@@ -1,4 +1,4 @@
-"""The pull of a small body: of a point, and of a polyhedron of one density."""
+"""Gravity of a point mass and of a homogeneous polyhedron."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Gravity(Protocol):
-    """The pull of a body that rests in the axes of the argument, about their origin."""
+    """Gravity of a body at rest in the axes of the argument."""
 
     def acceleration(self, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) m."""
@@ -24,20 +24,20 @@ class Gravity(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PointMass:
-    """All mass in the origin."""
+    """A point mass at the origin."""
 
     gm_m3_s2: float
 
     def acceleration(self, position_m: FloatArray) -> FloatArray:
-        """-GM r / r^3: the first term of equation (6) of Delpech et al. (2015), whose sign is lost in print."""
+        """-GM r / r^3: the first term of equation (6) of Delpech et al. (2015), which is printed without its sign."""
         return np.asarray(-self.gm_m3_s2 * position_m / np.linalg.norm(position_m) ** 3, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
-    """A closed mesh of one density, after Werner and Scheeres (1997), Celest. Mech. Dyn. Astron. 65, 313.
+    """A closed mesh of constant density, after Werner and Scheeres (1997), Celest. Mech. Dyn. Astron. 65, 313.
 
-    Their sums over edges are taken facet by facet here: an edge's dyad is the sum of what its two facets give,
+    Their sums over edges are evaluated facet by facet: an edge's dyad is the sum of its two facets' terms,
     ``E_e = n_A (m_A)^T + n_B (m_B)^T`` with m the normal of the edge in the plane of the facet, so that
 
     ``a = (G sigma) sum_f n_f [(n_f . r_f) omega_f - sum_(e of f) (m_fe . r_e) L_e]``,
@@ -68,7 +68,7 @@ class Polyhedron:
 
     @cached_property
     def _edges_m(self) -> FloatArray:
-        """(F, 3, 3): each facet's edges, from corner k to the next one."""
+        """(F, 3, 3) edge vectors of each facet, from corner k to the next one."""
         return np.roll(self.mesh.corners_m, -1, axis=1) - self.mesh.corners_m
 
     @cached_property
@@ -78,7 +78,7 @@ class Polyhedron:
 
     @cached_property
     def _edge_normals(self) -> FloatArray:
-        """(F, 3, 3): unit vectors in the plane of the facet, at a right angle to the edge and out of the facet."""
+        """(F, 3, 3) unit vectors in the plane of the facet, perpendicular to each edge and pointing outward."""
         across = np.cross(self._edges_m, self.mesh.normals[:, None])
         out: FloatArray = np.divide(
             across, self._lengths_m[..., None], out=np.zeros_like(across), where=self._lengths_m[..., None] > 0.0

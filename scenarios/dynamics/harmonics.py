@@ -1,4 +1,10 @@
-"""Gravity as spherical harmonics: coefficients, and what they are of a body of one density."""
+"""Spherical harmonics of gravity: coefficients, solid harmonics, derivatives, and those of a homogeneous mesh.
+
+The solid harmonics are in Cartesian coordinates (Cunningham 1970) and not normalised. Outside a body they are
+``V_nm + i W_nm = (R / r)^(n+1) P_nm(sin phi) e^(i m lambda)``, after equations (3.29) to (3.33) of Montenbruck and Gill
+(2000), Satellite Orbits. A derivative of a sum of V and W is another such sum of one degree more; `derivative` computes
+its coefficients.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,105 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.dynamics.solid import index, solid_harmonics, terms
+from scenarios.dynamics import kernel
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 
 _PLACES_AT_ONCE = 1 << 19
+
+HarmonicTable = tuple[FloatArray, FloatArray]
+"""Coefficients of V and of W, (terms,) each, in the order of `index`."""
+
+
+def term_count(degree: int) -> int:
+    """Return the number of pairs (n, m) up to a degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def term_index(n: int, m: int) -> int:
+    """Return the index of the term of degree n and order m."""
+    return n * (n + 1) // 2 + m
+
+
+def solid_harmonics(points: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return ``r^n P_nm(sin phi)`` times cos and sin of ``m lambda``, (terms, k) each, at points (k, 3)."""
+    x, y, z = points.T
+    squares = x * x + y * y + z * z
+    c, s = np.zeros((2, term_count(degree), len(points)))
+    c[0] = 1.0
+    for m in range(degree + 1):
+        if m:
+            before, here = term_index(m - 1, m - 1), term_index(m, m)
+            c[here] = (2 * m - 1) * (x * c[before] - y * s[before])
+            s[here] = (2 * m - 1) * (x * s[before] + y * c[before])
+        for n in range(m + 1, degree + 1):
+            below, here = term_index(n - 1, m), term_index(n, m)
+            for part in (c, s):
+                part[here] = (2 * n - 1) * z * part[below]
+                if n > m + 1:
+                    part[here] -= (n + m - 1) * squares * part[term_index(n - 2, m)]
+                part[here] /= n - m
+    return c, s
+
+
+@kernel
+def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, w: FloatArray) -> None:
+    """Write V and W at a point to ``v`` and ``w``, (terms,) of any degree: equations (3.29) to (3.31)."""
+    squares = x * x + y * y + z * z
+    degree = int((np.sqrt(8.0 * len(v) + 1.0) - 3.0) / 2.0 + 0.5)
+    a, b, c, rho = radius * x / squares, radius * y / squares, radius * z / squares, radius * radius / squares
+    v[0], w[0] = radius / np.sqrt(squares), 0.0
+    for m in range(degree + 1):
+        here = m * (m + 1) // 2 + m
+        if m > 0:
+            before = here - m - 1
+            v[here] = (2 * m - 1) * (a * v[before] - b * w[before])
+            w[here] = (2 * m - 1) * (a * w[before] + b * v[before])
+        for n in range(m + 1, degree + 1):
+            k, below, lower = n * (n + 1) // 2 + m, n * (n - 1) // 2 + m, (n - 1) * (n - 2) // 2 + m
+            first = (2 * n - 1) / (n - m)
+            v[k], w[k] = first * c * v[below], first * c * w[below]
+            if n > m + 1:
+                second = (n + m - 1) / (n - m) * rho
+                v[k] -= second * v[lower]
+                w[k] -= second * w[lower]
+
+
+def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
+    """Differentiate a sum of V and W by x, y or z (0, 1, 2), in units of 1 / R; the degree increases by one."""
+    degree = int((np.sqrt(8.0 * len(table[0]) + 1.0) - 3.0) / 2.0 + 0.5)
+    c, s = np.zeros((2, term_count(degree + 1)))
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            _add_derivative(c, s, (n, m), (table[0][term_index(n, m)], table[1][term_index(n, m)]), axis)
+    return c, s
+
+
+def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: tuple[float, float], axis: int) -> None:
+    """Add the derivative of ``value[0] V_nm + value[1] W_nm`` to a table."""
+    (n, m), (of_v, of_w) = term, value
+    if axis == 2:
+        k = term_index(n + 1, m)
+        c[k] -= (n - m + 1) * of_v
+        s[k] -= (n - m + 1) * of_w
+        return
+    up, down = term_index(n + 1, m + 1), term_index(n + 1, max(m - 1, 0))
+    if m == 0:
+        (c if axis == 0 else s)[up] -= of_v
+        return
+    half, fall = 0.5, 0.5 * (n - m + 2) * (n - m + 1)
+    if axis == 0:
+        c[up] -= half * of_v
+        s[up] -= half * of_w
+        c[down] += fall * of_v
+        s[down] += fall * of_w
+    else:
+        s[up] -= half * of_v
+        c[up] += half * of_w
+        s[down] -= fall * of_v
+        c[down] += fall * of_w
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +146,7 @@ class Harmonics:
 
     @classmethod
     def point(cls, gm_m3_s2: float, radius_m: float = 1.0) -> Harmonics:
-        """All mass in the origin."""
+        """Make the harmonics of a point mass at the origin."""
         return cls(gm_m3_s2, radius_m, np.ones((1, 1)), np.zeros((1, 1)))
 
     @property
@@ -57,7 +155,7 @@ class Harmonics:
         return len(self.c) - 1
 
     def truncated(self, degree: int) -> Harmonics:
-        """Leave out all above a degree."""
+        """Return the harmonics up to a degree."""
         n = min(degree, self.degree) + 1
         return Harmonics(self.gm_m3_s2, self.radius_m, self.c[:n, :n], self.s[:n, :n])
 
@@ -70,7 +168,7 @@ class Harmonics:
 
 
 def normalisation(degree: int) -> FloatArray:
-    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the plain one.
+    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the unnormalised one.
 
     ``1 / N^2 = (2 - delta_0m) (2 n + 1) (n - m)! / (n + m)!``.
     """
@@ -83,16 +181,16 @@ def normalisation(degree: int) -> FloatArray:
     )
 
 
-def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
-    """Return the harmonics of a closed mesh of one density about the origin of its axes, exact but for rounding.
+def homogeneous_harmonics(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
+    """Return the harmonics of a homogeneous closed mesh about the origin of its axes, exact except for rounding.
 
     A solid harmonic is a homogeneous polynomial of its degree. Over the tetrahedron between the origin and a facet it
-    integrates to ``3 V / (n + 3)`` times its mean over the facet, which a Gauss rule of enough places gives exactly.
+    integrates to ``3 V / (n + 3)`` times its mean over the facet, which a Gauss rule of sufficient order gives exactly.
     """
     corners = mesh.corners_m / radius_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     weights, barycentric = _triangle_rule(degree)
-    total = np.zeros((2, terms(degree)))
+    total = np.zeros((2, term_count(degree)))
     share = max(1, _PLACES_AT_ONCE // len(weights))
     for start in range(0, len(volumes), share):
         some = slice(start, start + share)
@@ -103,15 +201,15 @@ def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: floa
     for n in range(degree + 1):
         for m in range(n + 1):
             # C_nm = (2 - delta_0m) (n - m)! / (n + m)! of the mean of r^n P_nm cos(m lambda) over the mass.
-            k = index(n, m)
+            k = term_index(n, m)
             factor = 3.0 / (n + 3) / (volumes.sum() * scale[k] * (2 * n + 1))
             c[n, m], s[n, m] = factor * total[0, k], factor * total[1, k]
     return Harmonics(gm_m3_s2, radius_m, c, s)
 
 
 def _triangle_rule(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Weights (K,) of sum 1 and barycentric places (K, 3): a Gauss rule in the square, collapsed to the triangle."""
-    # The square (u, v) is taken to the triangle (u, v (1 - u)), whose area element has 1 - u: one degree more.
+    """Weights (K,) of sum 1 and barycentric nodes (K, 3): a Gauss rule on the square, mapped to the triangle."""
+    # The square (u, v) is mapped to the triangle (u, v (1 - u)); the Jacobian 1 - u requires one degree more in u.
     u, w_u = _unit_rule(degree // 2 + 2)
     v, w_v = _unit_rule(degree // 2 + 1)
     first, second = np.repeat(u, len(v)), np.outer(1.0 - u, v).ravel()
@@ -120,6 +218,6 @@ def _triangle_rule(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _unit_rule(places: int) -> tuple[FloatArray, FloatArray]:
-    """Places and weights of Gauss's rule on [0, 1]."""
+    """Nodes and weights of the Gauss-Legendre rule on [0, 1]."""
     nodes, weights = np.polynomial.legendre.leggauss(places)
     return 0.5 * (nodes + 1.0), 0.5 * weights

@@ -1,4 +1,4 @@
-"""Motion under forces in adaptive steps, for the truth."""
+"""Orbit propagation with adaptive steps, for the truth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from scenarios.errors import BoresightError
-from scenarios.spec.motion import ForcesSpec
+from scenarios.spec.sequence import ForcesSpec
 
 FloatArray = NDArray[np.float64]
 Acceleration = Callable[[float, FloatArray], FloatArray]
@@ -23,58 +23,60 @@ _TOLERANCE = 1e-12
 
 
 class OrbitLostError(BoresightError):
-    """An orbit leads into the body, or beyond all bounds."""
+    """An orbit impacts on the body or diverges."""
 
 
 def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
-    """(3,) acceleration of a ball by sunlight (cannonball model), m/s2, away from the Sun; nothing casts a shadow."""
+    """(3,) acceleration by solar radiation pressure, m/s2, away from the Sun: cannonball model without shadow."""
     size = SUNLIGHT_N_M2 * forces.reflectivity * forces.area_to_mass_m2_kg / forces.sun_distance_au**2
     return np.asarray(-size * sun_dir, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pushes:
-    """Acceleration that is constant over pieces of time, inertial axes.
+class PiecewiseAcceleration:
+    """Piecewise constant acceleration, inertial axes.
 
     Parameters
     ----------
     edges_s
-        (P + 1,) ascending, from 0 to the end of the motion or later.
-    push_m_s2
+        (P + 1,) ascending interval limits, from 0 to the end of the motion or later.
+    acceleration_m_s2
         (P, 3).
     """
 
     edges_s: FloatArray
-    push_m_s2: FloatArray
+    acceleration_m_s2: FloatArray
 
     @classmethod
-    def none(cls, end_s: float) -> Pushes:
-        """One piece without any."""
+    def none(cls, end_s: float) -> PiecewiseAcceleration:
+        """Make one interval of zero acceleration."""
         return cls(np.array([0.0, max(end_s, 1.0)]), np.zeros((1, 3)))
 
     def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
-        """(n,) piece that each time is in; an edge belongs to the piece that it ends."""
+        """(n,) index of the interval of each time; a limit belongs to the interval that it ends."""
         found = np.searchsorted(self.edges_s, times_s, side="left") - 1
-        return np.clip(found, 0, len(self.push_m_s2) - 1)
+        return np.clip(found, 0, len(self.acceleration_m_s2) - 1)
 
 
 def propagate(
-    acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: Pushes
+    acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
 ) -> FloatArray:
-    """Follow an orbit by Dormand and Prince's method of eighth order, to 1e-12 of its size and speed a step.
+    """Propagate an orbit by Dormand and Prince's method of eighth order (DOP853) with tolerances of 1e-12.
+
+    Lengths and speeds are scaled by their initial values, to which the tolerances refer.
 
     Parameters
     ----------
     acceleration
-        The modelled forces.
+        Acceleration by the modelled forces.
     lowest_m
-        Distance from the origin at which the orbit has come down to the body.
+        Distance from the origin that counts as an impact.
     state
         (6,) position, m, and velocity, m/s, at time 0, inertial axes.
     times_s
         (T,) ascending.
     pushes
-        What acts beside the modelled forces.
+        Acceleration in addition to the modelled forces.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def propagate(
     Raises
     ------
     OrbitLostError
-        If the orbit comes as near the origin as ``lowest_m``.
+        If the distance from the origin falls to ``lowest_m``.
     """
     length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
     unit = np.repeat([length, speed], 3)
@@ -95,7 +97,7 @@ def propagate(
         return float(np.linalg.norm(y[:3]) - lowest_m / length)
 
     height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
-    for p, push in enumerate(pushes.push_m_s2):
+    for p, push in enumerate(pushes.acceleration_m_s2):
         begin, end = pushes.edges_s[p : p + 2]
         rows = np.flatnonzero(piece == p)
 

@@ -1,6 +1,6 @@
-"""Frames, poses, cameras and meshes: the geometry that every other part shares.
+"""Geometry shared by all packages: frames, poses, cameras, ellipses and meshes.
 
-Conventions, stated once:
+Conventions:
 
 - ``R_cam_body`` / ``T_cam_body`` take body coordinates to camera coordinates.
 - Camera axes: x right, y down, z forward (the boresight).
@@ -10,14 +10,11 @@ Conventions, stated once:
 - Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
 """
 
-from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
-from scenarios.geometry.distortion import RadialDistortion
+from scenarios.geometry.camera import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
 from scenarios.geometry.ellipse import Ellipses, project_circles
 from scenarios.geometry.mesh import TriangleMesh
-from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
-from scenarios.geometry.surface import SurfaceHits
-from scenarios.geometry.vectors import cross_matrix, plane_axes
-from scenarios.geometry.view import View
+from scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
+from scenarios.geometry.view import SurfaceHits, View
 
 __all__ = [
     "Camera",

@@ -1,4 +1,4 @@
-"""The camera of Rowell et al. (2015), equation (2), and what a real lens adds to it."""
+"""Pinhole camera of Rowell et al. (2015), equation (2), with radial lens distortion."""
 
 from __future__ import annotations
 
@@ -7,16 +7,82 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry.distortion import RadialDistortion
-
 FloatArray = NDArray[np.float64]
+
+_NEWTON_STEPS = 50
+_TOLERANCE = 1e-15
+
+
+@dataclass(frozen=True, slots=True)
+class RadialDistortion:
+    """Radial distortion from distorted (``seen``) to undistorted (``ideal``) image positions.
+
+    ``ideal = seen (1 + k1 r**2 + k2 r**4)``, r the length of ``seen``. Both are positions in the image plane at unit
+    focal length, x / z and y / z, from the principal point. This is the direction of the instrument kernels of AMICA
+    (Ishiguro et al. 2010) and NEAR MSI; their constants in mm**-2 of the focal plane are to be multiplied by the square
+    of the focal length in mm. OpenCV's polynomial has the other direction, from ideal to seen.
+
+    Parameters
+    ----------
+    k1, k2
+        Coefficients; negative where the image is stretched towards its corners (a pincushion).
+    """
+
+    k1: float
+    k2: float = 0.0
+
+    def ideal(self, seen: FloatArray) -> FloatArray:
+        """Undistort positions (..., 2)."""
+        squared = np.sum(seen * seen, axis=-1, keepdims=True)
+        corrected: FloatArray = seen * self._factor(squared)
+        return corrected
+
+    def seen(self, ideal: FloatArray) -> FloatArray:
+        """Distort positions (..., 2), by Newton's method on the radius.
+
+        NaN for positions beyond the largest radius at which the polynomial can be inverted.
+        """
+        radius = np.linalg.norm(ideal, axis=-1, keepdims=True)
+        found = radius.copy()
+        with np.errstate(all="ignore"):
+            for _ in range(_NEWTON_STEPS):
+                step = (found * self._factor(found**2) - radius) / self._slope(found**2)
+                found = found - step
+                if not (np.abs(step) > _TOLERANCE).any():
+                    break
+            rising = (self._slope(found**2) > 0.0) & (found >= 0.0)
+            solved = rising & (np.abs(found * self._factor(found**2) - radius) <= 1e-12)
+            scale = np.where(radius > 0.0, found / radius, 1.0)
+        distorted: FloatArray = ideal * np.where(solved, scale, np.nan)
+        return distorted
+
+    def ideal_jacobian(self, seen: FloatArray) -> FloatArray:
+        """Differentiate the ideal position by the seen one, (..., 2, 2)."""
+        squared = np.sum(seen * seen, axis=-1)[..., None, None]
+        outer = seen[..., :, None] * seen[..., None, :]
+        jacobian: FloatArray = self._factor(squared) * np.eye(2) + 2.0 * (self.k1 + 2.0 * self.k2 * squared) * outer
+        return jacobian
+
+    def invertible_within(self, radius: float) -> bool:
+        """Return whether the distortion is invertible for all distorted positions within ``radius``."""
+        squared = [0.0, radius**2]
+        if self.k2 != 0.0:
+            squared.append(min(max(-0.3 * self.k1 / self.k2, 0.0), radius**2))  # where the slope is least or greatest
+        return bool((self._slope(np.array(squared)) > 0.0).all())
+
+    def _factor(self, squared: FloatArray) -> FloatArray:
+        return 1.0 + squared * (self.k1 + squared * self.k2)
+
+    def _slope(self, squared: FloatArray) -> FloatArray:
+        """Differentiate the ideal radius by the seen one."""
+        return 1.0 + squared * (3.0 * self.k1 + squared * 5.0 * self.k2)
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A pinhole camera, with radial distortion or without.
 
-    Estimators see images of the ``pinhole`` alone: those of a real lens are resampled once before.
+    Estimators get images of the ``pinhole`` only: those of a distorting lens are resampled once before.
 
     Parameters
     ----------
@@ -27,7 +93,7 @@ class Camera:
     cx_px, cy_px
         Principal point in continuous pixels: (width / 2, height / 2) is the middle of the image.
     distortion
-        Of the lens; None for an ideal one.
+        Distortion of the lens; None for an ideal one.
     """
 
     width_px: int
@@ -64,7 +130,7 @@ class Camera:
     def project(self, points_cam_m: FloatArray) -> FloatArray:
         """Project camera-frame points (..., 3) to pixels (..., 2).
 
-        Points with z <= 0 are behind the camera: their pixels are NaN. So are those that ``distorted`` has none for.
+        Pixels are NaN for points behind the camera (z <= 0) and beyond the invertible range of the distortion.
         """
         points = np.asarray(points_cam_m, dtype=np.float64)
         z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
@@ -105,27 +171,27 @@ class Camera:
         return np.asarray(by_slope * focal_px[:, None], dtype=np.float64)
 
     def distorted(self, uv_px: FloatArray) -> FloatArray:
-        """Take pixels (..., 2) of the pinhole to those where this camera shows the same.
+        """Convert pixels (..., 2) of the pinhole to distorted pixels of this camera.
 
-        NaN far out of the field, where the polynomial of the distortion cannot be inverted.
+        NaN far outside the field of view, where the distortion polynomial cannot be inverted.
         """
         uv = np.asarray(uv_px, dtype=np.float64)
         return uv if self.distortion is None else self._pixel(self.distortion.seen(self._slope(uv)))
 
     def undistorted(self, uv_px: FloatArray) -> FloatArray:
-        """Take pixels (..., 2) of this camera to those where its pinhole shows the same."""
+        """Convert distorted pixels (..., 2) of this camera to pixels of the pinhole."""
         uv = np.asarray(uv_px, dtype=np.float64)
         return uv if self.distortion is None else self._pixel(self.distortion.ideal(self._slope(uv)))
 
     def _slope(self, uv_px: FloatArray) -> FloatArray:
-        """Take pixels (..., 2) to x / z and y / z as a pinhole sees them."""
+        """Convert pixels (..., 2) to x / z and y / z of the pinhole."""
         return np.asarray((uv_px - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px], dtype=np.float64)
 
     def _pixel(self, slope: FloatArray) -> FloatArray:
         return np.asarray(slope * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px], dtype=np.float64)
 
     def contains(self, uv_px: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Tell whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""
+        """Return whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""
         uv = np.asarray(uv_px, dtype=np.float64)
         u, v = uv[..., 0], uv[..., 1]
         inside: NDArray[np.bool_] = (
@@ -135,10 +201,10 @@ class Camera:
 
 
 def pixel_from_opencv(uv_px: FloatArray) -> FloatArray:
-    """Take pixels of OpenCV or of an array index (centre of the first pixel at (0, 0)) to ours."""
+    """Convert pixels of OpenCV or array indices (centre of the first pixel at (0, 0)) to this package's convention."""
     return np.asarray(uv_px, dtype=np.float64) + 0.5
 
 
 def pixel_to_opencv(uv_px: FloatArray) -> FloatArray:
-    """Take our pixels to those of OpenCV or of an array index (centre of the first pixel at (0, 0))."""
+    """Convert pixels of this package to those of OpenCV or array indices (centre of the first pixel at (0, 0))."""
     return np.asarray(uv_px, dtype=np.float64) - 0.5

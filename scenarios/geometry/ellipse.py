@@ -1,4 +1,4 @@
-"""Ellipses in images, as crater rims appear: points, conics and the projection of a plane rim."""
+"""Ellipses in images: conic matrices, least-squares fits, distances, and the projection of circular crater rims."""
 
 from __future__ import annotations
 
@@ -9,11 +9,84 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
-from scenarios.geometry.vectors import plane_axes
+from scenarios.geometry.pose import plane_axes
 from scenarios.geometry.view import View
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) -> FloatArray:
+    """Fit one ellipse to each set of points by direct least squares (Halir and Flusser 1998).
+
+    Algebraic distances under 4 a c - b^2 = 1; points are centred and scaled for conditioning.
+
+    Parameters
+    ----------
+    points
+        (m, k, 2).
+    weights
+        (m, k), zero for entries to be ignored.
+    ridge
+        Share of its trace that is added to the scatter matrix of the linear terms, singular for collinear points.
+
+    Returns
+    -------
+    conics
+        (m, 3, 3), NaN where there is no ellipse.
+    """
+    total = np.maximum(weights.sum(axis=1), 1e-12)
+    shift = np.einsum("mk,mki->mi", weights, points) / total[:, None]
+    moved = points - shift[:, None]
+    scale = np.sqrt(np.einsum("mk,mki->m", weights, moved**2) / total)
+    moved = moved / np.maximum(scale, 1e-9)[:, None, None]
+    x, y = moved[..., 0], moved[..., 1]
+    quadratic = np.stack([x * x, x * y, y * y], axis=-1)
+    linear = np.stack([x, y, np.ones_like(x)], axis=-1)
+    s1 = np.einsum("mk,mki,mkj->mij", weights, quadratic, quadratic)
+    s2 = np.einsum("mk,mki,mkj->mij", weights, quadratic, linear)
+    s3 = np.einsum("mk,mki,mkj->mij", weights, linear, linear)
+    best, tail = _constrained(s1, s2, s3, ridge)
+    conics = _matrix(best, tail)
+    frame = np.zeros((len(points), 3, 3))
+    frame[:, 0, 0] = frame[:, 1, 1] = 1.0 / np.maximum(scale, 1e-9)
+    frame[:, :2, 2] = -shift / np.maximum(scale, 1e-9)[:, None]
+    frame[:, 2, 2] = 1.0
+    return np.asarray(np.swapaxes(frame, 1, 2) @ conics @ frame, dtype=np.float64)
+
+
+def _constrained(s1: FloatArray, s2: FloatArray, s3: FloatArray, ridge: float) -> tuple[FloatArray, FloatArray]:
+    """Minimise over conics with 4 a c - b^2 = 1: the quadratic and the linear coefficients."""
+    added = ridge * np.trace(s3, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+    to_linear = -np.linalg.solve(s3 + added, np.swapaxes(s2, 1, 2))
+    reduced = s1 + s2 @ to_linear
+    turned = np.stack([reduced[:, 2] / 2.0, -reduced[:, 1], reduced[:, 0] / 2.0], axis=1)
+    values, vectors = np.linalg.eig(turned)
+    real = vectors.real
+    definite = 4.0 * real[:, 0] * real[:, 2] - real[:, 1] ** 2
+    usable = (definite > 0.0) & (np.abs(values.imag) < 1e-8)
+    choice = np.argmin(np.where(usable, np.abs(values.real), np.inf), axis=1)
+    best = np.take_along_axis(real, choice[:, None, None], axis=2)[:, :, 0]
+    best[~usable.any(axis=1)] = np.nan
+    return best, np.einsum("mij,mj->mi", to_linear, best)
+
+
+def _matrix(quadratic: FloatArray, linear: FloatArray) -> FloatArray:
+    """Return the symmetric matrix of a x^2 + b x y + c y^2 + d x + e y + f."""
+    a, b, c = quadratic.T
+    d, e, f = linear.T
+    rows = [[a, b / 2, d / 2], [b / 2, c, e / 2], [d / 2, e / 2, f]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def sampson_distances(points: FloatArray, conics: FloatArray) -> FloatArray:
+    """Distances (m, k) of points from conics to first order (Sampson 1982), px; positive outside."""
+    homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+    pulled = np.einsum("mij,mkj->mki", conics, homogeneous)
+    value = np.einsum("mki,mki->mk", pulled, homogeneous)
+    slope = 2.0 * np.linalg.norm(pulled[..., :2], axis=-1)
+    sign = np.where(np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0, -1.0, 1.0)
+    return np.asarray(sign[:, None] * value / np.maximum(slope, 1e-12), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,12 +123,12 @@ class Ellipses:
 
     @classmethod
     def none(cls) -> Ellipses:
-        """No ellipse at all."""
+        """Make an empty set."""
         return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
     @classmethod
     def joined(cls, parts: Sequence[Ellipses]) -> Ellipses:
-        """All ellipses of some sets, one set after the other."""
+        """Concatenate sets of ellipses."""
         return cls(
             np.concatenate([part.centre_px for part in parts]),
             np.concatenate([part.semi_axes_px for part in parts]),
@@ -64,7 +137,7 @@ class Ellipses:
 
     @property
     def radius_px(self) -> FloatArray:
-        """(n,) geometric mean of the semi-axes: that of the circle of equal area."""
+        """(n,) geometric mean of the semi-axes: radius of the circle of equal area."""
         return np.asarray(np.sqrt(self.semi_axes_px.prod(axis=1)), dtype=np.float64)
 
     def points(self, count: int) -> tuple[FloatArray, FloatArray]:
@@ -108,9 +181,9 @@ class Ellipses:
 
     @classmethod
     def among(cls, conics: FloatArray) -> tuple[Ellipses, BoolArray]:
-        """Read those of (n, 3, 3) conics of any scale that are real ellipses, and tell (n,) which they are.
+        """Convert those of (n, 3, 3) conics of any scale that are real ellipses; also return (n,) which they are.
 
-        What rounding leaves without a real point or an axis is none: no other test of a conic agrees with this one.
+        This is the only test for real ellipses: other tests can differ for conics that are degenerate within rounding.
         """
         conics = np.asarray(conics, dtype=np.float64)
         conics = conics * np.where(np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0, -1.0, 1.0)[:, None, None]
@@ -124,7 +197,7 @@ class Ellipses:
         values, vectors = np.linalg.eigh(kept[inside, :2, :2] / -scale[inside, None, None])
         has_axes = values[:, 0] > 0.0
         real[real] = has_axes
-        longer = vectors[has_axes, :, 0]  # eigh: ascending, so that the first has the longest axis
+        longer = vectors[has_axes, :, 0]  # eigh: ascending eigenvalues, so that the first belongs to the longest axis
         semi_axes = np.asarray(1.0 / np.sqrt(values[has_axes]), dtype=np.float64)
         angle = np.arctan2(longer[:, 1], longer[:, 0]) % np.pi
         return cls(centre[inside][has_axes], semi_axes, angle), real
@@ -135,7 +208,7 @@ class Ellipses:
 
 
 def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArray, radius_m: FloatArray) -> Ellipses:
-    """Project circles of the body frame into an image: the plane rims of ideal craters.
+    """Project circles of the body frame (plane rims of ideal craters) to ellipses in the image.
 
     A point of circle i is H (cos t, sin t, 1) in the image with H = K [r e1, r e2, c] in camera axes, so that its
     conic is H^-T diag(1, 1, -1) H^-1.
@@ -143,7 +216,7 @@ def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArr
     Parameters
     ----------
     centre_body_m, normal_body, radius_m
-        (n, 3), (n, 3) unit vectors across the rims, and (n,). All circles must lie in front of the camera.
+        (n, 3), (n, 3) unit normals of the rims' planes, and (n,). All circles must lie in front of the camera.
 
     Raises
     ------

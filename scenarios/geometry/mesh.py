@@ -1,4 +1,4 @@
-"""A triangle mesh as a frozen value."""
+"""Triangle meshes as immutable values."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ class TriangleMesh:
 
     @cached_property
     def corners_m(self) -> FloatArray:
-        """(F, 3, 3): for each face its three corners."""
+        """(F, 3, 3) the three corners of each face."""
         corners: FloatArray = self.vertices_m[self.faces]
         return corners
 
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
-        """(F, 3): outward normals whose length is the face's area."""
+        """(F, 3) outward normals whose length is the face's area."""
         corners = self.corners_m
         return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # eq. (1)
 

@@ -1,4 +1,4 @@
-"""Rigid transforms with named frames."""
+"""Rigid transforms with named frames, and vector operations."""
 
 from __future__ import annotations
 
@@ -13,8 +13,25 @@ from scenarios.errors import BoresightError
 FloatArray = NDArray[np.float64]
 
 
+def cross_matrix(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) skew-symmetric matrices [v]x of vectors v (..., 3): [v]x w = v x w."""
+    cross = np.zeros((*vectors.shape, 3))
+    cross[..., 2, 1] = vectors[..., 0]
+    cross[..., 0, 2] = vectors[..., 1]
+    cross[..., 1, 0] = vectors[..., 2]
+    return np.asarray(cross - np.swapaxes(cross, -1, -2), dtype=np.float64)
+
+
+def plane_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors (n, 3) perpendicular to each unit normal (n, 3); first, second, normal are right-handed."""
+    helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(normals, first)
+
+
 class FrameMismatchError(BoresightError):
-    """Two transforms were chained whose inner frames differ."""
+    """Raised when transforms with different inner frames are chained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +94,7 @@ class Pose:
         )
 
     def inverse(self) -> Pose:
-        """Return the transform the other way round."""
+        """Return the inverse transform."""
         return Pose(self.rotation.T, self.camera_position_m, self.from_frame, self.to_frame)
 
     def transform(self, points_m: FloatArray) -> FloatArray:
@@ -89,9 +106,9 @@ class Pose:
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
     def perturbed(self, rotation_rad: FloatArray, translation_m: FloatArray) -> Pose:
-        """Turn the attitude by ``exp(rotation_rad)`` on the left and shift the translation, independently.
+        """Perturb the attitude by ``exp(rotation_rad)`` on the left and the translation additively.
 
-        ``R' = exp(w) R`` and ``t' = t + d``: both in ``to_frame``. The two do not mix: a rotation of the
+        ``R' = exp(w) R`` and ``t' = t + d``, both in ``to_frame``. The two are independent: a rotation of the
         body about its own origin does not move that origin in the camera.
         """
         delta = Rotation.from_rotvec(np.asarray(rotation_rad, dtype=np.float64)).as_matrix()
@@ -110,13 +127,13 @@ class Pose:
 def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
     """Point a camera's boresight at the body's origin: T_cam_body.
 
-    At zero roll the camera's y axis (down) leans against the body's z axis, so north is up; over a pole the
-    body's x axis takes that part. ``roll_rad`` turns the camera about its boresight.
+    At zero roll the camera's y axis (down) points away from the body's z axis, so that north is up; over a pole the
+    body's x axis replaces it. ``roll_rad`` turns the camera about its boresight.
 
     Raises
     ------
     BoresightError
-        If the camera stands at the origin.
+        If the camera is at the origin.
     """
     position = np.asarray(camera_position_body_m, dtype=np.float64)
     distance = float(np.linalg.norm(position))

@@ -1,4 +1,4 @@
-"""Where a camera stands and where the light comes from."""
+"""A view of a body (camera, pose and Sun), and its lines of sight' intersections with the surface."""
 
 from __future__ import annotations
 
@@ -13,8 +13,35 @@ from scenarios.geometry.pose import Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SurfaceHits:
+    """First intersections of N lines of sight with a body.
+
+    Parameters
+    ----------
+    points_body_m
+        (N, 3) points in the body frame; NaN for lines of sight that miss the body.
+    normals_body
+        (N, 3) outward unit normals used for shading, in the body frame; NaN for misses.
+    facets
+        (N,) index of the facet; -1 for misses.
+    lit
+        (N,) whether the point is sunlit; False for misses.
+    """
+
+    points_body_m: NDArray[np.float64]
+    normals_body: NDArray[np.float64]
+    facets: NDArray[np.int64]
+    lit: NDArray[np.bool_]
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        """(N,) whether the line of sight hits the body."""
+        return self.facets >= 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One look at a body: camera, pose and Sun.
+    """Camera, pose and direction to the Sun.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What on board is identical with the truth, worked out from a scenario: each result is conditional on it."""
+"""A priori knowledge of the estimators by scenario: which parts are identical with the truth and which are not."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _OF_VIEWS = {
 
 
 def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
-    """Tell what an estimator is given of the truth as it is, and what it is given wrong or not at all.
+    """Return which parts of the truth an estimator has exactly, with errors, or not at all.
 
     Parameters
     ----------
     spec
         The scenario.
     experiment
-        The kind of the trials, which decides what estimators are lent.
+        The kind of the trials, which determines the data given to estimators.
     """
     if spec.sequence is not None:
         return sequences(spec.sequence)

@@ -1,4 +1,4 @@
-"""What is known on board where images are looked at one by one, or craters in pairs of them."""
+"""A priori knowledge of estimators that process single images, or pairs of crater views."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scenarios.beliefs import believed_spec
 from scenarios.known.record import Item, Known, item, listed
+from scenarios.onboard import onboard_spec
 from scenarios.spec.body import BodySpec
 from scenarios.spec.camera import CameraSpec
 from scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
@@ -23,14 +23,14 @@ THRESHOLDS = (
 
 
 def single_images(spec: ScenarioSpec) -> Known:
-    """Tell of estimators that are lent the shape, renderings and data bases of what the spacecraft believes in."""
+    """Return the knowledge of single-image estimators: shape, renderings and data bases of the onboard model."""
     lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
     remarks = () if spec.craters is None else (THRESHOLDS,)
     return Known((*lent, Item("renderer", "exactly"), *_pose(spec), *exposure(spec)), remarks)
 
 
 def real_images(spec: ScenarioSpec, images: ImageSetSpec) -> Known:
-    """Tell of real images: nothing of the body and the camera is exact, but priors are made of the reference pose."""
+    """Return the knowledge for real images: no model is exact, but priors are derived from the reference pose."""
     beliefs, sun = spec.onboard, f"Sun as the pose {images.truth} has it"
     lens = ["lens"] if spec.camera.distortion is not None else []
     unknown = ["shape", "albedo", "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
@@ -39,14 +39,14 @@ def real_images(spec: ScenarioSpec, images: ImageSetSpec) -> Known:
 
 
 def crater_detection(spec: ScenarioSpec) -> Known:
-    """Tell of detectors, which see an image and the Sun's direction, and are lent no model of the body."""
+    """Return the knowledge of crater detectors: an image and the Sun's direction, no model of the body."""
     unknown = ("craters", "shape", "reflectance")
     nothing = [Item(name, "not") for name in (*unknown, "pose")]
     return Known((*_optics(spec, spin=False), *nothing, *exposure(spec)), (THRESHOLDS,))
 
 
 def crater_pairs(spec: ScenarioSpec) -> Known:
-    """Tell of matchers, which are lent the smooth shape and see detections in two looks with their priors."""
+    """Return the knowledge of crater matchers: smooth shape, detections in two views and prior poses."""
     section = spec.crater_pairs
     rendered = section is not None and section.images is not None
     items = [*shape_items(spec), Item("camera", "exactly"), Item("Sun", "exactly"), Item("spin", "exactly")]
@@ -56,13 +56,13 @@ def crater_pairs(spec: ScenarioSpec) -> Known:
 
 
 def pose_solvers(spec: ScenarioSpec) -> Known:
-    """Tell of pose solvers on landmarks that are drawn from their own covariances."""
+    """Return the knowledge of pose solvers, whose landmark errors are drawn from the covariances that they use."""
     exact = ("camera", "which landmark is which", "covariances that the landmarks are drawn from")
     return Known((*(Item(name, "exactly") for name in exact), *_pose(spec), Item("places of the landmarks", "not")))
 
 
 def data_bases(spec: ScenarioSpec) -> Known:
-    """Tell of data bases that are made and counted, and held against no truth."""
+    """Return the knowledge for landmark data bases, which are built and counted but not compared with a truth."""
     lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
     poses = Item("poses of the images that data bases are made of", "exactly")
     noise = [Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images")]
@@ -70,8 +70,8 @@ def data_bases(spec: ScenarioSpec) -> Known:
 
 
 def shape_items(spec: ScenarioSpec) -> Iterator[Item]:
-    """Yield the shape that estimators are lent, and the variation of its albedo where it has one."""
-    true, believed = spec.body, believed_spec(spec).body
+    """Yield the onboard shape and, if there is one, its albedo variation."""
+    true, believed = spec.body, onboard_spec(spec).body
     smooth = "smooth shape" if spec.craters is not None else "shape"
     yield item(smooth, _form(believed) == _form(true), _shape_error(spec))
     patterns = [None if body.detail is None else body.detail.albedo for body in (true, believed)]
@@ -80,7 +80,7 @@ def shape_items(spec: ScenarioSpec) -> Iterator[Item]:
 
 
 def exposure(spec: ScenarioSpec) -> Iterator[Item]:
-    """Yield what the detector does to rendered images, of which nothing on board has a model."""
+    """Yield blur and noise of the detector, which have no onboard model."""
     detector = spec.detector
     if detector is None:
         yield from (Item("blur", "absent"), Item("noise", "absent", "no `detector`"))
@@ -91,7 +91,7 @@ def exposure(spec: ScenarioSpec) -> Iterator[Item]:
 
 
 def _form(body: BodySpec) -> BodySpec:
-    """Return a body without its albedo, and without an error of its heights that is zero."""
+    """Return a body without its albedo and without a height error of zero, for comparison."""
     detail = None if body.detail is None else body.detail.model_copy(update={"albedo": None})
     wrong = body.height_error if body.height_error is not None and body.height_error.rms_m > 0.0 else None
     return body.model_copy(update={"detail": detail, "height_error": wrong})
@@ -111,20 +111,20 @@ def _shape_error(spec: ScenarioSpec) -> str:
 
 
 def _craters(spec: ScenarioSpec) -> Iterator[Item]:
-    """Yield the craters of a cratered body, which estimators meet in the images of data bases alone."""
+    """Yield the craters of a cratered body, which estimators have only in the images of data bases."""
     if spec.craters is not None:
         yield Item("craters in the images of data bases", "exactly")
 
 
 def _reflectance(spec: ScenarioSpec) -> Item:
-    true, believed = spec.brdf, believed_spec(spec).brdf
+    true, believed = spec.brdf, onboard_spec(spec).brdf
     named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
     return item("reflectance", believed == true, named)
 
 
 def _optics(spec: ScenarioSpec, spin: bool = True) -> Iterator[Item]:
     """Yield camera, lens, Sun and spin."""
-    onboard, believed = spec.onboard, believed_spec(spec).camera
+    onboard, believed = spec.onboard, onboard_spec(spec).camera
     du, dv = onboard.principal_point_error_px
     focal = f"focal length wrong by {100.0 * onboard.focal_error:g} %" if onboard.focal_error else ""
     middle = f"principal point by ({du:g}, {dv:g}) px" if du or dv else ""
@@ -144,7 +144,7 @@ def _pinhole(camera: CameraSpec) -> CameraSpec:
 
 
 def _pose(spec: ScenarioSpec) -> Iterator[Item]:
-    """Yield the pose, the law of the error that its prior has, and that of an altimeter."""
+    """Yield the pose and the error distributions of its prior and of an altimeter."""
     wrong = spec.pose_error
     laws = (wrong.position_cam_m, wrong.position_cam_px, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
     if all(map(_nothing, laws)):
@@ -157,12 +157,12 @@ def _pose(spec: ScenarioSpec) -> Iterator[Item]:
 
 
 def _nothing(law: Scalar | Vector3 | None) -> bool:
-    """Whether a law draws zeros alone."""
+    """Return whether a distribution draws only zeros."""
     return law is None or not np.any(law.normal if isinstance(law, Normal | Normal3) else law.uniform)
 
 
 def _spread(law: Scalar | None) -> str:
-    """Print a law of an angle."""
+    """Format the distribution of an angle."""
     if law is None:
         return ""
     if isinstance(law, Normal):

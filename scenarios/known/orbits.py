@@ -1,4 +1,4 @@
-"""What is known on board where an orbit is determined, planned, or navigated by craters."""
+"""A priori knowledge in orbit determination, image planning and crater navigation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SHARED = ("centre of mass", "Sun and Earth", "law of the forces", "RMS error of
 
 
 def orbits(spec: ScenarioSpec, section: OrbitSpec) -> Known:
-    """Tell of filters, of the chain from images to an orbit, and of plans: all begin with the same knowledge."""
+    """Return the knowledge of orbit filters and of the chain from images to an orbit."""
     imaging = section.imaging
     items = [*_world(section), *_camera(section), *_laws(section), *_sightings(section)]
     if imaging is None or imaging.detections == "drawn":
@@ -23,7 +23,7 @@ def orbits(spec: ScenarioSpec, section: OrbitSpec) -> Known:
 
 
 def plans(section: OrbitSpec) -> Known:
-    """Tell of arcs of images that are planned, and of nothing else."""
+    """Return the knowledge for image planning alone."""
     return Known((*_world(section), *_camera(section)))
 
 
@@ -50,12 +50,12 @@ def _camera(section: OrbitSpec) -> Iterator[Item]:
 
 
 def _laws(section: OrbitSpec) -> Iterator[Item]:
-    """Yield the laws of the errors: those of sightings are true where sightings are drawn by them."""
+    """Yield the error distributions; those of sightings are exact only if sightings are drawn from them."""
     yield Item("laws of all errors but those of sightings" if section.imaging else "laws of all errors", "exactly")
 
 
 def _sightings(section: OrbitSpec) -> Iterator[Item]:
-    """Yield where craters are and which is which."""
+    """Yield the positions and the identification of craters."""
     yield Item("places of the craters", "not")
     if section.imaging is not None:
         yield Item("which crater is which", "not", "matched")

@@ -1,4 +1,4 @@
-"""One line of what on board is identical with the truth and what is not, and how lines of several scenarios join."""
+"""Records of a priori knowledge, their one-line form, and the merging of several scenarios' records."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Standing = Literal["exactly", "not", "absent", "partly"]
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A thing that the truth has and the spacecraft may know.
+    """One part of the truth and its a priori knowledge on board.
 
     Parameters
     ----------
     name
-        What it is.
+        Name of the part.
     standing
-        ``exactly``: on board it is the very thing of the truth. ``not``: it differs, or nothing on board tells it.
-        ``absent``: the truth has none of it, which the spacecraft profits from. ``partly``: so in some scenarios alone.
+        ``exactly``: identical with the truth. ``not``: different from it or unknown. ``absent``: the truth has no such
+        effect, which favours the estimators. ``partly``: exact or absent in some scenarios only.
     detail
         By how much it differs, or why it is absent.
     """
@@ -29,7 +29,7 @@ class Item:
     detail: str = ""
 
     def words(self, short: bool) -> str:
-        """Name it, with its detail unless that is to be left out; why a thing is absent is always said."""
+        """Return name and detail; the short form keeps the detail of absent parts only."""
         named = f"no {self.name}" if self.standing == "absent" else self.name
         wanted = self.detail and (not short or self.standing == "absent")
         return f"{named} ({self.detail})" if wanted else named
@@ -37,16 +37,16 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What a spacecraft is taken to know.
+    """A priori knowledge on board.
 
     Parameters
     ----------
     items
         In the order of the line, each name once.
     remarks
-        Sentences on what else ties the estimators to the truth.
+        Sentences about further dependences of the estimators on the truth.
     aligned
-        Names of reference poses that were found by the means of the methods that are held against them.
+        Names of reference poses that were determined by methods like those that are evaluated against them.
     """
 
     items: tuple[Item, ...]
@@ -64,7 +64,7 @@ class Known:
         return tuple(item.name for item in self.items if item.standing == "not")
 
     def line(self, short: bool = False) -> str:
-        """Say it in one line; the short one is without details and remarks."""
+        """Return the record as one line; the short one is without details and remarks."""
         said = {
             standing: [item.words(short) for item in self.items if item.standing == standing]
             for standing in ("exactly", "absent", "partly", "not")
@@ -78,7 +78,7 @@ class Known:
 
 
 def correlated(reference: str) -> str:
-    """Say what a reference pose is that was found by aligning renderings."""
+    """Return the remark on a reference pose that was determined by aligning renderings."""
     return (
         f"Errors against {reference} are correlated with those of methods that align renderings of the shape, for"
         f" {reference} was found by doing so"
@@ -86,19 +86,19 @@ def correlated(reference: str) -> str:
 
 
 def item(name: str, exact: bool, detail: str = "") -> Item:
-    """Make an item that is known exactly or not; the detail belongs to what is not."""
+    """Make an item that is exact or not; the detail applies to the latter."""
     return Item(name, "exactly") if exact else Item(name, "not", detail)
 
 
 def spin_item(pole_sigma_deg: float, rate_sigma: float) -> Item:
-    """Make the item of a spin whose pole and rate, relative, are known so well."""
+    """Make the item of a spin with standard deviations of its pole and its relative rate."""
     pole = f"pole {pole_sigma_deg:g} deg" if pole_sigma_deg else ""
     rate = f"rate {100.0 * rate_sigma:g} %" if rate_sigma else ""
     return item("spin", not (pole or rate), listed([pole, rate]))
 
 
 def merged(several: Sequence[Known]) -> Known:
-    """Join what is known in several scenarios: what is so in some alone is said to be."""
+    """Merge the knowledge of several scenarios; parts that are exact in some of them only become ``partly``."""
     names = dict.fromkeys(one.name for known in several for one in known.items)
     own = [[one for known in several for one in known.items if one.name == name] for name in names]
     items = [_joined(found, len(several)) for found in own]
@@ -109,9 +109,9 @@ def merged(several: Sequence[Known]) -> Known:
 
 
 def _joined(own: Sequence[Item], scenarios: int) -> Item:
-    """Join the items of one name; a detail stays where all have the same.
+    """Merge the items of one name; a detail is kept if all have the same.
 
-    What only some scenarios have, and is not known there, is not known; what is known there is so in some.
+    A part that only some scenarios have becomes ``not`` if it is unknown there, and ``partly`` if it is exact there.
     """
     standings, details = {one.standing for one in own}, {one.detail for one in own}
     if standings == {"not"} or (len(standings) == 1 and len(own) == scenarios):
@@ -121,5 +121,5 @@ def _joined(own: Sequence[Item], scenarios: int) -> Item:
 
 
 def listed(parts: Iterable[str]) -> str:
-    """Join the parts of a detail that there are."""
+    """Join the non-empty parts of a detail."""
     return ", ".join(part for part in parts if part)

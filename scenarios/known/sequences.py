@@ -1,15 +1,15 @@
-"""What is known on board where landmarks are tracked along an orbit."""
+"""A priori knowledge of estimators that track landmarks along an orbit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from scenarios.known.record import Item, Known, item, listed, spin_item
-from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
+from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
 
 
 def sequences(section: SequenceSpec) -> Known:
-    """Tell of estimators of sequences, which see tracks, attitudes, predicted motion and ranges."""
+    """Return the knowledge of sequence estimators, which get tracks, attitudes, predicted motion and ranges."""
     known = section.knowledge
     laws = "laws of all errors" + (" but those of pixels" if section.images else "")
     return Known(
@@ -28,13 +28,13 @@ def sequences(section: SequenceSpec) -> Known:
     )
 
 
-def _attitude(known: KnowledgeSpec) -> Item:
+def _attitude(known: SequenceKnowledgeSpec) -> Item:
     parts = {"each": known.attitude_sigma_deg, "the camera's alignment": known.misalignment_sigma_deg}
     wrong = listed(f"{name} {sigma:g} deg" for name, sigma in parts.items() if sigma)
     return item("attitude", not wrong, wrong)
 
 
-def _ranges(known: KnowledgeSpec) -> Iterator[Item]:
+def _ranges(known: SequenceKnowledgeSpec) -> Iterator[Item]:
     if known.ranges:
         yield Item("ranges", "not", f"{known.range_sigma_m:g} m")
         if known.range_to == "lasting":
@@ -42,7 +42,7 @@ def _ranges(known: KnowledgeSpec) -> Iterator[Item]:
 
 
 def _forces(section: SequenceSpec) -> Iterator[Item]:
-    """Yield what is known of the forces, where estimators are told of them."""
+    """Yield the knowledge of the forces, if estimators get a force model."""
     known, forces = section.knowledge, section.orbit.forces
     if not known.dynamics:
         return
@@ -57,7 +57,7 @@ def _forces(section: SequenceSpec) -> Iterator[Item]:
 
 
 def _tracks(section: SequenceSpec) -> Iterator[Item]:
-    """Yield which sightings are of one landmark, and how far off they are."""
+    """Yield the data association of landmarks and the pixel noise."""
     vision, images = section.vision, section.images
     if images is not None:
         yield Item("which landmark is which", "not", "matched in images")

@@ -1,10 +1,9 @@
-"""Scenario and campaign files: read, extended, overridden, checked.
+"""Load scenario and campaign files: read, extend, override, validate.
 
-The order is defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every fault is a line with its place.
+Precedence: defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every error is one line with its location.
 """
 
-from scenarios.load.digest import canonical_json, digest
-from scenarios.load.entry import Entry
+from scenarios.load.entry import ConfigEntry
 from scenarios.load.files import (
     LoadedCampaign,
     LoadedScenario,
@@ -15,11 +14,12 @@ from scenarios.load.files import (
     validated,
 )
 from scenarios.load.find import names_in
-from scenarios.load.overrides import parse_override
+from scenarios.load.merge import parse_override
 from scenarios.load.schema import json_schema
+from scenarios.spec.base import canonical_json, digest
 
 __all__ = [
-    "Entry",
+    "ConfigEntry",
     "LoadedCampaign",
     "LoadedScenario",
     "canonical_json",

@@ -1,4 +1,4 @@
-"""Values that remember where they were written."""
+"""Configuration values with the file and line of their definition."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ _LARGEST_EXACT = 2**53
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """A value with its place, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
+class ConfigEntry:
+    """A value with its location, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
 
     Parameters
     ----------
     value
         A scalar, a mapping of keys to entries, or a sequence of entries.
     place
-        Where the key (or the item) stands.
+        Location of the key (or of the list item).
     """
 
-    value: Scalar | Mapping[str, Entry] | tuple[Entry, ...]
+    value: Scalar | Mapping[str, ConfigEntry] | tuple[ConfigEntry, ...]
     place: str
 
     @property
-    def section(self) -> Mapping[str, Entry] | None:
+    def section(self) -> Mapping[str, ConfigEntry] | None:
         """The keys of a mapping; None for anything else."""
         return self.value if isinstance(self.value, Mapping) else None
 
     def plain(self) -> object:
-        """Return the value without places: dicts, lists and scalars; whole floats (3.1e6) become integers."""
+        """Return the value without locations: dicts, lists and scalars; whole floats (3.1e6) become integers."""
         if isinstance(self.value, Mapping):
             return {key: entry.plain() for key, entry in self.value.items()}
         if isinstance(self.value, tuple):
@@ -42,34 +42,34 @@ class Entry:
         return self.value
 
 
-def entry_of(value: object, place: str) -> Entry:
-    """Give every value of a plain structure the same place."""
+def entry_of(value: object, place: str) -> ConfigEntry:
+    """Convert a plain structure to entries with one common location."""
     if isinstance(value, Mapping):
-        return Entry({str(key): entry_of(item, place) for key, item in value.items()}, place)
+        return ConfigEntry({str(key): entry_of(item, place) for key, item in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return Entry(tuple(entry_of(item, place) for item in value), place)
-    return Entry(value if isinstance(value, str | int | float) else None, place)
+        return ConfigEntry(tuple(entry_of(item, place) for item in value), place)
+    return ConfigEntry(value if isinstance(value, str | int | float) else None, place)
 
 
-def nested(keys: Iterable[str], entry: Entry) -> Entry:
+def nested(keys: Iterable[str], entry: ConfigEntry) -> ConfigEntry:
     """Wrap an entry in sections: keys a, b make ``{a: {b: entry}}``."""
     for key in reversed(list(keys)):
-        entry = Entry({key: entry}, entry.place)
+        entry = ConfigEntry({key: entry}, entry.place)
     return entry
 
 
-def describe(entry: Entry) -> str:
-    """Write a value as YAML would in one line, shortened where it is long."""
+def describe(entry: ConfigEntry) -> str:
+    """Return a value as one line of YAML, shortened if long."""
     return shortened(_inline(entry))
 
 
 def shortened(text: str) -> str:
-    """Cut a printable text to at most 60 characters."""
+    """Return a printable text of at most 60 characters."""
     text = printable(text)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _inline(entry: Entry) -> str:
+def _inline(entry: ConfigEntry) -> str:
     value = entry.value
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key}: {_inline(item)}" for key, item in value.items()) + "}"

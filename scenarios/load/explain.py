@@ -1,4 +1,4 @@
-"""Faults of a specification in one line each: place, key, value, what is allowed."""
+"""Validation errors as one line each: location, key, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from scenarios.errors import printable
-from scenarios.load.entry import Entry, describe
+from scenarios.load.entry import ConfigEntry, describe
 from scenarios.load.merge import Models, field_models
 from scenarios.spec.base import SpecModel
 
@@ -32,22 +32,22 @@ _WANTED = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Spot:
-    """Where an error's ``loc`` leads: the dotted key, the deepest entry on the way, the schema there."""
+class _ErrorLocation:
+    """Location of a validation error: dotted key, deepest existing entry, and schema there."""
 
     key: str
-    entry: Entry
+    entry: ConfigEntry
     parent: Models
     field: FieldInfo | None
 
 
-def explain(error: ValidationError, root: Entry, model: type[SpecModel]) -> str:
-    """Turn pydantic's errors into lines ``place: key: value is not ...``, without repeats."""
+def explain(error: ValidationError, root: ConfigEntry, model: type[SpecModel]) -> str:
+    """Convert pydantic's errors to lines ``place: key: value is not ...``, without duplicates."""
     lines = [_line(detail, root, model) for detail in error.errors(include_url=False)]
     return "\n".join(dict.fromkeys(lines))
 
 
-def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
+def _line(detail: ErrorDetails, root: ConfigEntry, model: type[SpecModel]) -> str:
     loc = detail["loc"]
     if detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         loc = (*loc, _TAG, "kind")
@@ -56,8 +56,8 @@ def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
     return printable(f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}")
 
 
-def _locate(loc: tuple[int | str, ...], root: Entry, model: type[SpecModel]) -> _Spot:
-    """Follow ``loc`` through the entries and the schema; where several models are admitted the next step is a tag."""
+def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel]) -> _ErrorLocation:
+    """Follow ``loc`` through entries and schema; if several models are allowed, the next step is their tag."""
     keys: list[str] = []
     entry = root
     models: Models = (model,)
@@ -72,7 +72,7 @@ def _locate(loc: tuple[int | str, ...], root: Entry, model: type[SpecModel]) -> 
         if isinstance(step, str):
             parent, field = models, _field(models, step)
             models = field_models(models, step)
-    return _Spot("".join(keys).lstrip("."), entry, parent, field)
+    return _ErrorLocation("".join(keys).lstrip("."), entry, parent, field)
 
 
 def _has_tag(model: type[SpecModel], tag: str) -> bool:
@@ -84,8 +84,8 @@ def _field(models: Models, key: str) -> FieldInfo | None:
     return next((model.model_fields[key] for model in models if key in model.model_fields), None)
 
 
-def _child(entry: Entry, step: int | str) -> Entry:
-    """Return the entry one step down, or the same where the file does not hold it."""
+def _child(entry: ConfigEntry, step: int | str) -> ConfigEntry:
+    """Return the child entry, or the entry itself if the file does not contain the child."""
     if isinstance(entry.value, Mapping):
         return entry.value.get(str(step), entry)
     if isinstance(entry.value, tuple) and isinstance(step, int) and step < len(entry.value):
@@ -93,7 +93,7 @@ def _child(entry: Entry, step: int | str) -> Entry:
     return entry
 
 
-def _what(detail: ErrorDetails, spot: _Spot) -> str:
+def _what(detail: ErrorDetails, spot: _ErrorLocation) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
     if kind == "missing":
         return _missing(detail["loc"], spot)
@@ -109,7 +109,7 @@ def _what(detail: ErrorDetails, spot: _Spot) -> str:
 
 
 def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, message: str) -> str:
-    """Say what is wrong with a value, to be read after the value itself."""
+    """Return the predicate that follows the value in the message."""
     if kind == "union_tag_invalid":
         return f"is not one of {context['expected_tags']}"
     if kind == "literal_error":
@@ -124,14 +124,14 @@ def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, messa
     return f"is not {interval}" if interval else f"is wrong: {message[:1].lower()}{message[1:]}"
 
 
-def _missing(loc: tuple[int | str, ...], spot: _Spot) -> str:
+def _missing(loc: tuple[int | str, ...], spot: _ErrorLocation) -> str:
     if isinstance(loc[-1], int):
         return "this value of the list is missing"
     described = f" ({spot.field.description})" if spot.field is not None and spot.field.description else ""
     return f"this key is missing{described}"
 
 
-def _unknown(spot: _Spot) -> str:
+def _unknown(spot: _ErrorLocation) -> str:
     known = [field.alias or key for model in spot.parent for key, field in model.model_fields.items()]
     near = difflib.get_close_matches(spot.key.rsplit(".", 1)[-1], known, n=1)
     return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; known here are {', '.join(known)}"
@@ -143,7 +143,7 @@ def _wrong_length(kind: str, context: Mapping[str, Any]) -> str:
 
 
 def _interval(field: FieldInfo | None, context: Mapping[str, Any]) -> str:
-    """Write the bounds of a number: from the field where it has them, from the one broken rule otherwise."""
+    """Format the bounds of a number: those of the field, or that of the violated rule."""
     bounds: dict[str, float] = {}
     for rule in field.metadata if field is not None else ():
         bounds |= {name: getattr(rule, name) for name in ("gt", "ge", "lt", "le") if hasattr(rule, name)}

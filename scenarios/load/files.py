@@ -1,4 +1,4 @@
-"""Scenario and campaign files to validated specifications."""
+"""Load scenario and campaign files as validated specifications."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from typing import Literal, TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, describe, entry_of
+from scenarios.load.entry import ConfigEntry, describe, entry_of
 from scenarios.load.explain import explain
 from scenarios.load.find import display, exists, find, name_of, names_in, read
-from scenarios.load.merge import merge
-from scenarios.load.overrides import apply, parse_override, settings
-from scenarios.load.partial import on_defaults
+from scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -29,7 +27,7 @@ Spec = TypeVar("Spec", bound=SpecModel)
 
 @dataclass(frozen=True, slots=True)
 class LoadedScenario:
-    """A scenario, the file that it came from, and the folders where its data may lie."""
+    """A scenario, its file, and the folders that are searched for its data."""
 
     spec: ScenarioSpec
     path: Path
@@ -38,18 +36,18 @@ class LoadedScenario:
 
 @dataclass(frozen=True, slots=True)
 class LoadedCampaign:
-    """A campaign, its file, and its overrides of every scenario with their places."""
+    """A campaign, its file, and its overrides of every scenario with their locations."""
 
     spec: CampaignSpec
     path: Path
-    overrides: Entry
+    overrides: ConfigEntry
 
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file laid on what it extends; ``folders`` holds its own folder first, then those of its parents."""
+    """A file merged over those that it extends; ``folders`` are its own folder, then those of its parents."""
 
-    root: Entry
+    root: ConfigEntry
     folders: tuple[Path, ...]
 
 
@@ -60,9 +58,9 @@ def scenario_names() -> list[str]:
 
 def load_scenario(
     name_or_path: str,
-    overrides: Sequence[str | Entry] = (),
+    overrides: Sequence[str | ConfigEntry] = (),
     *,
-    base: Entry | Mapping[str, object] | None = None,
+    base: ConfigEntry | Mapping[str, object] | None = None,
     levels: Sequence[Mapping[str, object]] = (),
     near: Path | None = None,
 ) -> LoadedScenario:
@@ -73,13 +71,13 @@ def load_scenario(
     name_or_path
         A name of the catalogue or the path of a YAML file.
     overrides
-        Texts ``key.key=value``, as on the command line, or such as are parsed already.
+        Texts ``key.key=value``, as on the command line, or parsed entries.
     base
-        Overrides that a campaign puts on its scenarios; keys may be dotted.
+        Overrides by a campaign of its scenarios; keys may be dotted.
     levels
         Overrides of the levels of a campaign's grid; keys may be dotted.
     near
-        Folder that a relative path starts from.
+        Base folder of a relative path.
 
     Raises
     ------
@@ -90,20 +88,20 @@ def load_scenario(
     file = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
-    layers += [one if isinstance(one, Entry) else parse_override(one) for one in overrides]
+    layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
     root = apply(file.root, layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
 
 
-def _without_nulls(root: Entry) -> Entry:
-    """Let ``section: null`` take a section back to its default, whatever the file builds on said."""
+def _without_nulls(root: ConfigEntry) -> ConfigEntry:
+    """Remove keys with null, so that ``section: null`` restores the default of an inherited section."""
     section = root.section or {}
     kept = {key: entry for key, entry in section.items() if entry.value is not None}
-    return Entry(kept, root.place)
+    return ConfigEntry(kept, root.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
-    """Read a campaign; ``overrides`` are of its own keys, for example ``trials=20``.
+    """Read a campaign; ``overrides`` change its own keys, for example ``trials=20``.
 
     Raises
     ------
@@ -114,10 +112,10 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     file = _read_chain(path, catalog, CampaignSpec)
     root = apply(file.root, [parse_override(text) for text in overrides], (CampaignSpec,))
     spec = validated(CampaignSpec, root)
-    return LoadedCampaign(spec, path, (root.section or {}).get("set", Entry({}, root.place)))
+    return LoadedCampaign(spec, path, (root.section or {}).get("set", ConfigEntry({}, root.place)))
 
 
-def validated(model: type[Spec], root: Entry) -> Spec:
+def validated(model: type[Spec], root: ConfigEntry) -> Spec:
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
 
     Raises
@@ -136,19 +134,19 @@ def _completed(model: type[SpecModel], plain: object) -> object:
 
 
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:
-    """Tell a campaign file from a scenario file by its keys.
+    """Return whether a file is a scenario or a campaign, by its keys.
 
     Parameters
     ----------
     path
         The file.
     known
-        Names that the user may have meant, besides the scenarios of the catalogue.
+        Further names for the suggestion in the error, besides the scenarios of the catalogue.
 
     Raises
     ------
     BoresightError
-        If the file cannot be read; where there is none, the line suggests a near name.
+        If the file cannot be read; if it does not exist, the message suggests a similar name.
     """
     if not exists(path):
         near = difflib.get_close_matches(path.name, [*known, *scenario_names()], n=1)
@@ -160,29 +158,29 @@ def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "cam
 
 
 def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tuple[Path, ...] = ()) -> _File:
-    """Read a file and lay it on those that it extends, the first one at the bottom."""
+    """Read a file and merge it over those that it extends; later parents override earlier ones."""
     resolved = path.resolve()
     own = read(path)
     section = dict(own.section or {})
     extends = section.pop("extends", None)
     if not children:
-        section.setdefault("name", Entry(name_of(path), display(path)))
+        section.setdefault("name", ConfigEntry(name_of(path), display(path)))
     if len(children) > _MAX_GENERATIONS:
         raise BoresightError(f"{display(path)}: extends: a chain of more than {_MAX_GENERATIONS} files")
-    base, folders = Entry({}, own.place), [resolved.parent]
+    base, folders = ConfigEntry({}, own.place), [resolved.parent]
     for parent in _parents(extends):
         parent_path = find(parent, catalog, path.parent)
         if parent_path.resolve() in (*children, resolved):
             raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
         file = _read_chain(parent_path, catalog, model, (*children, resolved))
         inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
-        base = merge(base, Entry(inherited, own.place), (model,))
+        base = merge(base, ConfigEntry(inherited, own.place), (model,))
         folders += file.folders
-    root = merge(base, Entry(section, own.place), (model,))
-    return _File(Entry(root.value, display(path)), tuple(dict.fromkeys(folders)))
+    root = merge(base, ConfigEntry(section, own.place), (model,))
+    return _File(ConfigEntry(root.value, display(path)), tuple(dict.fromkeys(folders)))
 
 
-def _parents(extends: Entry | None) -> list[str]:
+def _parents(extends: ConfigEntry | None) -> list[str]:
     if extends is None:
         return []
     items = extends.value if isinstance(extends.value, tuple) else (extends,)

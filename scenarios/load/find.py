@@ -1,4 +1,4 @@
-"""From a name or a path to the text of a YAML file."""
+"""Find YAML files by name or path, and read them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, shortened
+from scenarios.load.entry import ConfigEntry, shortened
 from scenarios.load.yaml_text import parse_yaml
 
 SUFFIXES = (".yaml", ".yml")
@@ -19,12 +19,12 @@ def names_in(catalog: Path) -> list[str]:
 
 
 def name_of(path: Path) -> str:
-    """Return the name that a file has by itself: ``my_scene.yaml`` is ``my-scene``."""
+    """Return the default name of a file: ``my-scene`` for ``my_scene.yaml``."""
     return path.stem.replace("_", "-")
 
 
 def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
-    """Find a file by its name in the catalogue, else by its path.
+    """Find a file by its name in the catalogue, otherwise by its path.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
     catalog
         Folder of the files that come with boresight.
     near
-        Folder that relative paths start from, where names without a suffix are looked up too; the working
-        directory if None.
+        Base folder of relative paths, in which names without a suffix are looked up too; the working directory if
+        None.
     what
-        What is looked for, in errors.
+        Kind of file, for error messages.
 
     Raises
     ------
     BoresightError
-        If there is none; the line suggests near names.
+        If there is none; the message suggests similar names.
     """
     known = _by_name(catalog)
     beside = _by_name(near) if near is not None else {}
@@ -55,20 +55,20 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
 
 
 def exists(path: Path) -> bool:
-    """Tell whether there is such a file or folder; a name that no file can have has none."""
+    """Return whether a file or folder exists; False for names that are invalid as paths."""
     try:
         return path.exists()
     except (OSError, ValueError):
         return False
 
 
-def read(path: Path) -> Entry:
+def read(path: Path) -> ConfigEntry:
     """Read and parse a file whose top level must be a section of keys.
 
     Raises
     ------
     BoresightError
-        If it cannot be read, is no UTF-8 text, is empty or is anything but keys with values.
+        If it cannot be read, is not UTF-8 text, is empty or is not a mapping.
     """
     shown = display(path)
     try:
@@ -94,7 +94,7 @@ def read(path: Path) -> Entry:
 
 
 def display(path: Path) -> str:
-    """Write a path from the working directory where it lies below it, in full otherwise."""
+    """Return a path relative to the working directory if it lies below it, in full otherwise."""
     try:
         return path.resolve().relative_to(Path.cwd()).as_posix()
     except (OSError, ValueError):

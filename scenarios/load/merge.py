@@ -1,17 +1,109 @@
-"""One file on top of another: mappings merge, anything else replaces."""
+"""Merge configuration entries: files over files, overrides over files, sections over defaults."""
 
 from __future__ import annotations
 
-from typing import Literal, get_args, get_origin
+from collections.abc import Mapping
+from typing import Any, Literal, get_args, get_origin
 
-from scenarios.load.entry import Entry
+from scenarios.errors import BoresightError, printable
+from scenarios.load.entry import ConfigEntry, entry_of, nested
+from scenarios.load.yaml_text import parse_yaml
 from scenarios.spec.base import SpecModel
 
 Models = tuple[type[SpecModel], ...]
 
+Plain = dict[str, Any]
+
+
+def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
+    """Merge the sections of a plain mapping over the defaults of its model's fields, at every depth.
+
+    ``craters: {roughness: {rms_m: 8}}`` keeps the other keys of the default roughness of craters, which may
+    differ from the defaults of the roughness model itself.
+
+    Parameters
+    ----------
+    models
+        Candidate models of the mapping; its ``kind`` or its keys select one.
+    given
+        Values of a file, ``--set`` or a campaign.
+    """
+    model = _meant(models, given)
+    if model is None:
+        return dict(given)
+    result = dict(given)
+    for key, field in model.model_fields.items():
+        value = given.get(key)
+        if not isinstance(value, Mapping):
+            continue
+        if isinstance(field.default, SpecModel):
+            value = _laid_on(field.default, value)
+        result[key] = on_defaults(submodels(field.annotation), value)
+    return result
+
+
+def _meant(models: Models, given: Mapping[str, Any]) -> type[SpecModel] | None:
+    """Return the model of a mapping; None if none or several fit."""
+    fitting = [model for model in models if not given or set(given) & set(model.model_fields)]
+    if "kind" in given:
+        fitting = [model for model in fitting if _admits(model, given["kind"])]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _admits(model: type[SpecModel], kind: object) -> bool:
+    field = model.model_fields.get("kind")
+    return field is not None and repr(kind) in repr(field.annotation)
+
+
+def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Complete a section by the keys of its default; another kind or form replaces the whole default."""
+    fields, kind = type(default).model_fields, getattr(default, "kind", None)
+    if (given and not set(given) & set(fields)) or given.get("kind", kind) != kind:
+        return given
+    chosen = {key for key, value in given.items() if value is not None}
+    displaced = {key for group in default.alternatives if set(group) & chosen for key in group}
+    own = {key for key, field in fields.items() if key == "kind" or getattr(default, key) != field.get_default()}
+    deeper = {
+        key: _laid_on(getattr(default, key), value)
+        for key, value in given.items()
+        if isinstance(value, Mapping) and isinstance(getattr(default, key, None), SpecModel)
+    }
+    return {**default.model_dump(mode="json", include=own - displaced), **given, **deeper}
+
+
+def parse_override(text: str, place: str = "") -> ConfigEntry:
+    """Parse ``key.key=value`` with a YAML value; ``place`` is the location for errors, by default the text.
+
+    Raises
+    ------
+    BoresightError
+        If it does not have that form.
+    """
+    place = place or f"--set {printable(text)}"
+    dotted, equals, value = text.partition("=")
+    if not equals or not all(key.strip() for key in dotted.split(".")):
+        raise BoresightError(f"{place}: write it as key=value, for example --set camera.fov_deg=20")
+    return nested([key.strip() for key in dotted.split(".")], parse_yaml(value, place, place=place))
+
+
+def settings(value: ConfigEntry | Mapping[str, object], models: Models) -> ConfigEntry:
+    """Read a section of overrides whose keys may be dotted: ``{camera.fov_deg: 20, camera: {width_px: 256}}``."""
+    entry = value if isinstance(value, ConfigEntry) else entry_of(value, "set")
+    result = ConfigEntry({}, entry.place)
+    for dotted, item in (entry.section or {}).items():
+        result = merge(result, nested(dotted.split("."), item), models)
+    return result
+
+
+def apply(base: ConfigEntry, layers: list[ConfigEntry], models: Models) -> ConfigEntry:
+    """Merge layers in order over ``base``, keeping its location."""
+    for layer in layers:
+        base = ConfigEntry(merge(base, layer, models).value, base.place)
+    return base
+
 
 def submodels(annotation: object) -> Models:
-    """Return the models that a field's annotation admits, through unions and Annotated but not through lists."""
+    """Return the models that a field's annotation allows, through unions and Annotated but not through lists."""
     if isinstance(annotation, type) and issubclass(annotation, SpecModel):
         return (annotation,)
     origin = get_origin(annotation)
@@ -21,26 +113,25 @@ def submodels(annotation: object) -> Models:
 
 
 def field_models(models: Models, key: str) -> Models:
-    """Return the models that ``key`` admits in any of ``models``."""
+    """Return the models that ``key`` allows in any of ``models``."""
     fields = [model.model_fields[key] for model in models if key in model.model_fields]
     return tuple(model for field in fields for model in submodels(field.annotation))
 
 
-def merge(base: Entry, over: Entry, models: Models) -> Entry:
-    """Lay ``over`` on ``base``.
+def merge(base: ConfigEntry, over: ConfigEntry, models: Models) -> ConfigEntry:
+    """Merge ``over`` into ``base``.
 
-    Mappings merge key by key, lists and scalars replace. Where ``over`` says something else altogether,
-    nothing stale stays behind:
+    Mappings are merged key by key; lists and scalars are replaced. Two rules remove keys that no longer apply:
 
-    - a section whose ``kind`` changes, or that picks another form of a distribution, replaces the whole;
-    - a key of a group of alternatives (``focal_px`` for ``fov_deg``) displaces the others of its group.
+    - a section with another ``kind``, or another form of a distribution, replaces the whole section;
+    - a key of a group of alternatives (``focal_px`` for ``fov_deg``) removes the others of its group.
 
     Parameters
     ----------
     base, over
         Two entries for the same key.
     models
-        The models that this key admits; empty where the schema says nothing.
+        The models that this key allows; empty if the schema does not define any.
     """
     if base.section is None or over.section is None or _is_other_form(base, over, models):
         return over
@@ -48,10 +139,10 @@ def merge(base: Entry, over: Entry, models: Models) -> Entry:
     merged = {key: entry for key, entry in base.section.items() if key not in displaced}
     for key, entry in over.section.items():
         merged[key] = merge(merged[key], entry, field_models(models, key)) if key in merged else entry
-    return Entry(merged, over.place)
+    return ConfigEntry(merged, over.place)
 
 
-def _is_other_form(base: Entry, over: Entry, models: Models) -> bool:
+def _is_other_form(base: ConfigEntry, over: ConfigEntry, models: Models) -> bool:
     old, new = base.section or {}, over.section or {}
     kinds = [model.model_fields["kind"].default for model in models if "kind" in model.model_fields]
     if kinds:
@@ -61,7 +152,7 @@ def _is_other_form(base: Entry, over: Entry, models: Models) -> bool:
     return len(models) > 1 and bool(new) and not set(old) & set(new)
 
 
-def _displaced(over: Entry, models: Models) -> set[str]:
+def _displaced(over: ConfigEntry, models: Models) -> set[str]:
     chosen = {key for key, entry in (over.section or {}).items() if entry.value is not None}
     groups = [set(group) for model in models for group in model.alternatives]
     return {key for group in groups if group & chosen for key in group - chosen}

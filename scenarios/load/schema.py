@@ -1,4 +1,4 @@
-"""JSON Schema of the files, so that editors complete and check them."""
+"""JSON Schema of scenario and campaign files, for completion and checks in editors."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _EXTENDS = {
 def json_schema(kind: Literal["scenario", "campaign"]) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a scenario or campaign file.
 
-    A file that extends another may leave out any key, so it is held to the types alone; a file that stands on its
-    own must hold the required keys as well.
+    A file that extends another may omit any key, so that only types are checked; a file without ``extends`` must
+    contain the required keys as well.
     """
     model = _MODELS[kind]
     whole = model.model_json_schema(by_alias=True)
@@ -44,14 +44,14 @@ def json_schema(kind: Literal["scenario", "campaign"]) -> dict[str, Any]:
 
 
 def _as_part(node: Any) -> Any:
-    """Copy a schema without its required keys; what refers to a definition refers to that one's part."""
+    """Copy a schema without its required keys; references point to partial definitions."""
     if isinstance(node, list):
         return [_as_part(item) for item in node]
     if not isinstance(node, Mapping):
         return deepcopy(node)
     part = {key: _as_part(value) for key, value in node.items() if key not in {"required", "discriminator", "not"}}
     if isinstance(node.get("not"), Mapping):
-        # Keys that exclude each other are written as "not required together": that holds for a part too.
+        # Mutually exclusive keys are expressed as "not required together", which applies to partial files too.
         part["not"] = deepcopy(node["not"])
     if isinstance(part.get("$ref"), str):
         part["$ref"] += _PART

@@ -21,13 +21,13 @@ from ruamel.yaml.events import (
 )
 
 from scenarios.errors import BoresightError, one_line
-from scenarios.load.entry import Entry, Scalar
+from scenarios.load.entry import ConfigEntry, Scalar
 
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
 
-# What the parser raises beside its own: a version that it does not know ("%YAML 1.9") is an assertion of it, an escape
-# beyond Unicode ("\\U00110000") chr()'s own error.
+# Exceptions of the parser other than YAMLError: an unknown version ("%YAML 1.9") is an AssertionError, an escape beyond
+# Unicode ("\\U00110000") an error of chr().
 _FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 
 # The tag resolution of YAML 1.2's core schema, section 10.3.2.
@@ -41,19 +41,19 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = frozenset({".nan", ".NaN", ".NAN"})
 
 
-# Scenarios extend each other, so that a campaign reads the same text several times, and a list of campaigns many.
+# Scenarios extend each other, so that the same text is parsed many times.
 @lru_cache(maxsize=512)
-def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
-    """Parse one YAML document; the same text gives the same entries, which nobody changes.
+def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEntry:
+    """Parse one YAML document; results are cached and immutable.
 
     Parameters
     ----------
     text
         The document.
     source
-        Name of the file, for places and errors.
+        Name of the file, for locations and errors.
     place
-        One place for every value, in place of ``source:line``.
+        One location for all values, instead of ``source:line``.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
 
 
 def _events_of(text: str) -> Iterator[Any]:
-    """Parse a text, and let what else the parser raises for a wrong one be errors of YAML."""
+    """Yield the parser's events; convert its other exceptions to YAMLError."""
     try:
         yield from YAML(typ="safe", pure=True).parse(text)
     except _FAULTS as error:
@@ -84,7 +84,7 @@ def _invalid(place: str, what: object) -> BoresightError:
 
 
 def resolve_scalar(text: str) -> Scalar:
-    """Read a plain scalar by the core schema: null, bool, int, float or else a text."""
+    """Convert a plain scalar by the core schema: null, bool, int, float or text."""
     if text in _NULL:
         return None
     if text in _BOOL:
@@ -101,18 +101,18 @@ def resolve_scalar(text: str) -> Scalar:
 
 
 class _Builder:
-    """Builds entries from the parser's events; the alias of an anchor shares its entry."""
+    """Builder of entries from the parser's events; an alias shares the entry of its anchor."""
 
     def __init__(self, text: str, source: str, place: str | None) -> None:
         self._events = _events_of(text)
         self._source = source
         self._place = place
-        self._anchors: dict[str, tuple[Entry, int]] = {}
+        self._anchors: dict[str, tuple[ConfigEntry, int]] = {}
         self._values = 0
         self._depth = 0
 
-    def document(self) -> Entry:
-        root = Entry(None, self._place or f"{self._source}:1")
+    def document(self) -> ConfigEntry:
+        root = ConfigEntry(None, self._place or f"{self._source}:1")
         documents = 0
         for event in self._events:
             if isinstance(event, DocumentStartEvent):
@@ -124,7 +124,7 @@ class _Builder:
                 break
         return root
 
-    def _build(self, event: Any, place: str) -> Entry:
+    def _build(self, event: Any, place: str) -> ConfigEntry:
         if isinstance(event, AliasEvent):
             return self._alias(event, place)
         if event.tag is not None and str(event.tag) != "!":
@@ -142,7 +142,7 @@ class _Builder:
         else:
             value = self._scalar(event)
         self._depth -= 1
-        entry = Entry(value, place)
+        entry = ConfigEntry(value, place)
         if event.anchor:
             self._anchors[str(event.anchor)] = (entry, self._values - before)
         return entry
@@ -153,8 +153,8 @@ class _Builder:
             raise self._error(event, "half of a surrogate pair is no character: write the character itself")
         return resolve_scalar(text) if event.implicit[0] and event.style is None else text
 
-    def _mapping(self) -> dict[str, Entry]:
-        section: dict[str, Entry] = {}
+    def _mapping(self) -> dict[str, ConfigEntry]:
+        section: dict[str, ConfigEntry] = {}
         while not isinstance(event := next(self._events), MappingEndEvent):
             if not isinstance(event, ScalarEvent):
                 raise self._error(event, "a key must be a word")
@@ -165,18 +165,18 @@ class _Builder:
             section[key] = self._build(next(self._events), place)
         return section
 
-    def _sequence(self) -> tuple[Entry, ...]:
-        items: list[Entry] = []
+    def _sequence(self) -> tuple[ConfigEntry, ...]:
+        items: list[ConfigEntry] = []
         while not isinstance(event := next(self._events), SequenceEndEvent):
             items.append(self._build(event, self._at(event)))
         return tuple(items)
 
-    def _alias(self, event: Any, place: str) -> Entry:
+    def _alias(self, event: Any, place: str) -> ConfigEntry:
         if event.anchor not in self._anchors:
             raise self._error(event, f"the alias *{event.anchor} has no anchor before it")
         entry, size = self._anchors[event.anchor]
         self._count(event, size)
-        return Entry(entry.value, place)
+        return ConfigEntry(entry.value, place)
 
     def _count(self, event: Any, values: int) -> None:
         self._values += values

@@ -1,1 +1,1 @@
-"""An orbit about a small body, as navigation by craters sees it: gravity, light, rotation, motion and measurements."""
+"""Simulation of orbit determination about a small body: true orbit, crater sightings, radiometry and a priori data."""

@@ -1,8 +1,8 @@
-"""What orbit determination sees: images of numbered landmarks, their a priori places, radiometric records, knowledge.
+"""Input of orbit determination: landmark sightings, a priori landmark positions, radiometry and a priori knowledge.
 
-Times are seconds after the epoch. Inertial axes have their origin in the body's centre of mass and do not turn; body
-axes have the same origin and turn about their z axis. What comes out of a crater data base (its picture-sequence and
-landmark files) and what a simulation draws is handed over in the same form.
+Times are seconds after the epoch. Inertial axes have their origin in the body's centre of mass; body axes have the same
+origin and rotate about their z axis. Simulated data and the picture-sequence and landmark files of a crater data base
+have the same form.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """The picture-sequence file: when each image was taken, where the camera pointed and which landmarks it shows.
+    """Picture-sequence file: times, attitudes and landmark sightings of images.
 
     Parameters
     ----------
     times_s
         (I,) of the exposures, ascending.
     R_cam_inertial
-        (I, 3, 3) attitude as the star tracker and the camera's nominal mounting tell it.
+        (I, 3, 3) attitude by the star tracker and the camera's nominal mounting.
     image, landmark
-        (K,) of each sighting: row of ``times_s``, and number of the landmark. No number twice in an image.
+        (K,) of each sighting: row of ``times_s``, and number of the landmark, unique in an image.
     uv_px
-        (K, 2) where it was seen: column and row.
+        (K, 2) measured column and row.
     """
 
     times_s: FloatArray
@@ -65,7 +65,7 @@ class Pictures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkFile:
-    """The landmark-location file: each number once, with its a priori position.
+    """Landmark-location file: each number once, with its a priori position.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class LandmarkFile:
     positions_body_m
         (L, 3).
     sigma_m
-        (L,) standard deviation of each coordinate; what is infinite is free.
+        (L,) standard deviation of each coordinate; infinite for no constraint.
     """
 
     numbers: IndexArray
@@ -99,7 +99,7 @@ class LandmarkFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Radiometry:
-    """Range and Doppler along a fixed direction; either may be missing (NaN) at a time.
+    """Range and Doppler along a fixed direction; either may be NaN (missing).
 
     Parameters
     ----------
@@ -108,9 +108,9 @@ class Radiometry:
     times_s
         (N,) ascending.
     range_m
-        (N,) distance from the station less that of the body's centre, with a bias that is the same in all.
+        (N,) distance from the station minus that of the body's centre, with a common bias.
     range_rate_m_s
-        (N,) likewise of the velocity, without a bias.
+        (N,) time derivative of that distance, without bias.
     range_sigma_m, range_rate_sigma_m_s, range_bias_sigma_m
         Standard deviations of the noise and of the bias.
     """
@@ -138,33 +138,33 @@ class Radiometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """What is known before, and how well; standard deviations are of one coordinate.
+    """A priori knowledge and its standard deviations, which are of one coordinate.
 
     Parameters
     ----------
     camera
-        A pinhole, as it is known.
+        A priori pinhole camera.
     field
-        Forces as they are known.
+        A priori force model.
     state
         (6,) position, m, and velocity, m/s, at the epoch, inertial axes.
     position_sigma_m, velocity_sigma_m_s
-        Of the state.
+        Errors of the state.
     noise_px
-        Of a sighting's coordinate.
+        Noise of a sighting's coordinate.
     attitude_sigma_rad
-        Of each image's attitude about each camera axis.
+        Error of each image's attitude about each camera axis.
     misalignment_sigma_rad
-        Of the camera's mounting, the same in all images.
+        Misalignment of the camera, constant for all images.
     focal_sigma
-        Of the focal length, relative; 0 where it is certain.
+        Relative error of the focal length; 0 if exact.
     gm_sigma, light_sigma
-        Of GM and of the size of sunlight, relative.
+        Relative errors of GM and of the solar radiation pressure.
     coefficient_sigma
-        Of each normalised gravity coefficient of a degree that is estimated.
+        Error of each estimated normalised gravity coefficient.
     noise_m_s2, noise_time_s
-        Of what accelerates and is not modelled: standard deviation of a coordinate, and the time over which it changes
-        (its autocorrelation falls to 1 / e); 0 where there is nothing.
+        Unmodelled acceleration: standard deviation of a coordinate (0 if there is none), and correlation time (decay of
+        the autocorrelation to 1 / e).
     """
 
     camera: Camera
@@ -191,16 +191,16 @@ class Knowledge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitData:
-    """All that orbit determination sees.
+    """All input of an orbit determination.
 
     Parameters
     ----------
     knowledge, pictures, landmarks
-        As above; every number in ``pictures`` has a line in ``landmarks``.
+        See their classes; every number in ``pictures`` occurs in ``landmarks``.
     radiometry
-        None where there is none.
+        None without radiometric data.
     wanted_s
-        (E,) times at which the orbit is asked for, ascending and from 0 on; later than the last image for a prediction.
+        (E,) requested times of the orbit, ascending from 0; times after the last image are predictions.
     """
 
     knowledge: Knowledge

@@ -1,4 +1,4 @@
-"""Draws a trial of orbit determination: the true motion, what is measured, and what is known before."""
+"""Simulate a trial of orbit determination: true orbit, sightings, radiometry and a priori knowledge."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
-from scenarios.dynamics.flight import travelled
-from scenarios.dynamics.propagation import OrbitLostError, Pushes
+from scenarios.dynamics.field import UniformRotation
+from scenarios.dynamics.harmonics import Harmonics
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_states
 from scenarios.geometry import Camera
-from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures
-from scenarios.orbits.flown import DAY_S, Flown, fly
-from scenarios.orbits.known import draw_knowledge, draw_radiometry
-from scenarios.orbits.pointing import PointingErrors
-from scenarios.orbits.sightings import found_craters, lit_and_seen, merged_numbers, mistaken
+from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
+from scenarios.orbits.imaging import PointingErrors
+from scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
+from scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
@@ -23,9 +25,68 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
+def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:
+    """Draw the a priori knowledge with its errors; ``state`` (6,) is the true one at the epoch."""
+    rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
+    rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
+    ways = rng.normal(size=(2, 3))
+    ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)
+    error = np.concatenate([ways[0], rate * ways[1]])
+    gm, light = 1.0 + known.gm_sigma * rng.normal(), 1.0 + known.light_sigma * rng.normal()
+    believed = world.onboard.harmonics
+    harmonics = Harmonics(believed.gm_m3_s2 * gm, believed.radius_m, believed.c, believed.s)
+    return Knowledge(
+        camera=world.camera,
+        field=world.field(harmonics, light, _believed_rotation(world, rng)),
+        state=state + error,
+        position_sigma_m=known.position_m / np.sqrt(3.0),
+        velocity_sigma_m_s=float(rate * known.position_m / np.sqrt(3.0)),
+        noise_px=spec.sightings.noise_px,
+        attitude_sigma_rad=1e-6 * spec.pointing.attitude_urad,
+        misalignment_sigma_rad=1e-6 * spec.pointing.misalignment_urad,
+        focal_sigma=spec.pointing.focal_error,
+        gm_sigma=known.gm_sigma,
+        light_sigma=known.light_sigma,
+        coefficient_sigma=world.coefficient_sigma,
+        noise_m_s2=spec.light.noise_share * float(np.linalg.norm(world.light_m_s2)),
+        noise_time_s=spec.light.noise_days * DAY_S,
+    )
+
+
+def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRotation:
+    """Draw the onboard spin model, with errors of pole and rate that are not in the a priori covariance.
+
+    The phase at the epoch has no error: it is equivalent to a common shift of the landmarks' longitudes.
+    """
+    known, true = world.spec.knowledge, world.rotation
+    if not known.pole_sigma_deg and not known.spin_sigma:
+        return true
+    across_rad = np.radians(known.pole_sigma_deg) * rng.normal(size=2)
+    longer = 1.0 + known.spin_sigma * rng.normal()
+    tilt = Rotation.from_rotvec([*across_rad, 0.0]).as_matrix()
+    return UniformRotation(tilt @ true.R_body_inertial, longer * true.rate_rad_s)
+
+
+def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> Radiometry | None:
+    """Simulate range and Doppler along the true orbit; None if the scenario has no radiometric data."""
+    spec = world.spec.radiometry
+    if spec is None:
+        return None
+    rng = generator(seed, Stream.ORBIT_RADIOMETRY, trial)
+    earth = np.array(world.spec.light.earth_dir) / np.linalg.norm(world.spec.light.earth_dir)
+    n = len(flown.radio_s)
+    bias = spec.range_bias_sigma_m * rng.normal()
+    # A displacement towards the Earth shortens the range.
+    ranges = -flown.radio_states[:, :3] @ earth + bias + spec.range_sigma_m * rng.normal(size=n)
+    rates = -flown.radio_states[:, 3:] @ earth + spec.range_rate_sigma_m_s * rng.normal(size=n)
+    return Radiometry(
+        earth, flown.radio_s, ranges, rates, spec.range_sigma_m, spec.range_rate_sigma_m_s, spec.range_bias_sigma_m
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitTruth:
-    """What only the score sees.
+    """True values of a trial, for scoring only.
 
     Parameters
     ----------
@@ -34,9 +95,9 @@ class OrbitTruth:
     image_states
         (I, 6) at the images.
     crater
-        (K,) of each sighting: the crater that it is of.
+        (K,) true crater of each sighting.
     wrong
-        (K,) sightings that carry the number of another crater, merged ones aside.
+        (K,) whether a sighting has the number of another crater, except for merged numbers.
     points_body_m
         (n, 3) of all craters.
     gm_m3_s2, light_m_s2
@@ -62,7 +123,7 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     """
     arc, images = world.spec.arc.days * DAY_S, world.spec.sightings.images
     times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, arc, images))
-    flown = fly(world, times, seed, trial)
+    flown = propagate_truth(world, times, seed, trial)
     pointing = _Pointing.of(world, flown, seed, trial)
     knowledge = draw_knowledge(world, flown.wanted_states[0], seed, trial)
     pictures, crater, wrong = _pictures(world, flown, pointing, seed, trial)
@@ -82,7 +143,7 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pointing:
-    """Where the camera looked, as reported and in truth, and with what focal length."""
+    """Reported and true attitudes of the images, the true camera, and the visible craters of each image."""
 
     reported: FloatArray
     true: FloatArray
@@ -90,8 +151,8 @@ class _Pointing:
     rows: tuple[IndexArray, ...]
 
     @classmethod
-    def of(cls, world: OrbitWorld, flown: Flown, seed: int, trial: int) -> _Pointing:
-        """Point each image at a crater that is lit and seen, drawn at random, and at the origin where none is."""
+    def of(cls, world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> _Pointing:
+        """Point each image at a random lit and visible crater, or at the origin if there is none."""
         rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
         errors = PointingErrors.draw(world, images, rng)
         aims = rng.uniform(size=images)
@@ -101,13 +162,13 @@ class _Pointing:
         for i, state in enumerate(flown.image_states):
             seen = lit_and_seen(horizons, turns[i] @ state[:3], turns[i] @ sun, world.spec.sightings)
             target = turns[i].T @ horizons.points_m[seen[int(aims[i] * len(seen))]] if len(seen) else np.zeros(3)
-            reported[i] = _looking(state, target)
+            reported[i] = _pointed_at(state, target)
             rows.append(seen)
         return cls(reported, errors.R_true_reported @ reported, errors.camera, tuple(rows))
 
 
-def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
-    """R_cam_inertial of a camera that looks at a target, its x axis along the velocity as far as that goes."""
+def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
+    """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
     forward = target_m - state[:3]
     forward = forward / np.linalg.norm(forward)
     right = state[3:] - (state[3:] @ forward) * forward
@@ -116,9 +177,9 @@ def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
 
 
 def _pictures(
-    world: OrbitWorld, flown: Flown, pointing: _Pointing, seed: int, trial: int
+    world: OrbitWorld, flown: TrueOrbit, pointing: _Pointing, seed: int, trial: int
 ) -> tuple[Pictures, IndexArray, BoolArray]:
-    """Find craters in the images and number them: also the true crater of each sighting, and which are wrong."""
+    """Simulate the numbered sightings; also return the true crater of each, and which numbers are wrong."""
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
     numbers = merged_numbers(asteroid.horizons.points_m, spec.merged_share, rng)
     turns = world.rotation.at(flown.times_s)
@@ -128,8 +189,8 @@ def _pictures(
         uv = pointing.camera.project(inertial @ pointing.true[i].T)
         inside = world.camera.contains(uv, spec.margin_px)
         rows, uv = rows[inside], uv[inside]
-        chosen = found_craters(rows, asteroid.prominence, spec, rng)
-        reported, wrong = mistaken(numbers[rows], chosen, uv, spec, rng)
+        chosen = draw_found_craters(rows, asteroid.prominence, spec, rng)
+        reported, wrong = misidentify(numbers[rows], chosen, uv, spec, rng)
         seen = uv[chosen] + spec.noise_px * rng.normal(size=(len(chosen), 2))
         _, first = np.unique(reported, return_index=True)
         once = np.sort(first)
@@ -140,19 +201,19 @@ def _pictures(
 
 
 def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> LandmarkFile:
-    """Place each number where the line of sight of its first image meets the a priori shape, by the a priori orbit."""
+    """Compute a priori positions: first lines of sight by the a priori orbit, intersected with the a priori shape."""
     numbers, first = np.unique(pictures.landmark, return_index=True)
     image = pictures.image[first]
     used, place = np.unique(image, return_inverse=True)
     times = pictures.times_s[used]
     try:
-        states = travelled(knowledge.field, knowledge.state, times, Pushes.none(float(times[-1])))
+        states = propagate_states(knowledge.field, knowledge.state, times, PiecewiseAcceleration.none(float(times[-1])))
     except OrbitLostError:
         states = np.tile(knowledge.state, (len(times), 1))
     turns = knowledge.field.rotation.at(times)
     rays = knowledge.camera.unproject(pictures.uv_px[first])
     rays = np.einsum("nij,nkj,nk->ni", turns[place], pictures.R_cam_inertial[image], rays)
     origins = np.einsum("nij,nj->ni", turns[place], states[place, :3])
-    points = world.believed.shape.intersect(origins, rays)
-    sigma = float(np.hypot(world.believed.shape.rms_m, world.spec.knowledge.position_m))
+    points = world.onboard.shape.intersect(origins, rays)
+    sigma = float(np.hypot(world.onboard.shape.rms_m, world.spec.knowledge.position_m))
     return LandmarkFile(numbers, points, np.full(len(numbers), sigma))

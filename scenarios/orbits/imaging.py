@@ -1,30 +1,61 @@
-"""Planned images as they are taken: from the true orbit, with a camera that is not quite as it is reported."""
+"""True views of planned images: true orbit, pointing errors, misalignment and focal length error."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
-from scenarios.geometry import Pose, View
-from scenarios.orbits.flown import DAY_S, Flown
-from scenarios.orbits.pointing import PointingErrors
+from scenarios.geometry import Camera, Pose, View
+from scenarios.orbits.true_orbit import DAY_S, TrueOrbit
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ImagingSpec
 
 FloatArray = NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PointingErrors:
+    """Pointing and camera errors of a trial's images.
+
+    Parameters
+    ----------
+    R_true_reported
+        (I, 3, 3) rotation from the reported to the true camera axes.
+    camera
+        The true camera.
+    """
+
+    R_true_reported: FloatArray
+    camera: Camera
+
+    @classmethod
+    def draw(cls, world: OrbitWorld, images: int, rng: np.random.Generator) -> PointingErrors:
+        """Draw one misalignment and one focal length, and an attitude error for each image."""
+        spec, known = world.spec.pointing, world.camera
+        mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
+        shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
+        focal = 1.0 + spec.focal_error * rng.normal()
+        turns = Rotation.from_rotvec(shake).as_matrix() @ Rotation.from_rotvec(mounting).as_matrix()
+        camera = Camera(
+            known.width_px, known.height_px, known.fx_px * focal, known.fy_px * focal, known.cx_px, known.cy_px
+        )
+        return cls(turns, camera)
+
+
 def imaging_of(world: OrbitWorld) -> ImagingSpec:
-    """Return the section of a world whose images are planned and taken."""
+    """Return the ``imaging`` section; raise `BoresightError` if it is missing."""
     if world.spec.imaging is None:
         raise BoresightError("orbit.imaging: missing, so there are no images to take")
     return world.spec.imaging
 
 
 def epochs_s(world: OrbitWorld) -> FloatArray:
-    """(I,) times at which an image can be taken: even steps over the arc, each in the middle of its part."""
+    """(I,) possible image times: centres of equal intervals of the arc."""
     count = imaging_of(world).epochs
     return (np.arange(count) + 0.5) / count * world.spec.arc.days * DAY_S
 
@@ -36,13 +67,15 @@ def sun_dir_inertial(world: OrbitWorld) -> FloatArray:
 
 
 def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> FloatArray:
-    """(I, 3) rotation vectors, camera axes, from the planned pointing to the one that telemetry reports."""
+    """(I, 3) rotation vectors, rad, camera axes, from the planned to the reported pointing."""
     rng = generator(seed, Stream.ORBIT_CONTROL, trial)
     return 1e-6 * imaging_of(world).control_urad * rng.normal(size=(images, 3))
 
 
-def true_views(world: OrbitWorld, flown: Flown, R_cam_inertial: FloatArray, seed: int, trial: int) -> tuple[View, ...]:
-    """Give the views of images whose attitude (I, 3, 3) telemetry reports, in the axes that the shape came with."""
+def true_views(
+    world: OrbitWorld, flown: TrueOrbit, R_cam_inertial: FloatArray, seed: int, trial: int
+) -> tuple[View, ...]:
+    """Return the true views of images with reported attitudes (I, 3, 3), in the axes of the shape model."""
     errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
     sun, turns = sun_dir_inertial(world), world.rotation.at(flown.times_s)
     attitudes = errors.R_true_reported @ R_cam_inertial

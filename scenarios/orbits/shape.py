@@ -1,4 +1,4 @@
-"""A shape as spherical harmonics of its radius: the a priori shape of Cheng et al. (2003), of degree 2 to 34."""
+"""Star-shaped body as spherical harmonics of its radius: the a priori shape of Cheng et al. (2003), degree 2 to 34."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from scenarios.dynamics.harmonics import normalisation
-from scenarios.dynamics.solid import solid_harmonics
+from scenarios.dynamics.harmonics import normalisation, solid_harmonics
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 
@@ -22,28 +21,28 @@ _BISECTIONS = 30
 
 @dataclass(frozen=True, eq=False)
 class StarShape:
-    """A surface with one radius in each direction, kept in a table over latitude and longitude.
+    """A surface with one radius in each direction, tabulated over latitude and longitude.
 
     Parameters
     ----------
     radii_m
-        (91, 181) at every second degree: latitudes from -90 on, longitudes from 0 to 360.
+        (91, 181) at steps of 2 deg: latitudes from -90 to 90, longitudes from 0 to 360.
     rms_m
-        Deviation of the radii from those that it was fitted to.
+        RMS deviation of the fit.
     """
 
     radii_m: FloatArray
     rms_m: float
 
     def radius(self, directions: FloatArray) -> FloatArray:
-        """(...,) m in directions (..., 3) of any length."""
+        """(...,) radius, m, in directions (..., 3) of any length."""
         x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64), -1, 0)
         latitude = (np.degrees(np.arctan2(z, np.hypot(x, y))) + 90.0) / _STEP_DEG
         longitude = np.degrees(np.arctan2(y, x)) % 360.0 / _STEP_DEG
         return np.asarray(map_coordinates(self.radii_m, [latitude, longitude], order=1, mode="nearest"))
 
     def intersect(self, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
-        """(n, 3) where rays (n, 3) first meet the shape; where one misses it, the surface below its nearest point."""
+        """(n, 3) first intersections of rays (n, 3); for misses, the surface point below the ray's nearest point."""
         reach = float(self.radii_m.max())
         middle = -np.einsum("ni,ni->n", origins_m, directions)
         near, far = np.maximum(middle - reach, 0.0), middle + reach
@@ -70,7 +69,7 @@ class StarShape:
         return _lattice_mesh(self.radii_m)
 
 
-def fitted(mesh: TriangleMesh, degree: int) -> StarShape:
+def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
     """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin.
 
     Raises
@@ -115,7 +114,7 @@ def _directions(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
 
 
 def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
-    """(V,) a third of the solid angle of each facet that meets at a vertex; nothing where a facet looks inward."""
+    """(V,) sum of a third of the solid angles of the adjacent facets; facets that face inward count as zero."""
     middles = mesh.corners_m.mean(axis=1)
     angles = np.einsum("fi,fi->f", middles, mesh.area_vectors_m2) / np.linalg.norm(middles, axis=1) ** 3
     found = np.zeros(vertices)
@@ -124,7 +123,7 @@ def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
 
 
 def _lattice_mesh(radii: FloatArray) -> TriangleMesh:
-    """Join rows of latitude, the first and the last each in one point."""
+    """Make a closed mesh of the table; the first and last rows become one vertex each."""
     latitudes, longitudes = _lattice()
     rows, columns = len(latitudes), len(longitudes) - 1
     unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])

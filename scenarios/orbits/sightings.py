@@ -1,22 +1,95 @@
-"""Which craters an image shows, where, and under which number."""
+"""Simulated crater sightings: visibility by local horizons, detection, and wrong or merged numbers."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.orbits.horizon import Horizons
+from scenarios.geometry import TriangleMesh, plane_axes
 from scenarios.spec.orbit import CraterSightingSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+_BINS = 72
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Horizons:
+    """Local horizons of surface points: elevation of the surrounding terrain by azimuth.
+
+    A line to a distant camera or to the Sun is unobstructed if it is above the horizon.
+
+    Parameters
+    ----------
+    points_m, normals
+        (n, 3) points and outward unit normals.
+    first, second
+        (n, 3) tangent unit vectors: azimuth 0 and 90 deg.
+    tangents
+        (n, bins) tangent of the horizon's elevation at the azimuths (k + 1/2) 360 deg / bins.
+    """
+
+    points_m: FloatArray
+    normals: FloatArray
+    first: FloatArray
+    second: FloatArray
+    tangents: FloatArray
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, points_m: FloatArray, normals: FloatArray) -> Horizons:
+        """Compute the horizons from the vertices, facet centres and edge midpoints of a mesh."""
+        first, second = plane_axes(normals)
+        corners = mesh.corners_m
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])
+        spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
+        tangents = np.zeros((len(points_m), _BINS))
+        for start in range(0, len(points_m), _AT_ONCE):
+            for i in range(start, min(start + _AT_ONCE, len(points_m))):
+                tangents[i] = _horizon_tangents(
+                    ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing
+                )
+        return cls(points_m, normals, first, second, tangents)
+
+    def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:
+        """(k,) whether lines from the points ``rows`` in directions (k, 3) are unobstructed."""
+        x = np.einsum("ki,ki->k", self.first[rows], towards)
+        y = np.einsum("ki,ki->k", self.second[rows], towards)
+        z = np.einsum("ki,ki->k", self.normals[rows], towards)
+        place = np.arctan2(y, x) / (2.0 * np.pi) * _BINS - 0.5
+        low = np.floor(place).astype(np.int64)
+        share = place - low
+        edge = (1.0 - share) * self.tangents[rows, low % _BINS] + share * self.tangents[rows, (low + 1) % _BINS]
+        above: BoolArray = z > edge * np.hypot(x, y)
+        return above
+
+
+def _horizon_tangents(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
+    """(bins,) tangents of the horizon; terrain nearer than two point spacings is ignored."""
+    up = offsets @ axes[2]
+    offsets, up = offsets[up > 0.0], up[up > 0.0]
+    x, y = offsets @ axes[0], offsets @ axes[1]
+    away = np.hypot(x, y)
+    kept = away > 2.0 * spacing
+    x, y, up, away = x[kept], y[kept], up[kept], away[kept]
+    azimuth = np.arctan2(y, x) / (2.0 * np.pi) * _BINS
+    half = 0.5 * spacing / away / (2.0 * np.pi) * _BINS
+    found = np.zeros(_BINS)
+    slope = up / away
+    for offset in (-1.0, 0.0, 1.0):
+        np.maximum.at(found, np.floor(azimuth + offset * half).astype(np.int64) % _BINS, slope)
+    return found
+
 
 def lit_and_seen(
     horizons: Horizons, camera_position_m: FloatArray, sun_dir: FloatArray, spec: CraterSightingSpec
 ) -> IndexArray:
-    """Rows of the craters within the limits of emission and incidence that nothing hides or shades; body axes."""
+    """Return the indices of the visible, sunlit craters within the limits of emission and incidence; body axes."""
     towards = camera_position_m - horizons.points_m
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     emission = np.einsum("ni,ni->n", horizons.normals, towards)
@@ -28,10 +101,10 @@ def lit_and_seen(
     return rows[horizons.free(rows, np.broadcast_to(sun_dir, (len(rows), 3)))]
 
 
-def found_craters(
+def draw_found_craters(
     rows: IndexArray, prominence: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> IndexArray:
-    """Draw which of the craters in view are found: places in ``rows``, in ascending order."""
+    """Draw which of the craters in view are detected: positions in ``rows``, ascending."""
     mean = spec.per_image * rng.gamma(spec.per_image_shape) / spec.per_image_shape
     count = min(int(rng.poisson(mean)), len(rows))
     if not count:
@@ -41,7 +114,7 @@ def found_craters(
 
 
 def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator) -> IndexArray:
-    """(n,) number of each crater: its own, but for a share of them that carry the number of their neighbour as well."""
+    """(n,) number of each crater; a share of the craters have the number of their nearest neighbour."""
     numbers = np.arange(len(points_m))
     free = np.ones(len(points_m), dtype=bool)
     wanted = round(share * len(points_m))
@@ -59,19 +132,20 @@ def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator)
     return numbers
 
 
-def mistaken(
+def misidentify(
     numbers: IndexArray, chosen: IndexArray, uv_px: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> tuple[IndexArray, BoolArray]:
-    """Numbers under which found craters are reported, and which of them are wrong.
+    """Return the reported numbers of detected craters, and which of them are wrong.
 
     Parameters
     ----------
     numbers
-        (n,) right numbers of the craters in view.
+        (n,) correct numbers of the craters in view.
     chosen
-        (k,) those of them that were found.
+        (k,) indices of the detected ones.
     uv_px
-        (n, 2) of all of them: a wrong number is that of another crater in view, the nearer the likelier.
+        (n, 2) pixels of all of them; a wrong number is that of another crater in view, weighted by a Gaussian of the
+        distance.
     """
     wrong = rng.uniform(size=len(chosen)) < spec.wrong_share
     reported = numbers[chosen].copy()

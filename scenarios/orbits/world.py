@@ -1,4 +1,4 @@
-"""A scenario's orbit section made real: body, craters, forces and what is believed of them, the same for all trials."""
+"""Objects common to all trials of an orbit scenario: body, craters, forces and onboard models."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.harmonics import Harmonics, homogeneous
+from scenarios.dynamics.field import HarmonicField, UniformRotation
+from scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics
 from scenarios.dynamics.propagation import SUNLIGHT_N_M2
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.horizon import Horizons
-from scenarios.orbits.rotation import UniformRotation
-from scenarios.orbits.shape import StarShape, fitted
+from scenarios.orbits.shape import StarShape, fit_star_shape
+from scenarios.orbits.sightings import Horizons
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
 
@@ -26,20 +25,20 @@ _PROMINENCE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Asteroid:
-    """The true body about its centre of mass, with its craters.
+    """The true body, centred on its centre of mass, with its craters.
 
     Parameters
     ----------
     mesh
-        Its shape; the origin is the centre of mass at one density.
+        Its shape; the origin is the centre of mass for constant density.
     centre_m
-        (3,) where the centre of mass lies in the axes that the shape came with.
+        (3,) centre of mass in the axes of the shape model.
     harmonics
-        Of that density, to the scenario's degree.
+        Gravity for constant density, to the scenario's degree.
     points_m, normals
         (n, 3) centres of the craters and outward unit normals there.
     prominence
-        (n,) weight of each crater when some of those in view are found.
+        (n,) relative detection weight of each crater.
     """
 
     mesh: TriangleMesh
@@ -51,7 +50,7 @@ class Asteroid:
 
     @classmethod
     def of(cls, mesh: TriangleMesh, spec: OrbitSpec, seed: int) -> Asteroid:
-        """Centre a shape and lay craters on it."""
+        """Centre a shape and draw its craters."""
         centre = centre_of_mass(mesh)
         centred = TriangleMesh(mesh.vertices_m - centre, mesh.faces)
         harmonics = shape_gravity(centred, spec)
@@ -62,75 +61,75 @@ class Asteroid:
 
     @cached_property
     def horizons(self) -> Horizons:
-        """What stands about the craters' centres."""
+        """Local horizons of the craters' centres."""
         return Horizons.of(self.mesh, self.points_m, self.normals)
 
 
 @dataclass(frozen=True, eq=False)
-class BelievedShape:
-    """The a priori shape, and the gravity that it has at one density."""
+class OnboardShape:
+    """The a priori shape, and its gravity for constant density."""
 
     shape: StarShape
     harmonics: Harmonics
 
     @classmethod
-    def of(cls, asteroid: Asteroid, spec: OrbitSpec, degree: int) -> BelievedShape:
-        """Fit the shape to the true one, as harmonics of its radius to a degree."""
-        shape = fitted(asteroid.mesh, degree)
+    def of(cls, asteroid: Asteroid, spec: OrbitSpec, degree: int) -> OnboardShape:
+        """Fit spherical harmonics of the radius to the true shape, up to a degree."""
+        shape = fit_star_shape(asteroid.mesh, degree)
         return cls(shape, shape_gravity(shape.mesh(), spec))
 
 
 @dataclass(frozen=True, eq=False)
 class OrbitWorld:
-    """All that the trials of a scenario share."""
+    """Camera, true body and onboard model of a scenario, the same in all trials."""
 
     spec: OrbitSpec
     camera: Camera
     asteroid: Asteroid
-    believed: BelievedShape
+    onboard: OnboardShape
 
     @property
     def rotation(self) -> UniformRotation:
-        """How the body turns in truth."""
+        """True rotation of the body."""
         return UniformRotation(np.eye(3), 2.0 * np.pi / (3600.0 * self.spec.asteroid.rotation_h))
 
     @property
     def light_m_s2(self) -> FloatArray:
-        """(3,) nominal solar pressure."""
+        """(3,) nominal acceleration by solar radiation pressure, m/s2, inertial axes."""
         return solar_pressure(self.spec.light)
 
     @property
     def coefficient_sigma(self) -> float:
-        """Of the believed gravity coefficients: anomalies, and the error of the shape, half its share of the radius."""
-        of_shape = 0.5 * self.believed.shape.rms_m / self.believed.harmonics.radius_m
+        """A priori sigma of gravity coefficients: anomalies, and half the relative RMS error of the shape."""
+        of_shape = 0.5 * self.onboard.shape.rms_m / self.onboard.harmonics.radius_m
         return float(np.hypot(self.spec.asteroid.anomaly_sigma, of_shape))
 
     def field(
         self, harmonics: Harmonics, light_factor: float = 1.0, rotation: UniformRotation | None = None
     ) -> HarmonicField:
-        """Return the forces with these harmonics, of a body that turns as in truth or as it is believed to."""
+        """Return the force field of these harmonics, with the true rotation or a given one."""
         return HarmonicField(harmonics, rotation or self.rotation, self.light_m_s2 * light_factor)
 
 
 def centre_of_mass(mesh: TriangleMesh) -> FloatArray:
-    """(3,) centre of the volume of a closed mesh: the centre of mass at one density."""
+    """(3,) centroid of a closed mesh: the centre of mass for constant density."""
     corners = mesh.corners_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     return np.asarray(np.einsum("f,fi->i", volumes, corners.sum(axis=1)) / 4.0 / volumes.sum())
 
 
 def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
-    """Return the harmonics of a shape of one density; the origin is the centre of mass, whatever the shape says."""
+    """Return the harmonics of a homogeneous shape; degree 1 is set to zero (origin at the centre of mass)."""
     asteroid = spec.asteroid
     radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
-    found = homogeneous(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
+    found = homogeneous_harmonics(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
     c, s = found.c.copy(), found.s.copy()
     c[1], s[1] = 0.0, 0.0
     return Harmonics(found.gm_m3_s2, found.radius_m, c, s)
 
 
 def solar_pressure(light: SunEarthSpec) -> FloatArray:
-    """(3,) acceleration of a ball by sunlight, m/s2, away from the Sun (cannonball model)."""
+    """(3,) acceleration by solar radiation pressure, m/s2, away from the Sun (cannonball model)."""
     sun = np.array(light.sun_dir) / np.linalg.norm(light.sun_dir)
     size = SUNLIGHT_N_M2 * light.reflectivity * light.area_to_mass_m2_kg / light.sun_distance_au**2
     return np.asarray(-size * sun, dtype=np.float64)

@@ -1,23 +1,23 @@
-"""Sequences: an orbit, the ground below it, and what a vision layer tracks of it."""
+"""Simulated image sequences: camera trajectory, landmark surface, tracks and onboard knowledge."""
 
 from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.sequences.draw import SequenceTruth, draw_sequence
-from scenarios.sequences.ground import Ground, MeshGround, SphereGround
-from scenarios.sequences.knowledge import Sighting, known_sequence, measured_ranges
-from scenarios.sequences.path import Path, travel, undisturbed, unmodelled
+from scenarios.sequences.ground import LandmarkGround, MeshGround, SphereGround
+from scenarios.sequences.onboard import FrameTracks, measured_ranges, onboard_sequence
+from scenarios.sequences.trajectory import CameraTrajectory, camera_trajectory, draw_unmodelled_m_s2, nominal_trajectory
 
 __all__ = [
-    "Ground",
+    "CameraTrajectory",
+    "FrameTracks",
+    "LandmarkGround",
     "MeshGround",
     "OrbitLostError",
-    "Path",
     "SequenceTruth",
-    "Sighting",
     "SphereGround",
+    "camera_trajectory",
     "draw_sequence",
-    "known_sequence",
+    "draw_unmodelled_m_s2",
     "measured_ranges",
-    "travel",
-    "undisturbed",
-    "unmodelled",
+    "nominal_trajectory",
+    "onboard_sequence",
 ]

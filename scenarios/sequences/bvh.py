@@ -1,4 +1,4 @@
-"""What stands between a point and a camera: a tree of boxes about the facets of a mesh."""
+"""Bounding volume hierarchy of a mesh for occlusion tests and ray intersection."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PAIRS_AT_ONCE = 1 << 18
 class FacetTree:
     """A bounding volume hierarchy, complete and binary: the children of node i are 2 i + 1 and 2 i + 2.
 
-    All rays go down together, a level at a time, as pairs of a ray and a box that it meets.
+    All rays are traversed together, level by level, as pairs of a ray and a box that it intersects.
 
     Parameters
     ----------
     corners_m
-        (L, K, 3, 3) facets of each leaf; places that are left over repeat a facet.
+        (L, K, 3, 3) facets of each leaf, padded by repetition.
     low_m, high_m
         (2 L - 1, 3) corners of the boxes, those of the leaves last.
     """
@@ -38,7 +38,7 @@ class FacetTree:
 
     @classmethod
     def of(cls, mesh: TriangleMesh) -> FacetTree:
-        """Halve the facets at the median of their middles, along the longest side, until few are left."""
+        """Build the tree by median splits of the facet centres along the longest side."""
         corners = mesh.corners_m
         levels = max(0, int(np.ceil(np.log2(len(corners) / _LEAF_FACETS))))
         groups = _halved(corners.mean(axis=1), levels)
@@ -50,9 +50,9 @@ class FacetTree:
         return cls(leaves, np.concatenate(low), np.concatenate(high))
 
     def hidden(self, points_m: FloatArray, origin_m: FloatArray) -> BoolArray:
-        """(n,): whether a facet stands on the line from ``origin_m``, (3,), to each point, (n, 3).
+        """(n,) whether a facet obstructs the line from ``origin_m``, (3,), to each point, (n, 3).
 
-        The point itself, met at the end of its line but for rounding, does not count.
+        The facet of the point itself, at the end of the line within rounding, does not count.
         """
         rays = points_m - origin_m
         hidden = np.zeros(len(rays), dtype=bool)
@@ -62,12 +62,13 @@ class FacetTree:
         return hidden
 
     def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Find where (n, 3) rays from (n, 3) origins first meet a facet.
+        """Find the first intersections of (n, 3) rays from (n, 3) origins.
 
         Returns
         -------
         tuple
-            (n,) in lengths of the ray, infinite where it meets nothing, and (n, 3, 3) corners of the facet, NaN there.
+            (n,) distances in lengths of the ray, infinite for misses, and (n, 3, 3) corners of the facets, NaN for
+            misses.
         """
         share = max(1, _PAIRS_AT_ONCE // 256)
         nearest, corners = np.full(len(rays_m), np.inf), np.full((len(rays_m), 3, 3), np.nan)
@@ -96,7 +97,7 @@ class FacetTree:
         return nearest, corners
 
     def _leaves(self, rays: FloatArray, origins: FloatArray, end: float) -> tuple[IndexArray, IndexArray]:
-        """Pair rays, (P,), with the leaves, (P,), whose boxes they meet before ``end`` lengths."""
+        """Return pairs of rays, (P,), and leaves, (P,), whose boxes they intersect before ``end`` lengths."""
         with np.errstate(divide="ignore"):
             inverse = 1.0 / rays
         ray = np.arange(len(rays), dtype=np.int64)
@@ -111,7 +112,7 @@ class FacetTree:
         return ray, node - first_leaf
 
     def _meets(self, node: IndexArray, origin: FloatArray, inverse: FloatArray, end: float) -> BoolArray:
-        """(P,): whether each ray meets its box before its end (slabs; Kay and Kajiya 1986)."""
+        """(P,) whether each ray intersects its box before its end (slab method, Kay and Kajiya 1986)."""
         with np.errstate(invalid="ignore"):
             one, other = (self.low_m[node] - origin) * inverse, (self.high_m[node] - origin) * inverse
         enter = np.fmin(one, other).max(axis=1)
@@ -121,7 +122,7 @@ class FacetTree:
 
 
 def _halved(middles: FloatArray, levels: int) -> IndexArray:
-    """(2^levels, K) indices of the middles in each group; where groups differ by one, a facet stands twice."""
+    """(2^levels, K) indices of the centres in each group; smaller groups repeat a facet."""
     groups = [np.arange(len(middles))]
     for _ in range(levels):
         halves = []
@@ -135,9 +136,9 @@ def _halved(middles: FloatArray, levels: int) -> IndexArray:
 
 
 def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> FloatArray:
-    """(P,): where each ray crosses its facet, (P, 3, 3), in lengths of the ray; NaN where it passes by.
+    """(P,) intersection of each ray with its facet, (P, 3, 3), in lengths of the ray; NaN for misses.
 
-    After Moeller and Trumbore (1997). A point on the facet itself is met at 1 but for rounding.
+    After Moeller and Trumbore (1997). A ray that ends on the facet gives 1 within rounding.
     """
     edge1, edge2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
     p, q = np.cross(rays, edge2), np.cross(offset, edge1)

@@ -1,4 +1,4 @@
-"""A trial of a sequence: the truth, and what the spacecraft measures of it."""
+"""Simulate a trial of a sequence: the truth, and the measured tracks."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
 from scenarios.geometry import Camera, Pose
-from scenarios.sequences.ground import Ground
-from scenarios.sequences.knowledge import Sighting, known_sequence
-from scenarios.sequences.lives import Lives, live, recognise
-from scenarios.sequences.orbit import anomalies_deg
-from scenarios.sequences.path import Path, travel, undisturbed, unmodelled
-from scenarios.sequences.sightline import Sightline
+from scenarios.sequences.ground import LandmarkGround
+from scenarios.sequences.onboard import FrameTracks, onboard_sequence
+from scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
+from scenarios.sequences.trajectory import (
+    CameraTrajectory,
+    anomalies_deg,
+    camera_trajectory,
+    draw_unmodelled_m_s2,
+    nominal_trajectory,
+)
+from scenarios.sequences.visibility import Visibility
 from scenarios.spec.sequence import SequenceSpec, VisionSpec
 from scenarios.tracks import TrackSequence
 
@@ -26,19 +31,19 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceTruth:
-    """What is true of a sequence; it never reaches an estimator.
+    """True values of a sequence, for scoring only.
 
     Parameters
     ----------
     poses
         T_cam_body of each frame.
     anomaly_deg
-        (F,) anomaly gone through since the first frame.
+        (F,) anomaly since the first frame.
     points_m
         (T, 3) landmark of each track, body frame.
     wrong
-        For each frame, (n,) which of its tracks were seen at a wrong place.
-    path
+        For each frame, (n,) which of its tracks are outliers.
+    trajectory
         Motion of camera and body in inertial space.
     gm_m3_s2
         Gravity parameter.
@@ -48,75 +53,77 @@ class SequenceTruth:
     anomaly_deg: FloatArray
     points_m: FloatArray
     wrong: tuple[BoolArray, ...]
-    path: Path
+    trajectory: CameraTrajectory
     gm_m3_s2: float
 
 
 def draw_sequence(
-    spec: SequenceSpec, camera: Camera, ground: Ground, seed: int, trial: int
+    spec: SequenceSpec, camera: Camera, ground: LandmarkGround, seed: int, trial: int
 ) -> tuple[SequenceTruth, TrackSequence]:
     """Draw the truth of a trial and the measured sequence, from streams by address.
 
-    Landmarks, noise, motion errors and wrong matches have streams of their own, so that what is changed of one of
-    them leaves the others as they were.
+    Landmarks, noise, motion errors and wrong matches have separate streams, so that a change of one leaves the
+    draws of the others unchanged.
     """
-    path = _path(spec, ground, seed, trial)
-    sightline = Sightline(ground, spec.vision.lit_only)
+    trajectory = _path(spec, ground, seed, trial)
+    visibility = Visibility(ground, spec.vision.lit_only)
     field_rng = generator(seed, Stream.TRACK_FIELD, trial)
-    lives = live(spec.vision, sightline, path.views(camera), _population(spec, camera, ground), field_rng)
-    seen = _see(lives, path.poses, camera, spec.vision, seed, trial)
+    simulated = simulate_tracks(
+        spec.vision, visibility, trajectory.views(camera), _population(spec, camera, ground), field_rng
+    )
+    seen = _measure_tracks(simulated, trajectory.poses, camera, spec.vision, seed, trial)
     truth = SequenceTruth(
-        path.poses,
+        trajectory.poses,
         anomalies_deg(spec.orbit),
-        lives.points_m,
+        simulated.points_m,
         tuple(wrong for _, wrong in seen),
-        path,
+        trajectory,
         spec.orbit.gm_m3_s2,
     )
-    return truth, known_sequence(spec, camera, path, [sighting for sighting, _ in seen], (seed, trial))
+    return truth, onboard_sequence(spec, camera, trajectory, [sighting for sighting, _ in seen], (seed, trial))
 
 
-def _path(spec: SequenceSpec, ground: Ground, seed: int, trial: int) -> Path:
-    """Move along the orbit; one that chance has no part in is worked out once for all trials."""
+def _path(spec: SequenceSpec, ground: LandmarkGround, seed: int, trial: int) -> CameraTrajectory:
+    """Return the trajectory; one without random acceleration is computed once for all trials."""
     if spec.orbit.forces.noise_m_s2:
-        return travel(spec, ground, unmodelled(spec.orbit, seed, trial))
+        return camera_trajectory(spec, ground, draw_unmodelled_m_s2(spec.orbit, seed, trial))
     return _undisturbed(spec, ground)
 
 
 @lru_cache(maxsize=8)
-def _undisturbed(spec: SequenceSpec, ground: Ground) -> Path:
-    return undisturbed(spec, ground)
+def _undisturbed(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:
+    return nominal_trajectory(spec, ground)
 
 
 @lru_cache(maxsize=8)
-def _population(spec: SequenceSpec, camera: Camera, ground: Ground) -> float:
-    """Work out how many tracks the whole ground must have for N in a frame on average, by the undisturbed orbit."""
-    share = Sightline(ground, spec.vision.lit_only).share(_undisturbed(spec, ground).views(camera))
+def _population(spec: SequenceSpec, camera: Camera, ground: LandmarkGround) -> float:
+    """Return the number of tracks on the whole surface for N in a frame on average, on the nominal orbit."""
+    share = Visibility(ground, spec.vision.lit_only).share(_undisturbed(spec, ground).views(camera))
     return spec.vision.landmarks_per_frame / share
 
 
-def _see(
-    lives: Lives, poses: Sequence[Pose], camera: Camera, vision: VisionSpec, seed: int, trial: int
-) -> list[tuple[Sighting, BoolArray]]:
-    """Measure the tracks of each frame, and tell, (n,), which of them are at a wrong place."""
+def _measure_tracks(
+    simulated: SimulatedTracks, poses: Sequence[Pose], camera: Camera, vision: VisionSpec, seed: int, trial: int
+) -> list[tuple[FrameTracks, BoolArray]]:
+    """Simulate the measurements of each frame; also return, (n,), which tracks are outliers."""
     noise_rng, wrong_rng = generator(seed, Stream.TRACK_NOISE, trial), generator(seed, Stream.MISMATCH, trial)
     seen = []
-    older = np.empty(0, dtype=np.int64)
-    again = recognise(lives, vision, generator(seed, Stream.REVISIT, trial))
-    for tracks, pose, pairs in zip(lives.seen, poses, again, strict=True):
-        points = lives.points_m[tracks]
+    previous = np.empty(0, dtype=np.int64)
+    again = recognise_landmarks(simulated, vision, generator(seed, Stream.REVISIT, trial))
+    for tracks, pose, pairs in zip(simulated.seen, poses, again, strict=True):
+        points = simulated.points_m[tracks]
         uv = camera.project(pose.transform(points))
-        placed, wrong = _misplace(uv, np.isin(tracks, older), camera, vision, wrong_rng)
+        placed, wrong = _displace_outliers(uv, np.isin(tracks, previous), camera, vision, wrong_rng)
         noisy = placed + vision.noise_px * noise_rng.normal(size=uv.shape)
-        seen.append((Sighting(tracks, noisy, points, pairs), wrong))
-        older = tracks
+        seen.append((FrameTracks(tracks, noisy, points, pairs), wrong))
+        previous = tracks
     return seen
 
 
-def _misplace(
+def _displace_outliers(
     uv_px: FloatArray, tracked: BoolArray, camera: Camera, vision: VisionSpec, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
-    """Put some of the tracked points to the nearest other point or anywhere in the image; new ones are right."""
+    """Move some tracked points to the nearest other point or anywhere in the image; new tracks are not changed."""
     luck, anywhere = rng.uniform(size=len(uv_px)), rng.uniform(size=uv_px.shape) * [camera.width_px, camera.height_px]
     mismatched = tracked & (luck < vision.mismatch_share) & (len(uv_px) > 1)
     outlying = tracked & ~mismatched & (luck > 1.0 - vision.outlier_share)

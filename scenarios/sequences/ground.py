@@ -1,4 +1,4 @@
-"""The ground that landmarks lie on: points uniform over its area, and which of them a camera has in sight."""
+"""Surfaces on which landmarks lie: sampling uniform over the area, and occlusion."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _LATTICE = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
 _GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
 
 
-class Ground(Protocol):
-    """A surface that landmarks lie on; it never changes, so that what costs much of it can be kept."""
+class LandmarkGround(Protocol):
+    """Surface on which landmarks lie; immutable and hashable, so that results can be cached."""
 
     def __hash__(self) -> int:
-        """Tell grounds apart."""
+        """Hash, for caches."""
         ...
 
     @property
@@ -37,17 +37,17 @@ class Ground(Protocol):
         ...
 
     def spread(self, n: int) -> tuple[FloatArray, FloatArray]:
-        """Place n points evenly over the area, always the same, and their outward normals."""
+        """Return n points, evenly and deterministically distributed over the area, and their outward normals."""
         ...
 
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
-        """(n,): points with nothing between them and the camera, whatever its field of view."""
+        """(n,) whether points are not occluded, regardless of the field of view."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class SphereGround:
-    """A sphere about the origin: a point is in sight up to the limb."""
+    """A sphere about the origin; points are visible up to the limb."""
 
     radius_m: float
 
@@ -71,13 +71,13 @@ class SphereGround:
         return self.radius_m * normals, normals
 
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
-        """Tell whether the tangent plane of each point has the camera above it."""
-        return faces(points_m, normals, camera_position_m)
+        """(n,) whether the camera is above the tangent plane of each point."""
+        return faces_camera(points_m, normals, camera_position_m)
 
 
 @dataclass(frozen=True, eq=False)
 class MeshGround:
-    """A closed mesh; the ground between hides what lies behind."""
+    """A closed mesh with occlusion by its facets."""
 
     mesh: TriangleMesh
 
@@ -105,7 +105,7 @@ class MeshGround:
         return float(self._cumulated_areas[-1])
 
     def _at(self, areas_m2: FloatArray, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Take (n,) cumulated areas and (2, n) places in the unit square to points on facets, and their normals."""
+        """Map (n,) cumulated areas and (2, n) points of the unit square to points on facets, with their normals."""
         total = self._cumulated_areas
         facet = np.minimum(np.searchsorted(total, areas_m2, side="right"), len(total) - 1)
         u, v = uv
@@ -119,14 +119,14 @@ class MeshGround:
         return FacetTree.of(self.mesh)
 
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
-        """Tell whether a point faces the camera and no facet stands on the line of sight."""
-        seen = faces(points_m, normals, camera_position_m)
+        """(n,) whether points face the camera and no facet obstructs the line of sight."""
+        seen = faces_camera(points_m, normals, camera_position_m)
         rows = np.flatnonzero(seen)
         seen[rows] = ~self._tree.hidden(points_m[rows], camera_position_m)
         return seen
 
     def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays meet the body; NaN where they miss it."""
+        """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays hit the body; NaN for misses."""
         along, corners = self._tree.first_met(origin_body_m, directions_body)
         area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         met = np.where(np.isfinite(along), along, np.nan)
@@ -134,7 +134,7 @@ class MeshGround:
         return points, area / np.linalg.norm(area, axis=1, keepdims=True)
 
 
-def faces(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
-    """(n,): points whose outward normal points towards the camera."""
+def faces_camera(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
+    """(n,) whether the camera is on the outer side of each point's tangent plane."""
     towards: BoolArray = np.einsum("ni,ni->n", normals, camera_position_m - points_m) > 0.0
     return towards

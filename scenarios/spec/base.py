@@ -1,7 +1,9 @@
-"""The base of every model of the schema."""
+"""Base class of the schema's models, their canonical JSON form and its digest."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping
 from itertools import combinations
@@ -11,14 +13,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, model_val
 
 
 def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Tell the JSON Schema which keys exclude each other."""
+    """Add mutually exclusive keys to the JSON Schema."""
     groups = model.alternatives if issubclass(model, SpecModel) else ()
     if groups:
         schema["allOf"] = [{"not": {"required": list(pair)}} for keys in groups for pair in combinations(keys, 2)]
 
 
 def _finite(value: object) -> object:
-    """Refuse NaN and infinities anywhere in a plain value: no canonical form has them."""
+    """Raise ValueError for NaN or infinity anywhere in a plain value; canonical JSON cannot represent them."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{value} is not a finite number")
     for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ():
@@ -27,20 +29,20 @@ def _finite(value: object) -> object:
 
 
 PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
-"""Whatever a file may hold where the schema leaves it open, but for numbers that are not finite."""
+"""Any JSON value with finite numbers, for keys whose type the schema leaves open."""
 
 
 def is_none(value: object) -> bool:
-    """Tell a key that is not given, for keys that digests leave out then: what lacks them is the same as ever."""
+    """Return whether a key is not given; with ``exclude_if`` it then does not change the digest."""
     return value is None
 
 
 class SpecModel(BaseModel):
-    """Frozen; unknown keys and non-finite numbers are refused.
+    """Base of all models: frozen; unknown keys and non-finite numbers are errors.
 
-    A model names in ``alternatives`` the groups of keys of which exactly one is given. Where one file builds
-    on another, a key of such a group takes the place of the others (see ``scenarios.load.merge``).
-    ``prose`` names the keys that no result depends on, ``own`` those that a file never takes from another.
+    ``alternatives`` are groups of keys of which exactly one must be given. If a file extends another, a key of such a
+    group replaces the others (see ``scenarios.load.merge``). ``prose`` are keys that results do not depend on, ``own``
+    those that a file does not inherit.
     """
 
     model_config = ConfigDict(
@@ -64,3 +66,27 @@ class SpecModel(BaseModel):
             if len(given) > 1:
                 raise ValueError(f"give either {' or '.join(keys)}, not both")
         return self
+
+
+def canonical_json(spec: SpecModel) -> str:
+    """Return the whole specification, defaults filled in, as JSON with sorted keys."""
+    return _dump(spec.model_dump(mode="json", by_alias=True))
+
+
+def digest(spec: SpecModel) -> str:
+    """Return the SHA-256 of the canonical form without names and descriptions, which results do not depend on."""
+    text = _dump(_without_texts(spec))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _dump(value: object) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def _without_texts(spec: SpecModel) -> dict[str, object]:
+    kept: dict[str, object] = spec.model_dump(mode="json", by_alias=True, exclude=set(spec.prose))
+    for key in type(spec).model_fields:
+        value = getattr(spec, key)
+        if isinstance(value, SpecModel) and key in kept:
+            kept[key] = _without_texts(value)
+    return kept

@@ -1,4 +1,4 @@
-"""Body section: a shape and the detail that is added to it."""
+"""Body section: shape, surface detail and height errors."""
 
 from __future__ import annotations
 
@@ -55,23 +55,23 @@ class RoughnessSpec(SpecModel):
 
 
 class AlbedoSpec(SpecModel):
-    """Spatial variation of the albedo as a factor 1 + field, clipped to 0.2 to 2."""
+    """Spatial variation of the albedo: factor 1 + field, clipped to 0.2 to 2."""
 
     sigma: float = Field(ge=0, le=1, description="RMS of the relative variation")
     wavelength_m: float = Field(40.0, gt=0, description="Longest scale of the variation")
 
 
 class RedrawnSpec(SpecModel):
-    """Small relief as somebody has it who has not seen it: of the same kind and sizes, at other places."""
+    """Unknown small-scale relief: features of the same statistics at other places."""
 
     below_m: float = Field(
         gt=0, description="Boulders, craters and wavelengths of the roughness below this are redrawn"
     )
-    seed: int = Field(ge=0, description="Where they are drawn from; the seed of the detail itself changes nothing")
+    seed: int = Field(ge=0, description="Seed of these features, instead of the seed of the detail")
 
 
 class DetailSpec(SpecModel):
-    """Subdivides a coarse shape and adds relief; the same seed gives the same body."""
+    """Subdivision of a coarse shape with added relief; the same seed gives the same body."""
 
     facets: int = Field(ge=4, le=13_000_000, description="At least this many facets, and less than four times as many")
     seed: int = Field(0, ge=0)
@@ -79,12 +79,12 @@ class DetailSpec(SpecModel):
     craters: CraterSpec | None = None
     roughness: RoughnessSpec | None = None
     albedo: AlbedoSpec | None = None
-    # Left out of digests where it is not given: a body without it is the same as ever.
+    # Excluded from digests if not given: keeps the digests of bodies without it.
     redrawn: RedrawnSpec | None = Field(None, exclude_if=is_none, description="Small relief from another seed")
 
 
 class HeightErrorSpec(SpecModel):
-    """A random error of the heights: a fractal field along the normals, as stereo and shape-from-shading leave it."""
+    """Random height error: a fractal field along the normals, typical of stereo and shape-from-shading models."""
 
     rms_m: float = Field(ge=0, description="RMS of the error")
     max_wavelength_m: float = Field(30.0, gt=0, description="Longest scale of the error")
@@ -114,9 +114,9 @@ class BodySpec(SpecModel):
         None,
         ge=20,
         le=1_000_000,
-        # Left out of digests where it is not given: a body without it is the same as ever.
+        # Excluded from digests if not given: keeps the digests of bodies without it.
         exclude_if=is_none,
-        description="At least so many even facets are laid over the shape before the detail, which slivers would fold",
+        description="Resample the shape to at least so many facets of similar size before the detail is added",
     )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")

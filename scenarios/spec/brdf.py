@@ -1,4 +1,4 @@
-"""Reflectance models by name, with the parameters of their sources."""
+"""Reflectance section: BRDF models with the parameters of their sources."""
 
 from __future__ import annotations
 

@@ -1,19 +1,31 @@
-"""Camera and rendering sections."""
+"""Camera, detector and rendering sections."""
 
 from __future__ import annotations
 
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from scenarios.geometry import Camera, RadialDistortion
 from scenarios.spec.base import SpecModel
 
-# Wide of any camera; they keep what is worked out from them finite.
+# Far beyond any camera; the bounds keep derived quantities finite.
 FocalLength = Annotated[float, Field(ge=1, le=1e9)]
 Coefficient = Annotated[float, Field(ge=-1e20, le=1e20)]
 ImagePosition = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+def _has_area(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = value
+    if not (left < right and top < bottom):
+        raise ValueError(f"[{left:g}, {top:g}, {right:g}, {bottom:g}] has no area: write [left, top, right, bottom]")
+    return value
+
+
+Rectangle = Annotated[tuple[NonNegative, NonNegative, NonNegative, NonNegative], AfterValidator(_has_area)]
 
 
 class DistortionSpec(SpecModel):
@@ -65,7 +77,7 @@ class CameraSpec(SpecModel):
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
 
     def _corner_radius(self) -> float:
-        """Return x / z and y / z of the farthest corner as one length."""
+        """Return the distance of the farthest corner from the principal point at unit focal length."""
         camera = self.camera()
         across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
         down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
@@ -73,7 +85,7 @@ class CameraSpec(SpecModel):
 
 
 class DetectorSpec(SpecModel):
-    """From radiance to digital numbers. Leave the section out for ideal, noise-free images.
+    """Conversion from radiance to digital numbers. Omit the section for ideal, noise-free images.
 
     The signal of a surface of radiance factor 1 (a white Lambertian plate facing the Sun) is
     ``white_e_per_s * exposure_s`` electrons a pixel.
@@ -100,7 +112,7 @@ class DetectorSpec(SpecModel):
 
 
 class RenderingSpec(SpecModel):
-    """How finely the scene is sampled."""
+    """Sampling of the rendered scene."""
 
     samples_per_pixel: int = Field(4, ge=1, le=64, description="A square number: a regular grid in each pixel")
 

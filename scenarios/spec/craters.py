@@ -1,18 +1,77 @@
-"""Craters section: a population whose every member is known, on a surface that is fine where a camera looks."""
+"""Crater sections: known populations on a cratered surface, and pairs of views with crater detections."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
+from scenarios.spec.base import SpecModel
 from scenarios.spec.body import RoughnessSpec, SizesSpec
+from scenarios.spec.distribution import Uniform
+
+
+class PlaneCratersSpec(SizesSpec):
+    """Plane rims on the shape, uniform over its area; cumulative number N(>D) ~ D**-exponent."""
+
+    count: int = Field(ge=1, le=100_000, description="On the whole body")
+    min_diameter_m: float = Field(230.0, gt=0, description="Smallest diameter")
+    max_diameter_m: float = Field(5000.0, gt=0, description="Largest diameter")
+    exponent: float = Field(1.8, gt=0, lt=10)
+    seed: int = Field(0, ge=0)
+
+
+class DetectionErrorSpec(SpecModel):
+    """Error model of a simulated detector; standard deviations."""
+
+    centre_px: float = Field(0.35, ge=0, description="Of a coordinate of a rim's centre")
+    centre_radii: float = Field(0.04, ge=0, description="Its part that grows with the radius, in radii")
+    axes_px: float = Field(0.0, ge=0, description="Of a semi-axis")
+    axes_ratio: float = Field(0.05, ge=0, description="Of the logarithm of a semi-axis")
+    recall: float = Field(0.8, gt=0, le=1, description="Probability that a visible crater is detected")
+    false_share: float = Field(0.05, ge=0, lt=1, description="Share of the detections that are no crater")
+    least_radius_px: float = Field(6.0, ge=0, description="Smaller ones are not detected")
+    height_m: float = Field(20.0, ge=0, description="Of a crater above the a priori shape")
+
+
+class RenderedLooksSpec(SpecModel):
+    """Rendered images of the scenario's craters for crater detectors."""
+
+    most_detections: int = Field(20, ge=1, description="Of an image by a detector, the most confident ones")
+
+
+class CraterPairsSpec(SpecModel):
+    """Two views of one place of the body from one range, each with the pose error of the scenario.
+
+    Either craters are drawn here and detected by geometry, or images of the scenario's ``craters`` are rendered and
+    each matcher gets the detections of the detector named in its options.
+    """
+
+    alternatives: ClassVar = (("craters", "images"),)
+
+    range_m: float = Field(gt=0, description="Distance of both cameras from the place")
+    view_deg: Uniform = Field(description="Between the directions to the two cameras")
+    sun_deg: Uniform = Field(description="Between the two directions of the Sun")
+    emission_deg: Uniform = Field(Uniform(uniform=(0.0, 35.0)), description="Of the first look at the place")
+    incidence_deg: Uniform = Field(Uniform(uniform=(25.0, 65.0)), description="At the place, first look")
+    aim_sigma_m: float = Field(1000.0, ge=0, description="Of where each camera points about the place, by coordinate")
+    craters: PlaneCratersSpec | None = Field(None, description="Plane rims, detected by geometry without any image")
+    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections by geometry")
+    images: RenderedLooksSpec | None = Field(None, description="Rendered looks, {} for the defaults")
+
+    @model_validator(mode="after")
+    def _angles(self) -> Self:
+        for key in ("view_deg", "sun_deg", "emission_deg", "incidence_deg"):
+            low, high = getattr(self, key).uniform
+            if low < 0.0 or high > 90.0:
+                raise ValueError(f"{key} {[low, high]} is not within [0, 90]")
+        return self
 
 
 class CratersSpec(SizesSpec):
     """Craters on a smoothed shape; their cumulative number follows N(>D) ~ D**-exponent, the same seed gives the same.
 
-    The defaults lie within what is known of Eros: depth over diameter 0.13 with a spread of 0.03 (Robinson et al. 2002,
+    The defaults are consistent with Eros: depth over diameter 0.13 with a spread of 0.03 (Robinson et al. 2002,
     Meteorit. Planet. Sci. 37, 1651), 0.2 for a fresh simple crater and a rim of 0.036 diameters (Pike 1977, Impact and
     Explosion Cratering, 489).
     """

@@ -1,4 +1,4 @@
-"""Random numbers as a scenario writes them: a uniform range or a normal law; equal bounds make a constant."""
+"""Distributions in scenario files: uniform or normal; equal bounds of a uniform one make a constant."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _check_order(low: float, high: float) -> None:
 
 
 def _law(value: object) -> str | None:
-    """Which law a value means: the key that it holds."""
+    """Return the kind of distribution of a value, by its key."""
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
     return next((law for law in ("normal", "uniform") if law in keys), None)
 

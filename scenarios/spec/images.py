@@ -1,4 +1,4 @@
-"""Image-set section: real images in place of rendered ones."""
+"""Image-set section: real images instead of rendered ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.rectangle import Rectangle
+from scenarios.spec.camera import Rectangle
 
 
 class SpiceSpec(SpecModel):
@@ -38,7 +38,7 @@ class SpiceSpec(SpecModel):
 
 
 class ImageSetSpec(SpecModel):
-    """Real images in place of rendered ones: posed by a table, or by SPICE kernels."""
+    """Real images instead of rendered ones, with poses from a table or from SPICE kernels."""
 
     prose: ClassVar = frozenset({"credit", "aligned"})
 

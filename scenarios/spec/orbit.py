@@ -1,4 +1,4 @@
-"""Orbit section: weeks of images of craters from an orbit about a small body, radiometric data, and what is known."""
+"""Orbit section: orbit determination by crater sightings and radiometry, with a priori knowledge."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.crater_pairs import DetectionErrorSpec, PlaneCratersSpec
+from scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 
 Vector = tuple[float, float, float]
 
 
 class ArcSpec(SpecModel):
-    """A Keplerian orbit at the epoch, and for how long it is followed; inertial axes are the body's at the epoch."""
+    """Keplerian orbit at the epoch, and length of the arc; inertial axes are the body axes at the epoch."""
 
     semi_major_axis_m: float = Field(200_000.0, gt=0, description="NEAR's of March 2000 in Cheng et al. (2003)")
     eccentricity: float = Field(0.02, ge=0, lt=1)
@@ -26,7 +26,7 @@ class ArcSpec(SpecModel):
 
 
 class AsteroidSpec(SpecModel):
-    """Gravity and rotation of the scenario's body; it turns about its z axis."""
+    """Gravity and rotation of the scenario's body, which rotates about its z axis."""
 
     gm_m3_s2: float = Field(4.463e5, gt=0, description="Gravity parameter; that of Eros")
     gravity_degree: int = Field(
@@ -42,7 +42,7 @@ class AsteroidSpec(SpecModel):
 
 
 class SunEarthSpec(SpecModel):
-    """Directions, the same for the whole arc, and solar radiation pressure on a ball without shadows."""
+    """Constant directions to Sun and Earth, and solar radiation pressure (cannonball model without shadow)."""
 
     sun_dir: Vector = Field((0.6, 0.0, 0.8), description="Towards the Sun, inertial axes")
     sun_distance_au: float = Field(1.75, gt=0)
@@ -63,7 +63,7 @@ class SunEarthSpec(SpecModel):
 
 
 class CraterSightingSpec(SpecModel):
-    """Images and the craters that detection and matching find in them: line and pixel with their errors."""
+    """Simulated crater sightings in images, with the errors of detection and matching."""
 
     images: int = Field(963, ge=2, le=5000, description="Spread at random over the arc; 963 in Cheng et al. (2003)")
     craters: int = Field(1600, ge=4, le=20_000, description="Craters on the whole body, uniform over its area")
@@ -83,7 +83,7 @@ class CraterSightingSpec(SpecModel):
 
 
 class PointingSpec(SpecModel):
-    """Errors of attitude and camera; each is drawn once a trial, that of the attitude for each image."""
+    """Errors of attitude and camera, drawn once per trial; attitude errors are drawn for each image."""
 
     attitude_urad: float = Field(100.0, gt=0, description="Of an image's attitude about each camera axis, 1 sigma")
     misalignment_urad: float = Field(200.0, ge=0, description="Of the camera's mounting about each axis, 1 sigma")
@@ -91,7 +91,7 @@ class PointingSpec(SpecModel):
 
 
 class RadiometrySpec(SpecModel):
-    """Range and Doppler from the Earth; light time and the station's own motion are taken as corrected."""
+    """Range and Doppler from the Earth, corrected for light time and the station's motion."""
 
     interval_h: float = Field(1.0, gt=0, description="Time between two records")
     range_sigma_m: float = Field(10.0, gt=0)
@@ -100,7 +100,7 @@ class RadiometrySpec(SpecModel):
 
 
 class OrbitKnowledgeSpec(SpecModel):
-    """What is known before the data; each error is drawn from its deviation once a trial."""
+    """Standard deviations of the a priori knowledge; errors are drawn once per trial."""
 
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
@@ -115,7 +115,7 @@ class OrbitKnowledgeSpec(SpecModel):
 
 
 class ImagingSpec(SpecModel):
-    """Planned images in which craters are detected and matched, in place of sightings that come with their numbers."""
+    """Planned images in which craters are detected and matched, instead of numbered sightings."""
 
     epochs: int = Field(
         240, ge=2, le=5000, description="At even steps over the arc; each has an image where ground is lit and in sight"
@@ -131,7 +131,7 @@ class ImagingSpec(SpecModel):
 
 
 class OrbitSpec(SpecModel):
-    """Orbit determination by craters: the world and what is known of it."""
+    """Orbit determination by craters: true world, measurements and a priori knowledge."""
 
     arc: ArcSpec = ArcSpec()
     asteroid: AsteroidSpec = AsteroidSpec()
@@ -142,7 +142,7 @@ class OrbitSpec(SpecModel):
     knowledge: OrbitKnowledgeSpec = OrbitKnowledgeSpec()
     imaging: ImagingSpec | None = Field(
         None,
-        # Left out of digests where it is not given: such a scenario is the same as ever.
+        # Excluded from digests if not given: keeps the digests of scenarios without it.
         exclude_if=lambda imaging: imaging is None,
         description="Images that are planned and taken, in place of sightings",
     )

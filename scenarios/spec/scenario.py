@@ -1,19 +1,18 @@
-"""The scenario: one world, one camera, one way of being wrong about the pose."""
+"""Scenario file: body, camera, views or orbit, pose errors, sensors and onboard model."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel, is_none
-from scenarios.spec.body import BodySpec
+from scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec
-from scenarios.spec.craters import CratersSpec
+from scenarios.spec.craters import CraterPairsSpec, CratersSpec
+from scenarios.spec.distribution import Scalar
 from scenarios.spec.images import ImageSetSpec
-from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.orbit import OrbitSpec
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -23,33 +22,62 @@ _ONBOARD_OF = {
     "orbit": frozenset[str](),
     "crater_pairs": frozenset({"body", "facets", "relief", "height_error"}),
 }
-"""Keys of ``onboard`` that estimators of such scenarios are lent; what else they know is said in those sections."""
+"""Keys of ``onboard`` that apply to such scenarios; their other a priori knowledge is set in those sections."""
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
+class OnboardSpec(SpecModel):
+    """Onboard model; parts that are left out are identical with the truth.
+
+    Data bases, shapes, renderings and the camera of estimators are made from it; only the image comes from the truth.
+    Random errors are drawn in each trial and are not included in the prior's covariance.
+    """
+
+    brdf: BrdfSpec | None = Field(None, description="Reflectance that the spacecraft believes in")
+    body: BodySpec | None = Field(None, description="Another shape altogether, in the same frame")
+    facets: int | None = Field(
+        None, ge=4, le=13_000_000, description="Resolution of the shape: facets of the body's detail stage"
+    )
+    relief: RedrawnSpec | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Small relief that nobody has seen: other boulders, craters and roughness",
+    )
+    height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
+    albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")
+    focal_error: float = Field(0.0, gt=-0.5, lt=0.5, description="Relative error of the focal length")
+    principal_point_error_px: tuple[float, float] = Field((0.0, 0.0), description="Error of the principal point")
+    distortion_error: float = Field(
+        0.0, ge=-2, le=2, description="Relative error of the lens's distortion; -1 knows of none"
+    )
+    sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
+    pole_error_deg: Scalar | None = Field(None, description="Tilt of the spin axis, about a random equatorial axis")
+    rotation_error_deg: Scalar | None = Field(None, description="Error of the rotation phase about the spin axis")
+
+
 class AltimeterSpec(SpecModel):
-    """A laser altimeter along the camera's boresight; its Gaussian error has no part in the prior's."""
+    """A laser altimeter along the camera's boresight; its Gaussian error is independent of the prior's."""
 
     sigma_m: float = Field(gt=0, description="Standard deviation of a range")
 
 
 class SensorsSpec(SpecModel):
-    """Sensors by name; those left out are not aboard."""
+    """Sensors by name; those left out are not on board."""
 
     altimeter: AltimeterSpec | None = Field(None, description="Measures the distance to the surface on the boresight")
 
     @property
     def aboard(self) -> frozenset[str]:
-        """Names of the sensors that are there."""
+        """Names of the sensors on board."""
         return frozenset(name for name in type(self).model_fields if getattr(self, name) is not None)
 
 
 class ScenarioSpec(SpecModel):
-    """What the YAML says. Its digest is part of every result's key.
+    """Content of a scenario file. Its digest is part of every result's key.
 
-    Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place,
-    ``crater_pairs`` have detections of craters, and an ``orbit`` has sightings of numbered ones.
+    Images are either rendered from a ``viewpoint`` or read from ``images``. Instead of images, a ``sequence`` gives
+    tracks, ``crater_pairs`` detections of craters, and an ``orbit`` sightings of numbered craters.
     """
 
     alternatives: ClassVar = (("viewpoint", "images", "sequence", "crater_pairs", "orbit"),)
@@ -61,7 +89,7 @@ class ScenarioSpec(SpecModel):
     body: BodySpec = BodySpec()
     craters: CratersSpec | None = Field(
         None,
-        # Left out of digests where it is not given: such a scenario is the same as ever.
+        # Excluded from digests if not given: keeps the digests of scenarios without it.
         exclude_if=lambda craters: craters is None,
         description="Craters that are all known, on a surface that is fine where the camera looks",
     )
@@ -76,7 +104,7 @@ class ScenarioSpec(SpecModel):
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
     orbit: OrbitSpec | None = Field(
         None,
-        # Left out of digests where it is not given: other scenarios are the same as ever.
+        # Excluded from digests if not given: keeps the digests of scenarios without it.
         exclude_if=is_none,
         description="Weeks of images of craters from an orbit, instead of viewpoint",
     )
@@ -120,7 +148,7 @@ class ScenarioSpec(SpecModel):
 
     @property
     def _kind(self) -> str:
-        """Which of the sections that exclude each other is there."""
+        """Name of the one given section of those that exclude each other."""
         return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
 
     @model_validator(mode="after")

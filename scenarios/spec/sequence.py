@@ -1,4 +1,4 @@
-"""Sequence section: an orbit, landmarks, and a vision layer that tracks them from frame to frame."""
+"""Sequence section: orbit, forces, body rotation, simulated or image-based tracks, and a priori knowledge."""
 
 from __future__ import annotations
 
@@ -7,17 +7,100 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
-from scenarios.spec.vision import ImageVisionSpec
 
 MOST_FRAMES = 1_000_000
 
 
-class OrbitSpec(SpecModel):
+class ForcesSpec(SpecModel):
+    """Forces on a spacecraft near a small body: equation (6) of Delpech et al. (2015)."""
+
+    gravity: Literal["point-mass", "polyhedral"] = Field(
+        "point-mass", description="Of a point at the origin, or of the scenario's body with one density throughout"
+    )
+    area_to_mass_m2_kg: float = Field(
+        0.0, ge=0, description="Of the spacecraft as a ball, for solar radiation pressure; 0 for none"
+    )
+    reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
+    sun_distance_au: float = Field(1.0, gt=0, description="0.746 to 1.099 for Apophis")
+    noise_m_s2: float = Field(
+        0.0, ge=0, description="Standard deviation of each coordinate of what is left, drawn anew between two frames"
+    )
+
+
+class BodyMotionSpec(SpecModel):
+    """Rotation of the body; body and inertial axes coincide at the first frame.
+
+    Tumbling is torque-free: the angular velocity starts like that of a spin and evolves by Euler's equations with the
+    inertia in body axes.
+    """
+
+    kind: Literal["none", "spin", "tumbling"] = "none"
+    period_h: float = Field(30.4, gt=0, description="Of the rotation at the first frame; 30.4 h for Apophis")
+    axis_body: tuple[float, float, float] = Field((0.0, 0.0, 1.0), description="Its direction, body axes")
+    inertia: tuple[float, float, float] = Field(
+        (0.61, 0.965, 1.0),
+        description="Principal moments about the body's x, y, z, in any unit; only tumbling depends on them",
+    )
+
+    @model_validator(mode="after")
+    def _is_a_rotation(self) -> Self:
+        if not any(self.axis_body):
+            raise ValueError("axis_body is zero: give the direction of the angular velocity")
+        if min(self.inertia) <= 0 or 2 * max(self.inertia) > sum(self.inertia):
+            raise ValueError(f"inertia {list(self.inertia)}: no moment may exceed the sum of the other two, or be zero")
+        if self.kind != "tumbling" and self.inertia != type(self).model_fields["inertia"].default:
+            raise ValueError("inertia has no part in a body that does not tumble: leave it out, or say kind: tumbling")
+        return self
+
+    @model_validator(mode="after")
+    def _tumbles(self) -> Self:
+        moments = [moment for moment, part in zip(self.inertia, self.axis_body, strict=True) if part]
+        if self.kind == "tumbling" and len(set(moments)) < 2:
+            raise ValueError("axis_body is a principal axis, about which no body tumbles: tilt it, or say kind: spin")
+        return self
+
+
+class ImageVisionSpec(SpecModel):
+    """Features of the scenario's rendered images, matched from frame to frame.
+
+    The body does not rotate, so that the images of one revolution are used for all. Trials begin at ``starts`` places
+    around the orbit with the same images; every ``starts`` trials the detector noise is drawn again.
+    """
+
+    starts: int = Field(6, ge=1, le=360, description="Places around the orbit where trials begin, evenly spaced")
+    detector: Literal["surf", "sift", "orb"] = Field("surf", description="What finds and describes features")
+    features: int = Field(3000, ge=8, le=20_000, description="Features of an image at most, the strongest first")
+    ratio_max: float = Field(
+        0.8, gt=0, le=1, description="Distance of a descriptor to the best over that to the second best, at most"
+    )
+    epipolar: Literal["fundamental", "known-attitude"] = Field(
+        "fundamental",
+        description="What RANSAC fits to the matches: the fundamental matrix, or the direction of motion alone",
+    )
+    epipolar_max_px: float = Field(2.0, gt=0, description="Distance of a match from its epipolar line at most")
+    carry: Literal["feature", "patch"] = Field(
+        "feature",
+        description="A track goes on where its feature is matched, or where its first patch is registered",
+    )
+    guided: bool = Field(
+        False,
+        description="Seek features where an estimator expects them; each estimator has its own tracks",
+    )
+    tracks: int = Field(30, ge=3, le=5000, description="Features tracked in each frame, the strongest first")
+    growth_max: float = Field(
+        1.08,
+        gt=1,
+        description="A track begins where areas grow or shrink by this factor at most from frame to frame",
+    )
+    spacing_px: float = Field(0.0, ge=0, description="Distance of a new track from all others at least")
+    sigma_px: float = Field(0.5, gt=0, description="Standard deviation of a coordinate that estimators are told")
+
+
+class SequenceOrbitSpec(SpecModel):
     """An orbit about the body's origin; the boresight stays on the origin and x along the velocity.
 
-    It is a circle, or begins as one and is propagated under ``forces``; then radius and anomaly are those of the circle
-    at the same time. The Sun stands along its normal, as over the terminator. Inertial axes are the body's axes at the
+    It is a circle, or starts as one and is propagated under ``forces``; then radius and anomaly are those of the circle
+    at the same time. The Sun is along the orbit's normal (terminator orbit). Inertial axes are the body's axes at the
     first frame.
     """
 
@@ -96,12 +179,12 @@ class VisionSpec(SpecModel):
         return self
 
     def survival(self, change_deg: float) -> float:
-        """Return the share of the visible tracks that live through a change of view: k^(change / step)."""
+        """Return the survival probability of a visible track over a change of view: k^(change / step)."""
         return float(self.repeatability ** (change_deg / self.repeatability_step_deg))
 
 
-class KnowledgeSpec(SpecModel):
-    """What the spacecraft knows beside its images, and how well."""
+class SequenceKnowledgeSpec(SpecModel):
+    """A priori knowledge in addition to the images, and its standard deviations."""
 
     motion_error: float = Field(
         0.5, ge=0, description="lambda: length of the error of a predicted displacement over the displacement's"
@@ -143,16 +226,16 @@ class KnowledgeSpec(SpecModel):
 
 
 class SequenceSpec(SpecModel):
-    """Frames along an orbit instead of single images."""
+    """An image sequence along an orbit, instead of single images."""
 
     sphere_radius_m: float | None = Field(
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
     )
-    orbit: OrbitSpec = OrbitSpec()
+    orbit: SequenceOrbitSpec = SequenceOrbitSpec()
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
-    knowledge: KnowledgeSpec = KnowledgeSpec()
+    knowledge: SequenceKnowledgeSpec = SequenceKnowledgeSpec()
 
     @model_validator(mode="after")
     def _orbit_clears_the_sphere(self) -> Self:
@@ -206,5 +289,5 @@ class SequenceSpec(SpecModel):
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of a coordinate that estimators are told."""
+        """Standard deviation of a coordinate as given to estimators."""
         return self.vision.noise_px if self.images is None else self.images.sigma_px

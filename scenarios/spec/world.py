@@ -7,8 +7,8 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
+from scenarios.spec.camera import Rectangle
 from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
-from scenarios.spec.rectangle import Rectangle
 
 
 def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:
@@ -17,7 +17,7 @@ def _check_within(key: str, bounds: tuple[float, float], low: float, high: float
 
 
 class ViewpointSpec(SpecModel):
-    """A random direction at a fixed range, boresight to the body's centre or to ground of some kind, random roll."""
+    """Random direction at a fixed range, boresight to the body's centre or to a target kind, random roll."""
 
     kind: Literal["random-direction"] = "random-direction"
     range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
@@ -32,7 +32,7 @@ class ViewpointSpec(SpecModel):
     )
     targets: tuple[Literal["nadir", "limb", "terminator"], ...] = Field(
         (),
-        # Left out of digests where it is not given: such views are the same as ever.
+        # Excluded from digests if not given: keeps the digests of views without it.
         exclude_if=lambda targets: not targets,
         description="Point at sunlit ground, each kind as often: below the camera, near the lit limb (emission 50 to 70"
         " deg) or near the terminator (incidence 55 to 75 deg); at the body's centre where none is given",
@@ -45,7 +45,7 @@ class ViewpointSpec(SpecModel):
 
 
 class LightingSpec(SpecModel):
-    """Direction of the Sun by the phase angle; its azimuth about the line of sight is uniform."""
+    """Direction to the Sun by the phase angle; its azimuth about the line of sight is uniform."""
 
     phase_deg: Uniform = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
     measure: Literal["solid-angle", "angle"] = Field(
@@ -69,10 +69,10 @@ class AttitudeErrorSpec(SpecModel):
 
 
 class PoseErrorSpec(SpecModel):
-    """How the true pose is degraded before an estimator sees it (Rowell et al. 2015, section 4.2).
+    """Error of the prior pose given to estimators (Rowell et al. 2015, section 4.2).
 
     The translation T of equation (4) is shifted in camera axes (x, y across the line of sight, z along it)
-    and the attitude is turned, independently.
+    and the attitude is rotated, independently.
     """
 
     alternatives: ClassVar = (("position_cam_m", "position_cam_px"),)

@@ -99,7 +99,7 @@ def unlike(old: dict[str, pd.DataFrame], new: dict[str, pd.DataFrame]) -> Iterat
         return
     for name, table in old.items():
         for column in (c for c in table.columns if c not in KEYS):
-            if table[column].isna().all() and column not in new.get(name, table):
+            if (table[column].isna() | (table[column] == "")).all() and column not in new.get(name, table):
                 yield f"{name}.{column}: was empty, is gone", False
                 continue
             where = [k for k, t in new.items() if column in t and same_trials(table, t)]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.peers.smoothers import Factors, graph_of, load_gtsam
-from estimators.slam.residuals import cost
-from estimators.slam.state import Adjustment, State
+from estimators.slam.gtsam_smoothers import Factors, load_gtsam
+from estimators.slam.normal import cost
+from estimators.slam.problem import Adjustment, State
 from scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +74,7 @@ def solved_by_ceres(problem: Adjustment, state: State) -> PeerSolution:
     The cost functions are C++ but for the distances, of which a window has one.
     """
     ceres, colmap, functions = load_ceres()
-    camera, seen, ranged = problem.camera, problem.sightings, problem.distances
+    camera, seen, ranged = problem.camera, problem.pixels, problem.distances
     began = time.process_time()
     turns = Rotation.from_matrix(problem.R_cam_body)
     poses = [np.concatenate([q, t]) for q, t in zip(turns.as_quat(), -turns.apply(state.positions_m), strict=True)]
@@ -128,3 +128,32 @@ def _distance(ceres: Any, position_m: FloatArray, range_m: float, sigma_m: float
             return True
 
     return Distance()
+
+
+def graph_of(problem: Adjustment, state: State) -> tuple[Any, Any]:
+    """Return the factor graph of an adjustment without a prior, and ``state`` as its values."""
+    factors = Factors(problem.camera)
+    graph, values = factors.gtsam.NonlinearFactorGraph(), factors.gtsam.Values()
+    for i, (R, position) in enumerate(zip(problem.R_cam_body, state.positions_m, strict=True)):
+        graph.add(factors.attitude(i, R))
+        values.insert(factors.view(i), factors.pose(R, position))
+        if not problem.free_views[i]:
+            graph.add(factors.place(i, position, np.zeros((3, 3))))
+    for j, point in enumerate(state.points_m):
+        values.insert(factors.point(j), point)
+    seen, ranged, moved = problem.pixels, problem.distances, problem.motions
+    for i, j, uv, sigma in zip(
+        seen.view.tolist(), seen.point.tolist(), seen.uv_px, seen.sigma_px.tolist(), strict=True
+    ):
+        graph.add(factors.pixel(i, j, uv, sigma))
+    for i, j, length, sigma in zip(*(part.tolist() for part in _columns(ranged)), strict=True):
+        graph.add(factors.distance(i, j, length, sigma))
+    for k in range(len(moved.start)):
+        ends = int(moved.start[k]), int(moved.end[k])
+        covariance = np.linalg.inv(moved.information[k])
+        graph.add(factors.motion(ends, problem.R_cam_body[list(ends)], moved.displacement_m[k], covariance))
+    return graph, values
+
+
+def _columns(ranged: Any) -> tuple[Any, ...]:
+    return ranged.view, ranged.point, ranged.range_m, ranged.sigma_m

@@ -12,7 +12,7 @@ from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
 from benchmarks.windows import COST_TOLERANCE, cycle_ratios, make_window, window_ratios
 from campaign.runs.benchmark import one_core
-from estimators.slam.levenberg import Solution, StoppingRule, minimise
+from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
 from scenarios.errors import BoresightError
 
 _FEW, _MANY = 25, 100
@@ -62,10 +62,10 @@ def kernel_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
     """
     problem, start = make_window(*_KERNEL_WINDOW, 0)
 
-    def compiled() -> Solution:
+    def compiled() -> AdjustmentSolution:
         return minimise(problem, start, StoppingRule(1e-4))
 
-    def reference() -> Solution:
+    def reference() -> AdjustmentSolution:
         return numpy_adjustment.minimise(problem, start, StoppingRule(1e-4))
 
     costs = compiled().cost, reference().cost

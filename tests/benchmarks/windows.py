@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers import PeerSolution, solved_by_ceres, solved_by_gtsam
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.problem import Adjustment, Distances, State
 from estimators.slam.registry import sequence_estimator_class
-from estimators.slam.state import Adjustment, Distances, State
+from estimators.slam.slam_map import SlamMap
+from estimators.slam.solver import StoppingRule, minimise
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.sequences import SequenceTruth, SphereGround, draw_sequence
@@ -105,9 +105,9 @@ def cycle_ratios(frames: int, tell: Callable[[str], None]) -> Iterator[CycleRati
 def make_window(landmarks: int, views: int, trial: int) -> tuple[Adjustment, State]:
     """Return a window of the world of Delpech et al. (2015) with its depth gauge, and a start that is off by metres."""
     truth, sequence = _draw(landmarks, views, trial)
-    journal, numbers = Journal(sequence.camera), list(range(views))
-    journal.frames = dict(enumerate(sequence.frames[:views]))
-    seen = journal.seen_by(numbers)
+    slam_map, numbers = SlamMap(sequence.camera), list(range(views))
+    slam_map.frames = dict(enumerate(sequence.frames[:views]))
+    seen = slam_map.seen_by(numbers)
     tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
     gauge = max((track for track in tracks if seen[track][0] == 0), key=lambda track: (len(seen[track]), -track))
     positions = np.array([pose.camera_position_m for pose in truth.poses[:views]])
@@ -121,8 +121,8 @@ def make_window(landmarks: int, views: int, trial: int) -> tuple[Adjustment, Sta
     none = np.zeros(1, dtype=np.int64)
     problem = Adjustment(
         camera=sequence.camera,
-        R_cam_body=journal.attitudes(numbers),
-        sightings=journal.sightings(numbers, tracks),
+        R_cam_body=slam_map.attitudes(numbers),
+        pixels=slam_map.pixels(numbers, tracks),
         free_views=free,
         free_points=np.ones(len(tracks), dtype=np.bool_),
         distances=Distances(none, np.array([tracks.index(gauge)]), np.array([length]), np.array([0.1])),

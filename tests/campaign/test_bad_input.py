@@ -117,7 +117,7 @@ def results(out: Path) -> set[str]:
 @pytest.mark.parametrize("fault", FILES)
 def test_a_wrong_file_or_argument(tmp_path, capsys, monkeypatch, fault):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
-    monkeypatch.setattr("scenarios.craters.size.installed_memory_bytes", lambda: 24 * 10**9)
+    monkeypatch.setattr("scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
     campaign, scene, arguments, expected = FILES[fault]
     file = write_campaign(tmp_path, campaign, scene)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.25)

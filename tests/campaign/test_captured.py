@@ -17,7 +17,7 @@ from tiny_campaign import boresight, files
 from tiny_sequences import SCENE
 
 from campaign.cli import main
-from campaign.pool.captured import MOST_CHARACTERS, Captured
+from campaign.pool.captured import MOST_CHARACTERS, CapturedOutput
 from campaign.pool.guard import Call
 from campaign.trial.work import Work
 
@@ -98,14 +98,14 @@ def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capfd):
 
 
 def test_a_silent_method_leaves_nothing():
-    captured = Captured()
+    captured = CapturedOutput()
     with captured.capturing():
         pass
     assert captured.records() == {}
 
 
 def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
-    captured, go, gone = Captured(), threading.Event(), threading.Event()
+    captured, go, gone = CapturedOutput(), threading.Event(), threading.Event()
 
     def bar():
         go.wait(10)
@@ -129,7 +129,7 @@ def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
 
 
 def test_what_passes_pythons_streams_by_is_captured_up_to_the_limit(capfd):
-    captured, log = Captured(), logging.getLogger("passes by")
+    captured, log = CapturedOutput(), logging.getLogger("passes by")
     handlers = [logging.StreamHandler(stream) for stream in (sys.stderr, sys.stdout)]
     for handler in handlers:
         log.addHandler(handler)
@@ -141,7 +141,7 @@ def test_what_passes_pythons_streams_by_is_captured_up_to_the_limit(capfd):
             log.error("log")
             handlers.append(logging.StreamHandler())
             log.addHandler(handlers[-1])
-        captured, first = Captured(), captured
+        captured, first = CapturedOutput(), captured
     log.error("after")
     for handler in handlers:
         log.removeHandler(handler)
@@ -160,7 +160,7 @@ def test_what_passes_pythons_streams_by_is_captured_up_to_the_limit(capfd):
 def test_other_threads_reach_the_terminal_while_the_descriptors_are_led_away(capfd, monkeypatch):
     with open(1, "w", closefd=False) as terminal:
         monkeypatch.setattr(sys, "stdout", terminal)
-        go, gone, captured = threading.Event(), threading.Event(), Captured()
+        go, gone, captured = threading.Event(), threading.Event(), CapturedOutput()
 
         def bar():
             go.wait(10)
@@ -180,7 +180,7 @@ def test_other_threads_reach_the_terminal_while_the_descriptors_are_led_away(cap
 
 
 def test_in_another_thread_descriptors_stay_and_logs_are_captured(capfd):
-    captured, log, handler = Captured(), logging.getLogger("of dask"), logging.StreamHandler(sys.stderr)
+    captured, log, handler = CapturedOutput(), logging.getLogger("of dask"), logging.StreamHandler(sys.stderr)
     log.addHandler(handler)
 
     def work():

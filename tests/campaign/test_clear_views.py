@@ -25,7 +25,7 @@ def sights(folder: Path, trials: int, rectangle: tuple[int, int, int, int] | Non
     text = SCENE if rectangle is None else SCENE.replace("2000}", f"2000, keep_clear_px: [{list(rectangle)}]}}")
     (folder / "scene.yaml").write_text(text)
     world = open_world(load_scenario(str(folder / "scene.yaml")), choose_variant().name)
-    return [world.source.sight(5, trial).image for trial in range(trials)]
+    return [world.source.trial_image(5, trial).image for trial in range(trials)]
 
 
 def test_the_body_stays_clear_and_clear_views_stay_as_they_were(tmp_path):

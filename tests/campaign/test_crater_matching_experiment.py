@@ -22,7 +22,7 @@ from estimators.craters.contract import CraterDetections, CraterImage, CraterMat
 from reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from reports.run.data import read_run
 from reports.schema.grid import value_of
-from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose, View
@@ -71,7 +71,7 @@ def _pair(first: list[int], second: list[int]) -> CraterPair:
     view = View(camera, pose, np.array([0.0, 0.0, -1.0]))
     rims = Ellipses(np.full((9, 2), 50.0), np.full((9, 2), 5.0), np.zeros(9))
     looks = [
-        CraterLook(view, LabelledDetections(rims[: len(crater)], np.array(crater)), frame) for crater in (first, second)
+        CraterView(view, LabelledDetections(rims[: len(crater)], np.array(crater)), frame) for crater in (first, second)
     ]
     return CraterPair(looks[0], looks[1], 3.0, 4.0)
 
@@ -88,7 +88,7 @@ def test_matches_are_counted_as_by_hand() -> None:
     }  # fmt: skip
 
 
-def _moved(look: CraterLook, x_m: float, centres_px: list[tuple[float, float]]) -> CraterLook:
+def _moved(look: CraterView, x_m: float, centres_px: list[tuple[float, float]]) -> CraterView:
     """The same look from a camera moved along its own x axis, with craters elsewhere."""
     rims = Ellipses(np.array(centres_px), np.full((len(centres_px), 2), 5.0), np.zeros(len(centres_px)))
     pose = Pose(np.eye(3), np.array([-x_m, 0.0, 1e3]))

@@ -12,11 +12,11 @@ from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches
-from estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, Round
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, NavigationRound
+from estimators.craters.navigation.stages import StageFiles
 from estimators.orbit.contract import OrbitEstimate
 from reports.schema.tables import TABLES
-from scenarios.craters.pairs import population
+from scenarios.craters.pairs import draw_plane_craters
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh
@@ -57,7 +57,7 @@ def _trials(tmp_path, world, navigators=None, sights=DrawnSights):
     mesh = world.asteroid.mesh
     ground = MeshGround(TriangleMesh(mesh.vertices_m + SHIFT_M, mesh.faces))
     spec = imaging_of(world)
-    drawn = sights(spec, ground, population(ground, spec.craters))
+    drawn = sights(spec, ground, draw_plane_craters(ground, spec.craters))
     navigators = navigators or {"vote": CraterNavigation.from_options({"matcher": "vote"})}
     return CraterNavigationTrials("small", world, drawn, navigators, 5, tmp_path)
 
@@ -130,7 +130,7 @@ def test_two_images_that_show_different_ground_fail_with_a_reason(tmp_path):
 )
 def test_a_black_and_a_saturated_image_have_no_craters_and_a_reason(tmp_path, share, message):
     world = _world(imaging={"epochs": 2})
-    taken = NavigationTrial.take(world, _trials(tmp_path, world).sights, 5, 0, Stages(tmp_path))
+    taken = NavigationTrial.take(world, _trials(tmp_path, world).sights, 5, 0, StageFiles(tmp_path))
     pixels = np.zeros((world.camera.height_px, world.camera.width_px), dtype=np.float32)
     pixels[: round(share * len(pixels))] = 4095.0
     frame = Frame(pixels, np.array([0.6, 0.0, -0.8]), Pose(np.eye(3), np.zeros(3)), np.eye(6))
@@ -167,7 +167,7 @@ def test_a_rejected_orbit_begins_again_with_images_placed_by_it(tmp_path):
     (row,), (chain,) = records["rows"], records["navigation"]
     assert (row["status"], chain["rounds"]) == ("ok", 2)
     true = [view.T_cam_body.camera_position_m for view in NavigationTrial.take(
-        world, trials.sights, 5, 0, Stages(tmp_path / "again")
+        world, trials.sights, 5, 0, StageFiles(tmp_path / "again")
     ).views]  # fmt: skip
     first, second = (
         np.linalg.norm([image.frame.prior_T_cam_body.camera_position_m for image in placed] - np.array(true), axis=1)
@@ -196,7 +196,7 @@ def test_two_false_detections_are_never_the_same_crater():
     assert len(np.intersect1d(told[0], told[1])) == 1
     matches = CraterMatches(np.array([[0, 1], [1, 0], [2, 2]]), np.ones(3))
     numbering = Numbering((np.array([0, 1, 2]), np.array([1, 0, 2])), 0)
-    once = Round((PairMatches(0, 1, matches),), numbering, None, OrbitEstimate("failed", None, "x"))
+    once = NavigationRound((PairMatches(0, 1, matches),), numbering, None, OrbitEstimate("failed", None, "x"))
     assert match_counts(once, crater) == (1, 2, 1)
 
 

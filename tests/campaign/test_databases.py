@@ -12,15 +12,15 @@ from tiny_campaign import CAMPAIGN, RESULTS, assert_same_results, compute, run, 
 
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute, reopened
-from campaign.products.databases import APART, of_database, with_knowledge, with_world
+from campaign.products.databases import SEED_STEP, with_database_craters, with_database_knowledge, with_database_seed
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from estimators.maplets.build import MapletOptions, spread_points
 from reports.pages.build import write_report
 from reports.pages.content import read_content
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.load import load_scenario
+from scenarios.onboard import onboard_spec
 
 DATABASES, TRIALS = 3, 12
 SCENE_ERRED = "onboard: {height_error: {rms_m: 1, min_wavelength_m: 20, seed: 5}}\n"
@@ -92,7 +92,7 @@ def test_a_case_is_worked_out_again_with_its_data_base(several):
     campaign = reopened(folder)
     for trial in (0, 4, 5):
         again = recompute(campaign, folder, Case("scene", "landmark-harris", trial))
-        assert not again.sameness.differences
+        assert not again.comparison.differences
         assert again.row["database"] == trial % DATABASES
 
 
@@ -112,26 +112,26 @@ def test_the_knowledge_of_a_data_base_is_its_own(cache, tmp_path):
         "viewpoint: {range_m: 2000}\nlighting: {phase_deg: {uniform: [0, 50]}}\n" + SCENE_ERRED
     )
     scenario = load_scenario(str(tmp_path / "s.yaml"))
-    other = with_knowledge(scenario, 2)
-    assert other.spec.onboard.height_error.seed == 5 + 2 * APART
+    other = with_database_knowledge(scenario, 2)
+    assert other.spec.onboard.height_error.seed == 5 + 2 * SEED_STEP
     assert other.spec.model_copy(update={"onboard": scenario.spec.onboard}) == scenario.spec
-    shapes = [load_body(believed_spec(one.spec).body, ()).mesh.vertices_m for one in (scenario, other)]
+    shapes = [load_body(onboard_spec(one.spec).body, ()).mesh.vertices_m for one in (scenario, other)]
     assert shapes[0].shape == shapes[1].shape
     assert not np.allclose(shapes[0], shapes[1])
-    assert with_knowledge(scenario, 0) is scenario
+    assert with_database_knowledge(scenario, 0) is scenario
 
 
 def test_a_world_of_craters_is_the_data_bases_own():
     scenario = load_scenario("eros-like-msi")
-    one, other = with_world(scenario, 0), with_world(scenario, 1)
+    one, other = with_database_craters(scenario, 0), with_database_craters(scenario, 1)
     assert one is scenario
-    assert other.spec.craters.seed == scenario.spec.craters.seed + APART
+    assert other.spec.craters.seed == scenario.spec.craters.seed + SEED_STEP
     assert replace(other, spec=other.spec.model_copy(update={"craters": scenario.spec.craters})).spec == scenario.spec
 
 
 def test_other_maplets_begin_at_another_place_and_cover_as_well():
     points = np.random.default_rng(1).normal(size=(500, 3))
-    first, other = (spread_points(points, 0.8, seed) for seed in (None, of_database(MapletOptions(), 1).seed))
+    first, other = (spread_points(points, 0.8, seed) for seed in (None, with_database_seed(MapletOptions(), 1).seed))
     assert first[0] != other[0]
     for chosen in (first, other):
         assert np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1).max() <= 0.8

@@ -31,7 +31,7 @@ def sources(tmp_path):
 
 def test_an_image_is_exposed_with_the_noise_of_the_detectors_stream(sources):
     """The radiance of the scene without a detector, exposed here."""
-    plain, exposed = (world.source.sight(SEED, TRIAL) for world in sources)
+    plain, exposed = (world.source.trial_image(SEED, TRIAL) for world in sources)
     np.testing.assert_array_equal(plain.view.T_cam_body.translation_m, exposed.view.T_cam_body.translation_m)
     detector = Detector(sources[1].scenario.spec.detector)
     by_stream = {

@@ -36,7 +36,7 @@ def opencv_pixels(experiment: SingleImage, points_cam: np.ndarray) -> np.ndarray
 
 
 def test_an_estimator_sees_what_an_ideal_lens_would_have_seen(experiment):
-    sight = experiment.world.source.sight(5, 0)
+    sight = experiment.world.source.trial_image(5, 0)
     observation = observe(experiment.world, sight, experiment.seed, 0)
     assert observation.camera.distortion is None
     assert sight.view.camera.distortion is not None
@@ -49,7 +49,7 @@ def test_an_estimator_sees_what_an_ideal_lens_would_have_seen(experiment):
 
 def test_landmarks_in_rectified_pixels_are_scored_at_the_points_that_they_show(experiment):
     """Surface points projected by OpenCV's pinhole: the error of a landmark there is that of the ray tracer."""
-    sight = experiment.world.source.sight(5, 1)
+    sight = experiment.world.source.trial_image(5, 1)
     uv = np.random.default_rng(0).uniform([40, 30], [120, 90], (60, 2))
     hits = experiment.world.renderer.surface(sight.view, uv)
     points = hits.points_body_m[hits.hit]
@@ -67,6 +67,6 @@ def test_a_lens_that_the_spacecraft_does_not_know_of_displaces_what_it_sees(tmp_
     file = tmp_path / "unknown.yaml"
     file.write_text(SCENE + "onboard: {distortion_error: -1}\n")
     experiment = SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
-    sight = experiment.world.source.sight(5, 0)
+    sight = experiment.world.source.trial_image(5, 0)
     seen = observe(experiment.world, sight, experiment.seed, 0).frame.image
     np.testing.assert_allclose(seen, sight.image, atol=1e-5)

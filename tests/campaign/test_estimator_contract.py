@@ -15,7 +15,7 @@ from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
 from campaign.kinds.single_image.check import check
 from campaign.kinds.single_image.trial import SingleImage
-from campaign.products import Shelf
+from campaign.products import BuiltAssets
 from estimators.contract import Assets, Estimate, Estimator
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import choose_variant
@@ -41,11 +41,13 @@ BLIND = {"prior"}
 
 @dataclass(frozen=True)
 class Bench:
-    shelf: Shelf
+    assets: BuiltAssets
     experiment: SingleImage
 
     def observation(self, trial: int) -> Observation:
-        return observe(self.experiment.world, self.experiment.world.source.sight(5, trial), self.experiment.seed, trial)
+        return observe(
+            self.experiment.world, self.experiment.world.source.trial_image(5, trial), self.experiment.seed, trial
+        )
 
 
 @pytest.fixture(scope="module")
@@ -54,26 +56,27 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     (folder / "scene.yaml").write_text(SCENE + "sensors: {altimeter: {sigma_m: 5}}\n")
     scenario, variant = load_scenario(str(folder / "scene.yaml")), choose_variant().name
     return Bench(
-        Shelf(scenario, folder / "products", 1, variant), SingleImage(open_world(scenario, variant), {}, seed=5)
+        BuiltAssets(scenario, folder / "products", 1, variant),
+        SingleImage(open_world(scenario, variant), {}, seed=5),
     )
 
 
 @pytest.fixture(params=NAMES)
 def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
-    return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.shelf)
+    return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.assets)
 
 
 class DefaultDatabase:
     """Lends the quick data base to whoever asks for one by default options."""
 
-    def __init__(self, shelf: Shelf) -> None:
-        self.camera = shelf.camera
-        self.mesh_renderer = shelf.mesh_renderer
-        self.shape = shelf.shape
-        self._shelf = shelf
+    def __init__(self, assets: BuiltAssets) -> None:
+        self.camera = assets.camera
+        self.mesh_renderer = assets.mesh_renderer
+        self.shape = assets.shape
+        self._assets = assets
 
     def product(self, kind: str, options: object) -> object:
-        return self._shelf.product(kind, DATABASE if kind == "landmark-database" else options)
+        return self._assets.product(kind, DATABASE if kind == "landmark-database" else options)
 
 
 def answer(estimator: Estimator, observation: Observation, seed: int = 1) -> Estimate:
@@ -102,7 +105,7 @@ def with_image(observation: Observation, image: np.ndarray) -> Observation:
 @pytest.mark.parametrize("name", NAMES)
 def test_default_options_build(bench, name):
     found = estimator_class(name)
-    assets: Assets = DefaultDatabase(bench.shelf)
+    assets: Assets = DefaultDatabase(bench.assets)
     estimator = found.from_options({}, assets)
     assert isinstance(estimator, found)
     assert found.name == name
@@ -113,7 +116,7 @@ def test_default_options_build(bench, name):
 @pytest.mark.parametrize("name", estimator_names())
 def test_an_unknown_option_is_refused_by_name(bench, name):
     with pytest.raises(BoresightError, match=rf"estimator {name}: colour: .*\S") as caught:
-        estimator_class(name).from_options({**QUICK.get(name, {}), "colour": "red"}, bench.shelf)
+        estimator_class(name).from_options({**QUICK.get(name, {}), "colour": "red"}, bench.assets)
     assert "\n" not in str(caught.value)
 
 
@@ -154,7 +157,7 @@ def test_the_same_rng_gives_the_same_answer_whatever_came_before(estimator, benc
 
 
 def test_a_rebuilt_estimator_gives_the_same_answer(estimator, bench):
-    again = type(estimator).from_options(QUICK.get(estimator.name, {}), bench.shelf)
+    again = type(estimator).from_options(QUICK.get(estimator.name, {}), bench.assets)
     assert content(answer(again, bench.observation(1))) == content(answer(estimator, bench.observation(1)))
 
 

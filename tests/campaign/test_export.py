@@ -116,7 +116,7 @@ def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_
         hits = experiment.world.renderer.surface(view, seen)
         projected = [image.project_point(point) for point in hits.points_body_m[hits.hit]]
         np.testing.assert_allclose(projected, seen[hits.hit], atol=1e-2)
-        true = experiment.world.source.sight(experiment.seed, trial).view.T_cam_body.camera_position_m
+        true = experiment.world.source.trial_image(experiment.seed, trial).view.T_cam_body.camera_position_m
         error = np.linalg.norm(image.projection_center() - true)
         assert error == pytest.approx(solved.set_index("trial").loc[trial, "position_error_m"], rel=1e-9)
     mean = model.compute_mean_reprojection_error()

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 from campaign.cli import main
-from campaign.data import download
 from campaign.data.fetch import fetch, state
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.data.datasets import DataSetSpec, dataset_names, load_dataset
@@ -197,7 +196,7 @@ def test_what_the_server_and_the_net_may_say(server, tmp_path):
 
 def test_a_disk_that_is_full(server, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(download.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1000))
     with pytest.raises(BoresightError, match="0 MiB are to come, but the disk has 0 MiB left"):
         run(dataset(server), tmp_path)
     monkeypatch.undo()
@@ -205,7 +204,7 @@ def test_a_disk_that_is_full(server, tmp_path, monkeypatch):
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(download.os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(BoresightError, match=r"a.bin: the disk is full: free some space; the same command goes on"):
         run(dataset(server), tmp_path)
     assert "a.bin" not in names(tmp_path / "shapes")

@@ -10,38 +10,38 @@ import pytest
 from campaign import machine
 from campaign.machine import cores, workers
 from campaign.pool import workers as parallel
-from renderers.mitsuba3 import gpus
+from renderers.mitsuba3 import variant
 from renderers.mitsuba3.variant import CUDA, LLVM
 
 
 def told(wait_s: float) -> tuple[int, str | None]:
     time.sleep(wait_s)
-    return os.getpid(), os.environ.get(gpus.CHOSEN)
+    return os.getpid(), os.environ.get(variant.VISIBLE_GPUS)
 
 
 @pytest.mark.parametrize(("chosen", "expected"), [("0,3", {"0", "3"}), ("2", {"2"})])
 def test_workers_share_the_gpus_out(monkeypatch, chosen, expected):
-    rested = parallel._Rested()
-    monkeypatch.setattr(parallel, "_rested", lambda: rested)
-    monkeypatch.setenv(gpus.CHOSEN, chosen)
+    rested = parallel._IdleWorkers()
+    monkeypatch.setattr(parallel, "_idle_workers", lambda: rested)
+    monkeypatch.setenv(variant.VISIBLE_GPUS, chosen)
     found = set(parallel.in_order(2, told, [(0.05,)] * 8))
     again = set(parallel.in_order(2, told, [(0.05,)] * 8))
-    for hand in rested.taken(2):
-        hand.close(kill=True)
+    for worker in rested.taken(2):
+        worker.close(kill=True)
     assert len(found) == 2, "two processes, each with one answer throughout"
     assert {name for _, name in found} == expected
     assert again == found, "they rest, and go on with the GPU that they have"
 
 
 def test_there_are_as_many_workers_as_gpus_or_cores(monkeypatch):
-    monkeypatch.setenv(gpus.CHOSEN, "0, 1,2")
+    monkeypatch.setenv(variant.VISIBLE_GPUS, "0, 1,2")
     assert workers(None, CUDA) == 3
     assert workers(None, LLVM) == cores()
     assert workers(7, CUDA) == 7
-    monkeypatch.delenv(gpus.CHOSEN)
-    monkeypatch.setattr(gpus, "nvidia_gpus", lambda: (2, ""))
-    assert gpus.gpu_names() == ("0", "1")
-    assert [gpus.gpu_of_worker(place)[gpus.CHOSEN] for place in range(3)] == ["0", "1", "0"]
-    monkeypatch.setattr(gpus, "nvidia_gpus", lambda: (0, "the NVIDIA driver finds no GPU"))
-    assert gpus.gpu_of_worker(0) == {}
+    monkeypatch.delenv(variant.VISIBLE_GPUS)
+    monkeypatch.setattr(variant, "nvidia_gpus", lambda: (2, ""))
+    assert variant.gpu_names() == ("0", "1")
+    assert [variant.gpu_of_worker(place)[variant.VISIBLE_GPUS] for place in range(3)] == ["0", "1", "0"]
+    monkeypatch.setattr(variant, "nvidia_gpus", lambda: (0, "the NVIDIA driver finds no GPU"))
+    assert variant.gpu_of_worker(0) == {}
     assert machine.workers(None, CUDA) == 1

@@ -21,7 +21,14 @@ from tiny_campaign import (
 )
 
 from campaign.cli import main
-from campaign.imaging.image_store import ImageStore, KeptImage, image_set_key, read_images, store_switched, write_images
+from campaign.imaging.image_store import (
+    ImageStore,
+    StoredImage,
+    image_set_key,
+    read_images,
+    store_switched,
+    write_images,
+)
 from campaign.store import RunFolder
 from renderers.mitsuba3 import choose_variant
 from scenarios.cache import default_cache
@@ -59,7 +66,7 @@ def test_every_bit_comes_back(tmp_path):
     strange = np.frombuffer(rng.bytes(4 * 33 * 57), np.float32).reshape(33, 57).copy()
     strange[0, :6] = [-0.0, 0.0, np.nan, np.inf, np.finfo(np.float32).smallest_subnormal, -1.5]
     images = {7: strange, 3: np.zeros((4, 5), np.float32), 5: np.ones((1, 9), np.float32)}
-    write_images(tmp_path / "a.parquet", {i: KeptImage(image, bytes([i])) for i, image in images.items()})
+    write_images(tmp_path / "a.parquet", {i: StoredImage(image, bytes([i])) for i, image in images.items()})
     found = read_images(tmp_path / "a.parquet")
     assert {i: kept.view for i, kept in found.items()} == {7: b"\7", 3: b"\3", 5: b"\5"}
     for i, image in images.items():
@@ -190,7 +197,7 @@ def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
 def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, monkeypatch):
     compute(write_campaign(tmp_path / "first"), tmp_path / "a", trials=1)
     assert main(["cache", "--clear", "images"]) == 0
-    monkeypatch.setattr("campaign.products.landmark_candidates.extract_candidates", None)
+    monkeypatch.setattr("campaign.products.landmark_database.extract_candidates", None)
     clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
     said = compute(write_campaign(tmp_path / "other", clusters), tmp_path / "b", trials=1)
     count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])

@@ -13,7 +13,7 @@ from orbit_worlds import orbit_world
 from campaign.kinds.crater_navigation.sights import DrawnSights
 from campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
 from reports.schema.tables import TABLES
-from scenarios.craters.pairs import population
+from scenarios.craters.pairs import draw_plane_craters
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
@@ -61,7 +61,7 @@ def survey(tmp_path_factory):
     world = orbit_world(arc={"days": 1.0}, knowledge={"position_m": 15.0, "shape_degree": 8}, imaging=IMAGING)
     spec, ground = imaging_of(world), MeshGround(world.asteroid.mesh)
     world = replace(world, asteroid=replace(world.asteroid, centre_m=np.zeros(3)))
-    sights = DrawnSights(spec, ground, population(ground, spec.craters))
+    sights = DrawnSights(spec, ground, draw_plane_craters(ground, spec.craters))
     return ImageSurvey("small", world, sights, ("planner",), 5, tmp_path_factory.mktemp("survey"))
 
 

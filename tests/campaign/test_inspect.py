@@ -17,8 +17,7 @@ from stored_runs import RunBuilder
 from tiny_campaign import CAMPAIGN, compute, write_campaign
 
 from campaign.cli import main
-from campaign.inspection.case import Case, Choice
-from campaign.inspection.ranking import worst_cases
+from campaign.inspection.case import Case, Choice, worst_cases
 from campaign.inspection.recompute import recompute, reopened
 from campaign.store import RunFolder
 from campaign.trial.kind import kind_named, kind_names

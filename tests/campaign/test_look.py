@@ -18,9 +18,7 @@ from tiny_campaign import compute
 
 from campaign.cli import main
 from campaign.inspection.case import Choice
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look import look_of
-from campaign.inspection.look_parts import camera_sets
+from campaign.inspection.look import camera_sets, coarsened, look_of
 from campaign.inspection.recompute import reopened
 from campaign.kinds.single_image.show import landmark_marks
 from campaign.store import RunFolder

@@ -12,7 +12,7 @@ from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
 from campaign.inspection.case import Case
-from campaign.inspection.look_parts import nearer
+from campaign.inspection.look import camera_scale
 from campaign.kinds.crater_matching.show import pair_outcomes
 from campaign.kinds.crater_matching.trial import MatchedPair
 from campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
@@ -20,7 +20,7 @@ from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
-from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.geometry import Ellipses
 from scenarios.orbits.draw import draw_orbit
@@ -109,16 +109,16 @@ def test_images_of_an_orbit_stand_where_the_turning_body_had_the_camera(world, s
 
 
 def test_a_far_camera_is_drawn_nearer_and_a_near_one_where_it_is():
-    factor, told = nearer(np.array([[0.0, 0.0, 1800.0], [0.0, 1800.0, 0.0]]), 100.0)
+    factor, told = camera_scale(np.array([[0.0, 0.0, 1800.0], [0.0, 1800.0, 0.0]]), 100.0)
     assert factor == pytest.approx(10.0)
     assert "10 times nearer" in told
-    assert nearer(np.array([[150.0, 0.0, 0.0]]), 100.0) == (1.0, "")
+    assert camera_scale(np.array([[150.0, 0.0, 0.0]]), 100.0) == (1.0, "")
 
 
 def test_craters_of_a_pair_are_counted_by_hand():
     def look(craters):
         rims = Ellipses(np.zeros((len(craters), 2)), np.ones((len(craters), 2)), np.zeros(len(craters)))
-        return CraterLook(None, LabelledDetections(rims, np.array(craters)), None)
+        return CraterView(None, LabelledDetections(rims, np.array(craters)), None)
 
     pair = CraterPair(look([4, 7, NO_CRATER, 9]), look([9, 7, 4, NO_CRATER]), 1.0, 1.0)
     # 7 with 7 is right, 4 with 9 is wrong, no crater with no crater is nothing.

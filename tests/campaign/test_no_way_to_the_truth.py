@@ -14,7 +14,7 @@ from campaign.kinds.sequence.tracks import ImageTracks
 from renderers.mitsuba3 import choose_variant
 from scenarios.draw import Stream, estimator_generator, generator
 from scenarios.load import load_scenario
-from scenarios.sequences import Path, SequenceTruth
+from scenarios.sequences import CameraTrajectory, SequenceTruth
 
 SEED = 987654321
 
@@ -82,9 +82,11 @@ def sequence(tmp_path_factory):
 
 
 def test_the_eye_of_a_guided_sequence_shows_no_path_and_no_seed(sequence):
-    assert sequence.eye is not None
+    assert sequence.front_end is not None
     everything = reached(sequence)
     assert len(everything) > 10
-    assert not [one for one in everything if isinstance(one, (Path, SequenceTruth, OrbitImages, ImageTracks))]
+    assert not [
+        one for one in everything if isinstance(one, (CameraTrajectory, SequenceTruth, OrbitImages, ImageTracks))
+    ]
     assert SEED not in [one for one in everything if isinstance(one, int)]
-    assert len(next(iter(sequence.eye.frames(lambda frame: None))).tracks) > 0
+    assert len(next(iter(sequence.front_end.frames(lambda frame: None))).tracks) > 0

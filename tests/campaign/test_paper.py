@@ -18,8 +18,7 @@ from campaign.cli import main
 from campaign.cli.missing import Wanted, run_missing
 from campaign.imaging.world import open_world
 from campaign.papers.gather import newest_finished, run_folders
-from campaign.papers.kinds import PaperFigure
-from campaign.papers.page import drawn, gather, paper_called, paper_campaigns
+from campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder

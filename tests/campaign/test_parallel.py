@@ -38,6 +38,6 @@ def test_an_interrupt_that_comes_while_a_call_is_given_is_not_lost(monkeypatch: 
             return super().submit(*call)
 
     monkeypatch.setattr(parallel, "ProcessPoolExecutor", Interrupted)
-    monkeypatch.setattr(parallel, "_rested", parallel._Rested)  # no process of another test's
+    monkeypatch.setattr(parallel, "_idle_workers", parallel._IdleWorkers)  # no process of another test's
     with pytest.raises(KeyboardInterrupt):
         list(parallel.in_order(2, abs, [(number,) for number in range(4)]))

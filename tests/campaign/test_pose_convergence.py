@@ -20,8 +20,7 @@ from campaign.store import RunFolder
 from campaign.trial.kind import Bench
 from campaign.trial.pose_score import pose_error, pose_errors
 from estimators.landmark.pose.stack import PoseStack
-from estimators.landmark.projection import project_landmarks
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.projection import project_landmarks, visible_landmarks
 from renderers.mitsuba3 import choose_variant
 from scenarios.draw import Stream, draw_view, generator
 

@@ -12,19 +12,19 @@ import pytest
 import trimesh
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
-from campaign.products import Shelf, landmark_database, product_key
-from campaign.products.landmark_candidates import candidates_of
-from campaign.products.spread import IN_THIS_PROCESS
+from campaign.products import BuiltAssets, landmark_database, product_key
+from campaign.products.database_images import IN_THIS_PROCESS
+from campaign.products.landmark_database import landmark_candidates
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from estimators.maplets.build import MapletOptions, build_maplets
 from renderers.mitsuba3 import choose_variant
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
+from scenarios.onboard import onboard_spec
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)
@@ -91,7 +91,7 @@ def test_range_and_camera_of_the_data_base_stand_for_those_of_the_scenario(tmp_p
 
     def candidates(loaded, options):
         options = DatabaseOptions.model_validate(options)
-        return candidates_of(loaded, options, IN_THIS_PROCESS, variant).by_image
+        return landmark_candidates(loaded, options, IN_THIS_PROCESS, variant).by_image
 
     ours = candidates(scene(tmp_path), {**few, **option})
     theirs = candidates(scene(tmp_path, override), few)
@@ -127,8 +127,8 @@ def test_the_range_of_real_images_changes_the_key_and_their_pixels_do_not(tmp_pa
     assert keys[0] == keys[1] != keys[2]
 
 
-def shelf(loaded: LoadedScenario, folder: Path, jobs: int, said: list[str] | None = None) -> Shelf:
-    return Shelf(loaded, folder, jobs, choose_variant().name, (said if said is not None else []).append)
+def scenario_assets(loaded: LoadedScenario, folder: Path, jobs: int, said: list[str] | None = None) -> BuiltAssets:
+    return BuiltAssets(loaded, folder, jobs, choose_variant().name, (said if said is not None else []).append)
 
 
 def test_a_data_base_does_not_depend_on_workers_or_cache(tmp_path, monkeypatch):
@@ -138,7 +138,7 @@ def test_a_data_base_does_not_depend_on_workers_or_cache(tmp_path, monkeypatch):
         # "kept" takes what "two" left in the cache; the others build.
         monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / ("cache-two" if name == "kept" else f"cache-{name}")))
         said: list[str] = []
-        database = shelf(loaded, tmp_path / name, jobs, said).product(KIND, DATABASE)
+        database = scenario_assets(loaded, tmp_path / name, jobs, said).product(KIND, DATABASE)
         assert isinstance(database, LandmarkDatabase)
         assert bool(said) == (name != "kept")
         (folder,) = (tmp_path / name).iterdir()
@@ -159,13 +159,13 @@ def test_landmarks_lie_on_the_body(tiny_run, tmp_path):
 
 def test_a_worker_builds_nothing(tmp_path):
     with pytest.raises(BoresightError, match="the product is missing from the run folder: run the campaign again"):
-        shelf(scene(tmp_path), tmp_path / "run", jobs=0).product(KIND, DATABASE)
+        scenario_assets(scene(tmp_path), tmp_path / "run", jobs=0).product(KIND, DATABASE)
     assert not (tmp_path / "run").exists()
 
 
 def test_an_unknown_kind_of_product_is_refused(tmp_path):
     with pytest.raises(BoresightError, match=r"no product is called 'crater-map'; there are: .*landmark-database"):
-        shelf(scene(tmp_path), tmp_path / "run", jobs=1).product("crater-map", {})
+        scenario_assets(scene(tmp_path), tmp_path / "run", jobs=1).product("crater-map", {})
 
 
 def test_two_estimators_of_the_same_options_share_a_product(tmp_path):
@@ -211,8 +211,8 @@ def test_all_that_is_lent_is_made_of_what_the_spacecraft_believes(tmp_path):
         SCENE + "onboard: {height_error: {rms_m: 3, min_wavelength_m: 20}, focal_error: 0.01}\n"
     )
     loaded = load_scenario(str(tmp_path / "scene.yaml"))
-    known = replace(loaded, spec=believed_spec(loaded.spec))
-    lends = shelf(loaded, tmp_path / "run", 1)
+    known = replace(loaded, spec=onboard_spec(loaded.spec))
+    lends = scenario_assets(loaded, tmp_path / "run", 1)
     shapes = [load_body(one.spec.body, one.search_dirs).mesh for one in (loaded, known)]
     options = {"spacing_m": 10.0, "side": 9}
     of_truth, of_belief = (build_maplets(mesh, MapletOptions(**options)) for mesh in shapes)
@@ -224,7 +224,7 @@ def test_all_that_is_lent_is_made_of_what_the_spacecraft_believes(tmp_path):
     assert not same
     assert lends.camera.fx_px == pytest.approx(1.01 * loaded.spec.camera.camera().fx_px)
     believed_key = product_key(known, "maplets", MapletOptions(**options), choose_variant().name)
-    assert [one.folder for one in lends.lent_to("lmaps")] == [f"maplets-{believed_key}"]
+    assert [one.folder for one in lends.products_of("lmaps")] == [f"maplets-{believed_key}"]
 
 
 def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
@@ -232,7 +232,7 @@ def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
     images = []
     for albedo in (0.1, 0.2):
         (tmp_path / "scene.yaml").write_text(SCENE + f"onboard: {{brdf: {{kind: lambert, albedo: {albedo}}}}}\n")
-        lends = shelf(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1)
+        lends = scenario_assets(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1)
         view = View(lends.camera, look_at(np.array([2000.0, 0.0, 0.0]), 0.0), np.array([1.0, 0.0, 0.0]))
         images.append(lends.mesh_renderer(lends.shape()).render(view))
     np.testing.assert_allclose(images[1], 2.0 * images[0], rtol=1e-5)

@@ -11,8 +11,8 @@ from astropy.io import fits
 from mission_data import data_path, needs_data
 
 from campaign.cli import main
-from campaign.data.craters.msi_image import camera_of_lines, open_msi, square_pixels
-from campaign.data.craters.named_craters import NamedCrater, predict, read_gazetteer
+from campaign.data.msi_image import camera_of_lines, open_msi, square_pixels
+from campaign.data.named_craters import NamedCrater, predict, read_gazetteer
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at
 

@@ -86,7 +86,7 @@ def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
     for trial in range(3):
-        sight = experiment.world.source.sight(5, trial)
+        sight = experiment.world.source.trial_image(5, trial)
         frame = observe(experiment.world, sight, experiment.seed, trial).frame
         row = rows[(rows["trial"] == trial) & (rows["estimator"] == "landmark-harris")].iloc[0]
         for name, value in pose_error(frame.prior_T_cam_body, sight.view.T_cam_body).items():
@@ -239,7 +239,7 @@ def test_kept_images_read_back_as_they_were_seen(tiny_file, tmp_path):
     source = open_world(campaign.scenarios[0], campaign.variant).source
     for trial in range(2):
         kept = cv2.imread(str(out / "images" / "scene" / f"{trial:07d}.tiff"), cv2.IMREAD_UNCHANGED)
-        seen = source.sight(5, trial).image
+        seen = source.trial_image(5, trial).image
         assert kept.dtype == seen.dtype == np.float32
         np.testing.assert_array_equal(kept, seen)
         assert len(np.unique(kept)) > 100, "an image of the body, not a blank one"

@@ -225,7 +225,7 @@ def test_a_shape_that_changed_under_its_name_is_another_run(tmp_path, capsys):
     for scale in ([1.5, 1.0, 0.8], [1.0, 1.5, 0.8]):
         ball.copy().apply_scale(scale).export(tmp_path / "egg.obj")
         scenario = resolve(str(file)).scenarios[0]
-        images.append(open_world(scenario, choose_variant().name).source.sight(5, 0).image)
+        images.append(open_world(scenario, choose_variant().name).source.trial_image(5, 0).image)
         if len(images) == 1:
             compute(file, tmp_path / "run", 2)
     assert not np.array_equal(*images), "the second shape is read, though the first was kept under the same name"

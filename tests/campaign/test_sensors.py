@@ -9,7 +9,7 @@ from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
 from campaign.kinds.single_image.trial import SingleImage
 from campaign.runs.resolve import resolve
-from estimators.landmark.ranging import boresight_range
+from estimators.altimeter import boresight_range
 from estimators.landmark.recognizer import LandmarkRecognizer
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
@@ -28,7 +28,7 @@ def test_a_reading_is_the_true_range_with_its_noise(tmp_path):
     ranging = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
     errors_m = []
     for trial in range(TRIALS):
-        sight = ranging.world.source.sight(5, trial)
+        sight = ranging.world.source.trial_image(5, trial)
         pose, reading = sight.view.T_cam_body, observe(ranging.world, sight, ranging.seed, trial).frame.altimeter
         assert reading.sigma_m == 5.0
         errors_m.append(reading.range_m - boresight_range(ranging.world.body.mesh, pose).range_m)
@@ -40,7 +40,7 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
     seen = []
     for sensors in ("", "sensors: {altimeter: {sigma_m: 5}}\n"):
         trials = experiment(tmp_path, sensors)
-        sight = trials.world.source.sight(5, 3)
+        sight = trials.world.source.trial_image(5, 3)
         frame = observe(trials.world, sight, trials.seed, 3).frame
         seen.append((sight.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
         assert (frame.altimeter is None) == (sensors == "")
@@ -50,7 +50,7 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
 
 def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
     trials = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
-    sight = trials.world.source.sight(5, 0)
+    sight = trials.world.source.trial_image(5, 0)
     aside = sight.view.T_cam_body.perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
     past = View(sight.view.camera, aside, sight.view.sun_dir_body)
     moved = type(sight)(sight.image, past, {})

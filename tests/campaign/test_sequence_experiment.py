@@ -70,7 +70,7 @@ def test_an_estimate_in_wrong_body_axes_is_right_if_it_is_right_in_inertial_spac
     spec = SequenceSpec.model_validate({**SPEC.model_dump(), **turning})
     truth, sequence = draw_sequence(spec, CAMERA, GROUND, 7, 0)
     frames = []
-    for pose, seen, true in zip(truth.poses, sequence.frames, truth.path.R_body_inertial, strict=True):
+    for pose, seen, true in zip(truth.poses, sequence.frames, truth.trajectory.R_body_inertial, strict=True):
         place, points = true.T @ pose.camera_position_m, truth.points_m[seen.tracks] @ true
         shift = np.cross([0.0, 0.0, 1.0], place) / np.linalg.norm(place)  # along the motion about the z axis
         known = seen.R_body_inertial

@@ -11,7 +11,7 @@ from benchmarks import windows as slam_benchmark
 from benchmarks.windows import make_window
 
 from campaign.cli.main import main
-from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.solver import StoppingRule, minimise
 
 
 def test_window_starts_away_from_its_minimum_and_has_one() -> None:
@@ -19,7 +19,7 @@ def test_window_starts_away_from_its_minimum_and_has_one() -> None:
     found = minimise(problem, start, StoppingRule(1e-6))
     assert found.converged
     assert found.cost < 1e-2 * minimise(problem, start, StoppingRule(1e-6, 0)).cost
-    freedom = 2 * len(problem.sightings.view) + 1 - 3 * (3 + len(start.points_m))
+    freedom = 2 * len(problem.pixels.view) + 1 - 3 * (3 + len(start.points_m))
     assert 0.2 * freedom < 2.0 * found.cost < 3.0 * freedom
 
 

@@ -1,4 +1,4 @@
-"""The range on the boresight and its fusion with a pose: the ray tracer, differences, closed forms, statistics."""
+"""The predicted range and the update of a pose with it, against a ray tracer, differences, closed forms, statistics."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from estimators.altimeter import AltimeterEstimator, AltimeterOptions, fuse_range
+from estimators.altimeter import AltimeterEstimator, AltimeterOptions, boresight_range, fuse_range, mesh_height_sigma_m
 from estimators.contract import Estimate
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.ranging import boresight_range, mesh_height_sigma_m
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
@@ -122,7 +121,7 @@ def test_a_contradicted_covariance_grows_until_the_innovation_fits():
     contradicts = fuse_range((pose, covariance), RangeReading(1020.0, 5.0), box, 1e-3, adaptive=True)
     assert agrees.inflation == 1.0
     assert contradicts.inflation == pytest.approx((20.0**2 - 5.0**2) / 1.0, rel=1e-4)
-    assert contradicts.contradiction == pytest.approx(20.0 / np.sqrt(1.0 + 5.0**2), rel=1e-4)
+    assert contradicts.normalised_innovation == pytest.approx(20.0 / np.sqrt(1.0 + 5.0**2), rel=1e-4)
     assert contradicts.T_cam_body.translation_m[2] == pytest.approx(1100 + 20.0 * (1 - 5.0**2 / 20.0**2), rel=1e-6)
 
 
@@ -133,7 +132,7 @@ def test_an_estimate_that_misses_the_mesh_is_left_alone():
 
 @pytest.mark.parametrize("subdivisions", [2, 3])
 def test_the_height_error_of_a_mesh_is_found_from_its_landmarks(subdivisions):
-    """The mesh of a smooth body leaves out a quarter of what its landmarks tell of: half of it is a safe guess."""
+    """The mesh of a smooth body is off by a quarter of the relief of its landmarks: half is a safe estimate."""
     coarse = bumpy(subdivisions)
     points = trimesh.sample.sample_surface(coarse, 4000, seed=1)[0]
     surface_m = radius_m(points / np.linalg.norm(points, axis=1, keepdims=True))
@@ -148,7 +147,7 @@ def test_the_height_error_of_a_smooth_mesh_is_the_scatter_of_its_landmarks():
 
 
 class Base:
-    """Answers with a fixed pose and covariance, on the landmarks of a body."""
+    """An estimator that returns a fixed pose and covariance, on the landmarks of a body."""
 
     name, version = "base", 1
 

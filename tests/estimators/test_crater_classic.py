@@ -1,4 +1,4 @@
-"""Stages of the detector of Cheng et al. (2003) on shaded bowls of a height field that is not the renderer's."""
+"""The stages of the detector of Cheng et al. (2003), on shaded bowls of a height field independent of the renderer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from crater_scenes import CAMERA, Bowl, frame_of, image_of
 
 from estimators.craters.detection.classic import CraterClassic
 from estimators.craters.detection.edges import canny, gradient_of
-from estimators.craters.detection.picture import prepare
+from estimators.craters.detection.preparation import prepare_image
 from scenarios.geometry import Camera
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
@@ -38,6 +38,6 @@ def test_edges_lie_where_a_blurred_step_is_steepest():
     row = 100.0 + 50.0 / (1.0 + np.exp(-(u - 41.3) / 1.5))
     image = np.tile(row, (60, 1)).astype(np.float32)
     camera = Camera.from_fov(80, 60, 0.01)
-    picture = prepare(frame_of(image, 0.0, 1.0), camera, 20.0)
+    picture = prepare_image(frame_of(image, 0.0, 1.0), camera, 20.0)
     edges = canny(picture, 3, 0.1, 0.5)
     assert np.abs(np.median(edges.uv_px[:, 0]) - 41.3) < 0.15

@@ -1,4 +1,4 @@
-"""Numbers of craters over images, their places, and the files: against graphs of scipy and what was written."""
+"""Numbering of craters, their positions, and the files: against scipy's connected components and written values."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from estimators.craters.contract import CraterMatches
+from estimators.craters.database.build import build_database
 from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase, read_landmarks, read_pictures
 from estimators.craters.database.numbering import NO_NUMBER, PairMatches, number_craters
-from estimators.craters.database.triangulation import build_database
 from estimators.craters.registry import crater_matcher_class
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
@@ -133,13 +133,13 @@ def _changed(path, line: int, text: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "change", "said"), [
-    (LANDMARKS, lambda lines: lines[1], r"landmarks.txt:3: landmark 0 stands twice"),
+    (LANDMARKS, lambda lines: lines[1], r"landmarks.txt:3: landmark 0 is listed twice"),
     (LANDMARKS, lambda lines: "landmark 7 1 2", r"landmarks.txt:3: a landmark has 15 fields, not 3"),
     (LANDMARKS, lambda lines: lines[2].replace(" ", " nan ", 2).rsplit(" ", 2)[0], r"landmarks.txt:3: field"),
     (LANDMARKS, lambda lines: "crater 7", r"landmarks.txt:3: 'crater' is no kind of record"),
     (PICTURES, lambda lines: lines[1].replace("picture 0", "picture x"), r"pictures.txt:3: field 1 of the picture"),
-    (PICTURES, lambda lines: lines[1], r"pictures.txt:3: picture 0 stands twice"),
-    (PICTURES, lambda lines: lines[3], r"pictures.txt:4: landmark \d+ stands twice in picture 0"),
+    (PICTURES, lambda lines: lines[1], r"pictures.txt:3: picture 0 is listed twice"),
+    (PICTURES, lambda lines: lines[3], r"pictures.txt:4: landmark \d+ is listed twice in picture 0"),
     (PICTURES, lambda lines: lines[2].replace("sighting 0", "sighting 9"), r"pictures.txt:3: a sighting of picture 9"),
 ])  # fmt: skip
 def test_a_wrong_line_is_one_clear_error(built, tmp_path, file, change, said) -> None:
@@ -160,5 +160,5 @@ def test_files_that_are_missing_or_of_another_format_are_refused(built, tmp_path
     built[1].database.save(tmp_path)
     path = tmp_path / LANDMARKS
     path.write_text("\n".join(path.read_text().splitlines()[:-1]) + "\n")
-    with pytest.raises(BoresightError, match="which has no place"):
+    with pytest.raises(BoresightError, match="which has no position"):
         CraterDatabase.load(tmp_path)

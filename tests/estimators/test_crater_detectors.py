@@ -1,4 +1,4 @@
-"""What every detector of craters does: on shaded bowls of a height field that is no renderer's and no training's."""
+"""Properties of every crater detector, on shaded bowls of a height field independent of renderers and training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def detector(request):
 
 
 def found_near(detections, truth):
-    """Distances from each true crater to the nearest detection, and that one's row."""
+    """Return the distance from each true crater to the nearest detection, and that detection's row."""
     apart = np.linalg.norm(truth.centre_px[:, None] - detections.ellipses.centre_px[None], axis=2)
     return apart.min(axis=1), apart.argmin(axis=1)
 
@@ -55,7 +55,7 @@ def test_bowls_of_a_plain_are_found_and_little_else(detector, azimuth_deg, incid
 
 
 def test_light_from_the_other_side_makes_no_craters_of_bowls(detector):
-    """A detector that ignored the Sun would find all twenty; a network has never seen such a thing as a mound."""
+    """A detector that ignored the Sun would find all twenty; the network was not trained with mounds."""
     bowls = scattered(np.random.default_rng(3), 20)
     wrong = detector.detect(frame_of(image_of(bowls, AZIMUTH, INCIDENCE), AZIMUTH + np.pi, INCIDENCE), CAMERA)
     if len(wrong.ellipses):

@@ -1,4 +1,4 @@
-"""Ellipse fit (1): against OpenCV, against the truth of noisy arcs, against geometric distances by search."""
+"""Ellipse fit (1): against OpenCV, the truth of noisy arcs, and geometric distances minimised by search."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from estimators.craters.detection.fitting import fit_reweighted
+from estimators.craters.detection.candidates import fit_reweighted
 from scenarios.geometry import Ellipses
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 
 def drawn(n, seed, ratio=(0.4, 0.95)):
@@ -19,7 +19,7 @@ def drawn(n, seed, ratio=(0.4, 0.95)):
 
 
 def two_arcs(ellipses, count=90):
-    """Points of two opposite arcs of 100 degrees, as the lit and the shaded side leave them."""
+    """Return points of two opposite arcs of 100 degrees, like the lit and the shaded side."""
     points, normals = ellipses.points(count)
     rows = np.r_[0 : count * 100 // 360, count // 2 : count // 2 + count * 100 // 360]
     return points[:, rows], normals[:, rows]
@@ -47,7 +47,7 @@ def test_the_direct_fit_is_opencvs():
 
 
 def test_reweighting_comes_to_the_least_squares_of_distances():
-    """Without outliers the weights leave the sum of squared distances, whose minimum a search finds."""
+    """Without outliers the fit minimises the sum of squared distances; the minimum is found by search."""
     rng = np.random.default_rng(4)
     truth = drawn(8, 5)
     points, _ = two_arcs(truth)

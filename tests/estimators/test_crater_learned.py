@@ -1,4 +1,4 @@
-"""The learned detector: its templates, patches, network and training, each against something foreign."""
+"""The learned detector: its templates, patches, network and training, each against an independent calculation."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ from scipy.signal import correlate2d
 from training.lessons import displaced, lessons_of
 from training.network_training import Lessons, Schedule, fresh_network, loss, train
 
-from estimators.craters.detection.merit import Field, side_merits
-from estimators.craters.detection.options import ClassicOptions
-from estimators.craters.detection.picture import noise_level, prepare
-from estimators.craters.learned.detector import blended
-from estimators.craters.learned.patches import SIDE, Network, Source, cut, windows
-from estimators.craters.learned.placing import ellipses_of, placed, shape_of, targets
-from estimators.craters.learned.proposals import halved, propose, rings
+from estimators.craters.detection.classic import ClassicOptions
+from estimators.craters.detection.merit import GradientField, side_merits
+from estimators.craters.detection.preparation import noise_level, prepare_image
+from estimators.craters.learned.detector import blend_with_gradient
+from estimators.craters.learned.network import (
+    SIDE,
+    Network,
+    PatchSource,
+    cut_patches,
+    ellipses_of,
+    rims_from_outputs,
+    shape_of,
+    target_outputs,
+    windows,
+)
+from estimators.craters.learned.proposals import halved, propose, ring_templates
 from scenarios.geometry import Ellipses
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
@@ -45,22 +54,22 @@ def test_a_halved_image_is_opencvs_by_areas():
 
 
 def test_a_templates_correlation_is_the_merit_of_its_ring():
-    """Against the interpolated merit of the other detector, on a smooth field of gradients."""
+    """Against the interpolated merit of the classic detector, on a smooth field of gradients."""
     rng = np.random.default_rng(3)
     field = np.stack([cv2.GaussianBlur(rng.normal(size=(61, 61)), (0, 0), 3.0) for _ in range(2)], axis=-1)
-    templates = rings(SUN)
+    templates = ring_templates(SUN)
     for m in (0, 7, 19):
         kernel = templates.kernels[m]
         ours = [sum(correlate2d(field[..., i], side[..., i], "same")[30, 30] for i in (0, 1)) for side in kernel]
         ellipse = Ellipses(np.array([[30.5, 30.5]]), templates.shape[m : m + 1, :2], templates.shape[m : m + 1, 2])
-        theirs = side_merits(ellipse, Field(field), SUN, 0.3, 720)[0]
+        theirs = side_merits(ellipse, GradientField(field), SUN, 0.3, 720)[0]
         np.testing.assert_allclose(ours, theirs, atol=0.05 * np.abs(field).max())
 
 
 def test_templates_propose_every_bowl():
     bowls = scattered(np.random.default_rng(3), 20)
     frame = frame_of(image_of(bowls, AZIMUTH, INCIDENCE, noise=0.02), AZIMUTH, INCIDENCE)
-    found = propose(prepare(frame, CAMERA, 20.0), 5, 0.3, 400)
+    found = propose(prepare_image(frame, CAMERA, 20.0), 5, 0.3, 400)
     truth = crests(bowls)
     apart = np.linalg.norm(truth.centre_px[:, None] - found.ellipses.centre_px, axis=2) / truth.radius_px[:, None]
     ratio = np.abs(np.log(truth.radius_px[:, None] / found.ellipses.radius_px))
@@ -70,14 +79,14 @@ def test_templates_propose_every_bowl():
 
 @pytest.mark.parametrize("radius", [6.0, 13.0, 40.0])
 def test_patches_show_a_rim_at_their_middle_and_the_sun_at_the_right(radius):
-    """Where the brightness is a function of the place, each sample is that function at its place."""
+    """The brightness is a function of the place; each sample is its value there."""
     v, u = np.indices(SHAPE) + 0.5
     place = np.array([210.3, 190.8])
     along, across = (u - place[0]) * SUN[0] + (v - place[1]) * SUN[1], (v - place[1]) * SUN[0] - (u - place[0]) * SUN[1]
     image = (1000.0 + 2.0 * along + 0.7 * across).astype(np.float32)
     frame = frame_of(image, AZIMUTH, INCIDENCE)
-    source = Source.of(image, prepare(frame, CAMERA, 20.0), frame.sun_dir_cam, 1.0)
-    patch = cut(source, Ellipses(place[None], np.full((1, 2), radius), np.zeros(1))).pixels[0, ..., 0]
+    source = PatchSource.of(image, prepare_image(frame, CAMERA, 20.0), frame.sun_dir_cam, 1.0)
+    patch = cut_patches(source, Ellipses(place[None], np.full((1, 2), radius), np.zeros(1))).pixels[0, ..., 0]
     steps = (np.arange(SIDE) + 0.5) * (4.0 / SIDE) - 2.0
     expected = 2.0 * steps[None] + 0.7 * steps[:, None]
     np.testing.assert_allclose(patch, expected / expected.std(), atol=0.02)
@@ -85,7 +94,7 @@ def test_patches_show_a_rim_at_their_middle_and_the_sun_at_the_right(radius):
 
 def test_places_and_shapes_come_back():
     truth, seen = drawn(), displaced(drawn(), SUN, 0.1, np.random.default_rng(4))
-    back = placed(seen, targets(seen, truth, SUN), SUN)
+    back = rims_from_outputs(seen, target_outputs(seen, truth, SUN), SUN)
     np.testing.assert_allclose(back.centre_px, truth.centre_px, atol=1e-9)
     np.testing.assert_allclose(back.semi_axes_px, truth.semi_axes_px, rtol=1e-9)
     np.testing.assert_allclose(np.sin(back.angle_rad - truth.angle_rad), 0.0, atol=1e-7)
@@ -120,7 +129,7 @@ def test_the_losss_derivatives_are_central_differences():
 
 
 def test_training_learns_what_forward_then_says():
-    """Bright blobs on one side are craters: a rule that no untrained network follows."""
+    """Bright blobs on one side are craters: a rule that an untrained network does not follow."""
     rng = np.random.default_rng(7)
     n = 600
     pixels = rng.normal(size=(n, SIDE, SIDE, 1)).astype(np.float32)
@@ -139,8 +148,8 @@ def test_training_learns_what_forward_then_says():
 def test_lessons_tell_rims_from_what_lies_beside_them():
     bowls = [Bowl(150.0, 200.0, 20.0), Bowl(350.0, 180.0, 30.0)]
     frame = frame_of(image_of(bowls, AZIMUTH, INCIDENCE), AZIMUTH, INCIDENCE)
-    picture = prepare(frame, CAMERA, 20.0)
-    source = Source.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
+    picture = prepare_image(frame, CAMERA, 20.0)
+    source = PatchSource.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
     seen = Ellipses(np.array([[152.0, 200], [150, 209], [150, 218], [250, 100]]), np.full((4, 2), 20.0), np.zeros(4))
     lessons = lessons_of(source, seen, crests(bowls), np.ones(2))
     assert lessons.crater.tolist() == [1, 0, 0, 0]
@@ -157,7 +166,7 @@ def test_a_mirrored_lesson_is_that_of_the_mirrored_ground():
     found = []
     for scene, rim in ((bowls, seen), (mirrored, other)):
         frame = frame_of(image_of(scene, 0.0, INCIDENCE, noise=0.0), 0.0, INCIDENCE)
-        source = Source.of(frame.image, prepare(frame, CAMERA, 20.0), frame.sun_dir_cam, 1.0)
+        source = PatchSource.of(frame.image, prepare_image(frame, CAMERA, 20.0), frame.sun_dir_cam, 1.0)
         found.append(lessons_of(source, rim, crests(scene), np.ones(2)))
     flipped = found[0].mirrored(np.array([True]))
     np.testing.assert_allclose(flipped.pixels, found[1].pixels, atol=0.02)
@@ -167,7 +176,7 @@ def test_a_mirrored_lesson_is_that_of_the_mirrored_ground():
 def test_a_rim_on_the_limb_lies_half_on_the_ground():
     image = image_of([], AZIMUTH, INCIDENCE)
     image[:, 300:] = 0.0
-    picture = prepare(frame_of(image, AZIMUTH, INCIDENCE), CAMERA, 20.0)
+    picture = prepare_image(frame_of(image, AZIMUTH, INCIDENCE), CAMERA, 20.0)
     rims = Ellipses(np.array([[150.0, 200], [296, 200], [400, 200], [5, 200]]), np.full((4, 2), 20.0), np.zeros(4))
     share = picture.on_ground(rims)
     assert share[0] == 1.0
@@ -180,10 +189,10 @@ def test_larger_rims_are_drawn_halfway_to_the_gradient_and_small_or_lost_ones_st
     azimuth, incidence = np.radians([200.0, 60.0])
     bowls = [Bowl(120.3, 110.6, 25.0), Bowl(330.8, 250.2, 14.0), Bowl(440.0, 90.0, 7.0)]
     truth = crests(bowls)
-    picture = prepare(frame_of(image_of(bowls, azimuth, incidence), azimuth, incidence), CAMERA, 20.0)
+    picture = prepare_image(frame_of(image_of(bowls, azimuth, incidence), azimuth, incidence), CAMERA, 20.0)
     off = Ellipses(truth.centre_px + np.array([1.2, -0.9]), truth.semi_axes_px, truth.angle_rad)
     lost = Ellipses(np.array([[260.0, 60.0]]), np.array([[20.0, 20.0]]), np.zeros(1))
-    moved = blended(Ellipses.joined([off, lost]), picture, 8.0, ClassicOptions())
+    moved = blend_with_gradient(Ellipses.joined([off, lost]), picture, 8.0, ClassicOptions())
     before = np.linalg.norm(off.centre_px - truth.centre_px, axis=1)
     after = np.linalg.norm(moved.centre_px[:3] - truth.centre_px, axis=1)
     assert np.all(after[:2] < 0.7 * before[:2])

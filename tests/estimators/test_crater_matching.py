@@ -13,18 +13,28 @@ from scipy.optimize import least_squares
 
 from estimators.craters.contract import CraterDetections, CraterImage
 from estimators.craters.matching.association import (
-    AssociationOptions,
-    Expected,
+    CraterAssociationOptions,
+    ExpectedCraters,
     associate,
     centre_noise,
 )
-from estimators.craters.matching.context import ContextOptions, constellations, linear_transforms
-from estimators.craters.matching.correlation import CorrelationOptions, pseudo_normalised, rectified
-from estimators.craters.matching.epipolar import epipolar_offsets
-from estimators.craters.matching.invariants import conic_invariants, unambiguous, vote_matrix
-from estimators.craters.matching.located import Located, hidden, locate
+from estimators.craters.matching.context import (
+    ContextOptions,
+    epipolar_offsets,
+    linear_transforms,
+    match_constellations,
+)
+from estimators.craters.matching.correlation import CorrelationOptions, pseudo_normalised, rectify_template
+from estimators.craters.matching.invariants import conic_invariants, unambiguous_pairs, vote_matrix
 from estimators.craters.matching.preliminary import preliminary_pairs
-from estimators.craters.matching.transfer import mapped, plane_homographies, transfer
+from estimators.craters.matching.transfer import (
+    LocatedCraters,
+    locate_craters,
+    map_ellipses,
+    occluded,
+    plane_homographies,
+    transfer_craters,
+)
 from estimators.craters.registry import crater_matcher_class, crater_matcher_names
 from scenarios.craters.simulated import DetectionErrors
 from scenarios.errors import BoresightError
@@ -69,7 +79,7 @@ def test_plane_homography_is_that_which_opencv_finds_from_points_of_the_plane() 
     one, other = (look_at(turned(np.array([0.6, 0.0, 0.8]), angle, 1.0) * 2e5) for angle in (0.0, 20.0))
     point, normal = np.array([3e3, 500.0, 7e3]), np.array([0.5, 0.1, 0.86])
     normal /= np.linalg.norm(normal)
-    plane = Located(point[None], normal[None], one)
+    plane = LocatedCraters(point[None], normal[None], one)
     across = np.linalg.svd(normal[None])[2][1:]
     points = point + rng.uniform(-2e3, 2e3, (20, 2)) @ across
     here, there = (CAMERA.project(pose.transform(points)) for pose in (one, other))
@@ -81,7 +91,7 @@ def test_plane_homography_is_that_which_opencv_finds_from_points_of_the_plane() 
 def test_mapped_rims_are_those_of_mapped_points() -> None:
     rng = np.random.default_rng(2)
     rims, maps = _ellipses(rng, 5), np.stack([_homography(rng) for _ in range(5)])
-    found, real = mapped(rims, maps)
+    found, real = map_ellipses(rims, maps)
     assert real.all()
     points = np.concatenate([rims.points(40)[0], np.ones((5, 40, 1))], axis=2) @ np.swapaxes(maps, 1, 2)
     for k in range(5):
@@ -92,7 +102,7 @@ def test_mapped_rims_are_those_of_mapped_points() -> None:
 
 def test_located_craters_move_with_the_pose_as_differences_say(ground, craters) -> None:
     image = pair(ground, craters, 4, 5.0, 5.0)[0].image
-    located = locate(image, ground)
+    located = locate_craters(image, ground)
     rows = np.flatnonzero(located.on_body)[:3]
     sights = CAMERA.unproject(image.detections.ellipses.centre_px[rows])
     pose, analytic = located.T_cam_body, located.by_pose()[rows]
@@ -113,9 +123,9 @@ def test_located_craters_move_with_the_pose_as_differences_say(ground, craters) 
 
 def test_predicted_places_move_with_both_poses_as_differences_say(ground, craters) -> None:
     first, second = (one.image for one in pair(ground, craters, 4, 10.0, 5.0))
-    expected = transfer(first, second, locate(first, ground), ground)
-    planes = locate(first, ground)
-    planes = Located(planes.points_body_m[expected.rows], planes.normals_body[expected.rows], planes.T_cam_body)
+    expected = transfer_craters(first, second, locate_craters(first, ground), ground)
+    planes = locate_craters(first, ground)
+    planes = LocatedCraters(planes.points_body_m[expected.rows], planes.normals_body[expected.rows], planes.T_cam_body)
     for k in (0, 4, 6, 8, 10):
         step = 1e-6 if k % 6 < 3 else 1.0
         places = []
@@ -124,7 +134,7 @@ def test_predicted_places_move_with_both_poses_as_differences_say(ground, crater
             error[k] = sign * step
             one = planes.T_cam_body.perturbed(error[:3], error[3:6])
             other = second.frame.prior_T_cam_body.perturbed(error[6:9], error[9:])
-            moved = Located(planes.points_body_m, planes.normals_body, one)
+            moved = LocatedCraters(planes.points_body_m, planes.normals_body, one)
             maps = plane_homographies(moved, CAMERA, CAMERA, other)
             centres = np.column_stack([first.detections.ellipses.centre_px[expected.rows], np.ones(len(maps))])
             seen = np.einsum("nij,nj->ni", maps, centres)
@@ -150,7 +160,7 @@ def test_a_rectified_template_samples_the_first_image_where_the_homography_says(
     image = (0.3 * u - 0.2 * v).astype(np.float32)  # bilinear interpolation is exact on it
     homography = _homography(rng)
     rim = Ellipses(np.array([[230.3, 190.8]]), np.array([[8.0, 6.0]]), np.zeros(1))
-    template = rectified(image, homography, rim, CorrelationOptions())
+    template = rectify_template(image, homography, rim, CorrelationOptions())
     half = len(template) // 2
     rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
     places = np.stack([230.3 + columns, 190.8 + rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(homography).T
@@ -175,7 +185,7 @@ def test_conic_invariants_stand_under_random_homographies() -> None:
     rims = _ellipses(rng, 6)
     before = conic_invariants(rims.conics())
     for _ in range(20):
-        after, real = mapped(rims, np.broadcast_to(_homography(rng), (6, 3, 3)))
+        after, real = map_ellipses(rims, np.broadcast_to(_homography(rng), (6, 3, 3)))
         assert real.all()
         np.testing.assert_allclose(conic_invariants(after.conics()), before, rtol=1e-6, atol=1e-6)
 
@@ -183,17 +193,17 @@ def test_conic_invariants_stand_under_random_homographies() -> None:
 def test_invariants_match_a_plane_of_exact_rims_and_leave_ambiguous_ones_out() -> None:
     rng = np.random.default_rng(7)
     rims, order = _ellipses(rng, 9), rng.permutation(9)
-    seen, _ = mapped(rims[order], np.broadcast_to(_homography(rng), (9, 3, 3)))
-    pairs = unambiguous(vote_matrix(rims, seen, 1e-3), 4)
+    seen, _ = map_ellipses(rims[order], np.broadcast_to(_homography(rng), (9, 3, 3)))
+    pairs = unambiguous_pairs(vote_matrix(rims, seen, 1e-3), 4)
     np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
     assert len(pairs) == 9
     votes = np.array([[20, 0, 0], [0, 20, 20], [0, 0, 20]])
-    np.testing.assert_array_equal(unambiguous(votes, 4), [[0, 0]])
+    np.testing.assert_array_equal(unambiguous_pairs(votes, 4), [[0, 0]])
     # With a margin the couple stays that outvotes its rivals, be they over the threshold or not.
     votes = np.array([[30, 12, 0], [14, 25, 0], [0, 19, 18]])
-    np.testing.assert_array_equal(unambiguous(votes, 4), np.zeros((0, 2)))
-    np.testing.assert_array_equal(unambiguous(votes, 4, 1.3), [[0, 0], [1, 1]])
-    np.testing.assert_array_equal(unambiguous(votes, 4, 1.5), [[0, 0]])
+    np.testing.assert_array_equal(unambiguous_pairs(votes, 4), np.zeros((0, 2)))
+    np.testing.assert_array_equal(unambiguous_pairs(votes, 4, 1.3), [[0, 0], [1, 1]])
+    np.testing.assert_array_equal(unambiguous_pairs(votes, 4, 1.5), [[0, 0]])
 
 
 def test_the_linear_transform_of_three_points_is_opencvs() -> None:
@@ -209,7 +219,7 @@ def test_context_finds_a_constellation_among_others_and_none_where_there_is_none
     rng = np.random.default_rng(9)
     rims = _ellipses(rng, 12)
     transform = np.array([[0.9, -0.3, 60.0], [0.2, 1.1, -20.0], [0.0, 0.0, 1.0]])
-    seen, _ = mapped(rims, np.broadcast_to(transform, (12, 3, 3)))
+    seen, _ = map_ellipses(rims, np.broadcast_to(transform, (12, 3, 3)))
     strangers = _ellipses(rng, 8)
     both = Ellipses(
         np.concatenate([seen.centre_px, strangers.centre_px]),
@@ -218,10 +228,10 @@ def test_context_finds_a_constellation_among_others_and_none_where_there_is_none
     )
     candidates = rng.uniform(size=(12, 20)) < 0.2
     candidates[np.arange(12), np.arange(12)] = True
-    pairs, votes = constellations(rims, both, candidates, ContextOptions(), (0, 1))
+    pairs, votes = match_constellations(rims, both, candidates, ContextOptions(), (0, 1))
     np.testing.assert_array_equal(pairs[np.argsort(pairs[:, 0])], np.column_stack([np.arange(12)] * 2))
     assert (votes == 12).all()
-    nothing, _ = constellations(rims, _ellipses(rng, 8), candidates[:, 12:], ContextOptions(), (0, 1))
+    nothing, _ = match_constellations(rims, _ellipses(rng, 8), candidates[:, 12:], ContextOptions(), (0, 1))
     assert len(nothing) == 0
 
 
@@ -243,10 +253,10 @@ def test_epipolar_offsets_are_distances_to_opencvs_lines(ground, craters) -> Non
 def test_the_common_error_is_that_of_a_least_squares_solver() -> None:
     rng = np.random.default_rng(11)
     rims, H = _ellipses(rng, 8), rng.normal(size=(8, 2, 3))
-    P, noise = np.diag([4.0, 1.0, 9.0]), centre_noise(rims, AssociationOptions())
+    P, noise = np.diag([4.0, 1.0, 9.0]), centre_noise(rims, CraterAssociationOptions())
     error = rng.normal(size=3) * [2.0, 1.0, 3.0]
     seen = Ellipses(rims.centre_px + H @ error + rng.normal(0.0, 0.3, (8, 2)), rims.semi_axes_px, rims.angle_rad)
-    found = associate(Expected(rims, H, P, noise, np.zeros(3)), seen, 1e5, AssociationOptions())
+    found = associate(ExpectedCraters(rims, H, P, noise, np.zeros(3)), seen, 1e5, CraterAssociationOptions())
     np.testing.assert_array_equal(found.pairs, np.column_stack([np.arange(8)] * 2))
 
     def residuals(x: FloatArray) -> FloatArray:
@@ -261,11 +271,11 @@ def test_the_common_error_is_that_of_a_least_squares_solver() -> None:
 def test_a_lone_couple_counts_only_as_far_as_the_prior_foretells_it() -> None:
     rim = Ellipses(np.array([[200.0, 200.0]]), np.array([[12.0, 9.0]]), np.array([0.3]))
     near = Ellipses(rim.centre_px + 1.0, rim.semi_axes_px, rim.angle_rad)
-    options, noise = AssociationOptions(), centre_noise(rim, AssociationOptions())
+    options, noise = CraterAssociationOptions(), centre_noise(rim, CraterAssociationOptions())
     H = np.eye(2)[None]
-    known = associate(Expected(rim, H, np.eye(2), noise, np.zeros(2)), near, 2e5, options)
+    known = associate(ExpectedCraters(rim, H, np.eye(2), noise, np.zeros(2)), near, 2e5, options)
     assert len(known.pairs) == 1
-    unknown = associate(Expected(rim, H, 1e6 * np.eye(2), noise, np.zeros(2)), near, 2e5, options)
+    unknown = associate(ExpectedCraters(rim, H, 1e6 * np.eye(2), noise, np.zeros(2)), near, 2e5, options)
     assert len(unknown.pairs) == 0
     assert "none is sure" in unknown.reason
 
@@ -275,7 +285,7 @@ def test_what_is_hidden_is_what_the_far_side_of_an_ellipsoid_hides(ground) -> No
     points, normals = ground.sample(200, rng)
     camera = np.array([0.0, 0.0, 2e5])
     away = np.einsum("ni,ni->n", normals, camera - points) < 0.0
-    np.testing.assert_array_equal(hidden(points, camera, ground, np.full(200, 1.0)), away)
+    np.testing.assert_array_equal(occluded(points, camera, ground, np.full(200, 1.0)), away)
 
 
 @pytest.mark.parametrize(("name", "view_deg", "sun_deg", "recall", "wrong"), [
@@ -320,7 +330,7 @@ def test_correlation_confirms_craters_where_the_pixels_agree(ground, craters) ->
 
 
 def _painted(image: CraterImage) -> CraterImage:
-    """Paint each rim as a bowl whose brightness runs along the direction of the Sun on the ground."""
+    """Paint each rim as a bowl with a brightness gradient along the direction of the Sun on the ground."""
     v, u = np.mgrid[0 : CAMERA.height_px, 0 : CAMERA.width_px] + 0.5
     sun = image.frame.sun_dir_cam[:2] / np.linalg.norm(image.frame.sun_dir_cam[:2])
     pixels = np.full(u.shape, 100.0)
@@ -387,7 +397,7 @@ def test_every_matcher_keeps_the_contract() -> None:
 
 def test_a_pose_that_is_set_right_by_its_error_predicts_the_true_places(ground, craters) -> None:
     first, second = pair(ground, craters, 16, 10.0, 10.0, EXACT, position_sigma_m=0.001)
-    expected = transfer(first.image, second.image, locate(first.image, ground), ground)
+    expected = transfer_craters(first.image, second.image, locate_craters(first.image, ground), ground)
     crater = first.crater[expected.rows]
     common, here, there = np.intersect1d(crater, second.crater, return_indices=True)
     assert len(common) >= 5

@@ -6,9 +6,15 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 
-from estimators.craters.detection.confidence import confidence, suppress
-from estimators.craters.detection.merit import Field, merit, side_merits, side_weights
-from estimators.craters.detection.refinement import Scales, from_parameters, parameters, refine
+from estimators.craters.detection.merit import GradientField, merit, side_merits, side_weights
+from estimators.craters.detection.refinement import (
+    GradientScales,
+    confidence,
+    from_parameters,
+    parameters,
+    refine,
+    suppress_duplicates,
+)
 from scenarios.geometry import Ellipses
 
 GAP = 0.5
@@ -18,11 +24,11 @@ SUN = np.array([0.6, -0.8])
 def rough_field(seed=1, shape=(90, 110)):
     rng = np.random.default_rng(seed)
     u, v = (gaussian_filter(rng.normal(size=shape), 4.0) for _ in range(2))
-    return Field.of_gradient(u.astype(np.float32), v.astype(np.float32), 0.02)
+    return GradientField.of_gradient(u.astype(np.float32), v.astype(np.float32), 0.02)
 
 
 def ideal(shape=(120, 140), centre=(70.3, 58.1), axes=(30.0, 22.0), angle=0.4, width=2.0):
-    """The gradient field of an even rim: along the outward normal towards the Sun, inward away from it."""
+    """Return the gradient field of an ideal rim: along the outward normal towards the Sun, inward away from it."""
     v, u = np.mgrid[: shape[0], : shape[1]] + 0.5
     c, s = np.cos(angle), np.sin(angle)
     x = ((u - centre[0]) * c + (v - centre[1]) * s) / axes[0]
@@ -60,7 +66,7 @@ def test_the_merits_derivatives_are_central_differences():
 
 def test_the_field_between_pixel_centres_is_that_of_a_plane():
     v, u = np.mgrid[:30, :40] + 0.5
-    field = Field(np.stack([0.3 * u - 0.1 * v, 2.0 + 0.2 * v], axis=-1))
+    field = GradientField(np.stack([0.3 * u - 0.1 * v, 2.0 + 0.2 * v], axis=-1))
     place = np.random.default_rng(3).uniform(1, 29, (50, 2))
     value, by = field.at(place)
     np.testing.assert_allclose(value[:, 0], 0.3 * place[:, 0] - 0.1 * place[:, 1], atol=1e-12)
@@ -69,16 +75,16 @@ def test_the_field_between_pixel_centres_is_that_of_a_plane():
 
 def test_the_merit_of_a_perfect_rim_is_one_and_turns_its_sign_with_the_sun():
     values, truth = ideal(width=1e6)
-    field = Field(values)
+    field = GradientField(values)
     np.testing.assert_allclose(merit(truth, field, SUN, GAP)[0], 1.0, atol=1e-3)
     np.testing.assert_allclose(merit(truth, field, -SUN, GAP)[0], -1.0, atol=1e-3)
 
 
 def test_a_terminator_has_one_good_side():
-    """Brightness that rises evenly towards the Sun: its direction agrees on both sides, a step's on one alone."""
+    """Brightness that rises evenly towards the Sun agrees on both sides, a step on one only."""
     u = np.mgrid[:100, :100][1] + 0.5
     step = np.exp(-0.5 * ((u - 40.0) / 2.0) ** 2)
-    field = Field(np.stack([step, 0 * step], axis=-1))
+    field = GradientField(np.stack([step, 0 * step], axis=-1))
     rim = Ellipses(np.array([[55.0, 50.0]]), np.array([[15.0, 15.0]]), np.zeros(1))
     shaded, lit = side_merits(rim, field, np.array([1.0, 0.0]), GAP)[0]
     assert lit > 0.2
@@ -93,15 +99,15 @@ def test_weights_leave_the_transition_arcs_out():
 
 def test_refinement_locks_on_the_rim_as_scipys_search_does():
     values, truth = ideal()
-    scales = Scales((Field(values),), (Field(values),), (np.inf,))
+    scales = GradientScales((GradientField(values),), (GradientField(values),), (np.inf,))
     start = from_parameters(parameters(truth) + np.array([[1.5, -1.0, 1.0, -0.8, 0.05]]))
     found = refine(start, scales, SUN, GAP, 60)
     best = minimize(
-        lambda p: -merit(from_parameters(p[None]), Field(values), SUN, GAP)[0][0],
+        lambda p: -merit(from_parameters(p[None]), GradientField(values), SUN, GAP)[0][0],
         parameters(truth)[0], method="Nelder-Mead",
         options={"xatol": 1e-4, "fatol": 1e-10, "maxiter": 4000},
     )  # fmt: skip
-    reached = merit(found, Field(values), SUN, GAP)[0][0]
+    reached = merit(found, GradientField(values), SUN, GAP)[0][0]
     assert reached > -best.fun - 2e-3
     np.testing.assert_allclose(found.centre_px, truth.centre_px, atol=0.1)
     np.testing.assert_allclose(found.semi_axes_px, truth.semi_axes_px, atol=0.3)
@@ -111,7 +117,7 @@ def test_confidence_is_that_of_the_worse_side():
     values, truth = ideal(width=1e6)
     v, u = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
     values[(np.stack([u, v], axis=-1) - truth.centre_px[0]) @ SUN < 0.0] *= 0.25
-    scales = Scales((Field(values),), (Field(values),), (np.inf,))
+    scales = GradientScales((GradientField(values),), (GradientField(values),), (np.inf,))
     np.testing.assert_allclose(confidence(truth, scales, SUN, GAP), 0.25, atol=0.01)
 
 
@@ -121,5 +127,5 @@ def test_duplicates_go_and_nested_craters_stay():
         np.array([[10.0, 9], [10.5, 9], [24, 20], [9, 9]]),
         np.zeros(4),
     )
-    kept = suppress(ellipses, np.array([0.8, 0.9, 0.7, 0.95]), 0.6, 1.6)
+    kept = suppress_duplicates(ellipses, np.array([0.8, 0.9, 0.7, 0.95]), 0.6, 1.6)
     assert kept.tolist() == [3, 1, 2]

@@ -1,4 +1,4 @@
-"""Planned images: geometry by hand on an ellipsoid, and the file."""
+"""Image planning: hand-computed geometry on an ellipsoid, and the plan file."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import pytest
 from crater_looks import CAMERA, ellipsoid
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import Ephemeris, plan_images, with_telemetry
+from estimators.craters.planning import Ephemeris, plan_images, read_plan, with_telemetry, write_plan
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose
 
@@ -87,7 +86,7 @@ def test_a_plan_with_its_telemetry_is_read_back_exactly(ground, tmp_path) -> Non
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     lines = (tmp_path / "plan.txt").read_text().splitlines()
     for wrong, said in (
-        ([*lines, lines[1]], "image 0 stands twice"),
+        ([*lines, lines[1]], "image 0 is listed twice"),
         ([lines[0], lines[1].replace(images[0].kind, "zenith")], r"plan.txt:2: 'zenith' is no kind of image"),
         ([lines[0], "image 1 2 nadir"], "an? image has 27 fields"),
     ):

@@ -1,4 +1,4 @@
-"""The pose by craters alone, on detections drawn by geometry, and against a solver of least squares."""
+"""The pose by craters, on detections from exact geometry, and against a least-squares solver."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from scipy.optimize import least_squares
 from campaign.kinds.single_image.check import check
 from estimators.contract import Estimate
 from estimators.craters.contract import CraterDetections
+from estimators.craters.database.build import triangulate_landmarks
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.pictures import Picture
-from estimators.craters.database.triangulation import triangulated
-from estimators.craters.matching.association import AssociationOptions
-from estimators.craters.pose.estimator import CraterPose
-from estimators.craters.pose.expected import expected_craters
-from estimators.craters.pose.options import CraterPoseOptions
+from estimators.craters.database.pictures import SequencePicture
+from estimators.craters.matching.association import CraterAssociationOptions
+from estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
 from scenarios.craters.simulated import DetectionErrors
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose, View, look_at, project_circles
@@ -29,7 +27,7 @@ ERRORS = DetectionErrors(height_m=0.0)
 
 
 class Found:
-    """A detector that returns what a look holds."""
+    """A detector that returns given detections."""
 
     def __init__(self, rims: Ellipses) -> None:
         self.rims = rims
@@ -143,8 +141,10 @@ def test_images_without_craters_fail_with_a_reason(world) -> None:
     assert broken.reason == "the image holds NaN"
 
 
-def _pictures(true: np.ndarray, normals: np.ndarray, radii: np.ndarray, angles: tuple[float, ...]) -> list[Picture]:
-    """Draw exact centres of the rims at ``true`` from several directions."""
+def _pictures(
+    true: np.ndarray, normals: np.ndarray, radii: np.ndarray, angles: tuple[float, ...]
+) -> list[SequencePicture]:
+    """Make pictures with exact centres of the rims at ``true`` from several directions."""
     pictures = []
     for number, angle in enumerate(angles):
         position = true[0] + RANGE_M * turned(np.array([0.0, 0.0, 1.0]), angle, 1.0)
@@ -154,7 +154,7 @@ def _pictures(true: np.ndarray, normals: np.ndarray, radii: np.ndarray, angles: 
         seen = CAMERA.project(pose.transform(true))
         rims = project_circles(view, true, normals, radii)
         exact = Ellipses(seen, rims.semi_axes_px, rims.angle_rad)
-        pictures.append(Picture(number, 0.0, CAMERA, pose, np.array([0.0, 0.0, -1.0]), np.arange(2), exact))
+        pictures.append(SequencePicture(number, 0.0, CAMERA, pose, np.array([0.0, 0.0, -1.0]), np.arange(2), exact))
     return pictures
 
 
@@ -170,7 +170,7 @@ def _landmarks(position_m: np.ndarray, images: int) -> Landmarks:
 def test_triangulation_meets_exact_lines_of_sight_whatever_the_shape_said() -> None:
     pictures = _pictures(TRUE_M, NORMALS, RADII_M, (0.0, 15.0, 30.0))
     wrong = _landmarks(TRUE_M + np.random.default_rng(3).normal(0.0, 20.0, (2, 3)), 3)
-    moved = triangulated(CraterDatabase(tuple(pictures), wrong), 1e4, AssociationOptions()).landmarks
+    moved = triangulate_landmarks(CraterDatabase(tuple(pictures), wrong), 1e4, CraterAssociationOptions()).landmarks
     np.testing.assert_allclose(moved.position_body_m, TRUE_M, atol=0.1)
 
 
@@ -180,7 +180,7 @@ def test_a_sighting_with_the_number_of_another_crater_does_not_decide_where_a_la
     shifted = Ellipses(odd.centre_px + np.array([[9.0, -7.0], [0.0, 0.0]]), odd.semi_axes_px, odd.angle_rad)
     pictures[2] = replace(pictures[2], ellipses=shifted)
     database = CraterDatabase(tuple(pictures), _landmarks(TRUE_M, 5))
-    moved = triangulated(database, 1e4, AssociationOptions()).landmarks
+    moved = triangulate_landmarks(database, 1e4, CraterAssociationOptions()).landmarks
     mean_shift_m = 19.0 * np.hypot(9.0, 7.0) / 5
     assert np.linalg.norm(moved.position_body_m[0] - TRUE_M[0]) < 0.5 * mean_shift_m
     np.testing.assert_allclose(moved.position_body_m[1], TRUE_M[1], atol=0.1)

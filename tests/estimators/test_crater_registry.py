@@ -1,4 +1,4 @@
-"""Detectors of craters by name: ours, and those of third parties by their entry points."""
+"""Crater detectors by name: the built-in ones, and third-party ones by their entry points."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Blind:
 
 
 def install(folder, monkeypatch, module, line):
-    """Leave a package of one module in a folder as pip would."""
+    """Write a package of one module to a folder as pip would."""
     (folder / "my_craters.py").write_text(module, encoding="utf-8")
     info = folder / "my_craters-1.0.dist-info"
     info.mkdir()

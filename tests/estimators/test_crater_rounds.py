@@ -1,4 +1,4 @@
-"""Parts of the chain: files read back, what orbit determination reads of a data base, and errors that images share."""
+"""Parts of the navigation chain: files, the input of orbit determination, and errors that images share."""
 
 from dataclasses import replace
 
@@ -8,25 +8,32 @@ from orbit_worlds import CAMERA, orbit_world
 from scipy.spatial.transform import Rotation
 
 from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase, read_matches, write_matches
-from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.database.files import (
+    LANDMARKS,
+    PICTURES,
+    CraterDatabase,
+    ImageDetections,
+    read_detections,
+    read_matches,
+    write_detections,
+    write_matches,
+)
+from estimators.craters.database.landmarks import Landmarks, landmarks_for_orbit
 from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
-from estimators.craters.database.pictures import Picture
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
-from estimators.craters.matching.preliminary import same_place
+from estimators.craters.database.pictures import SequencePicture, pictures_for_orbit
+from estimators.craters.matching.preliminary import couples_at_same_place
 from estimators.craters.matching.transfer import joint_covariance
-from estimators.craters.navigation.matched import believed, placed_images
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.rounds import reject_small_matches
+from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory
-from scenarios.dynamics.flight import travelled
-from scenarios.dynamics.propagation import Pushes
+from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
+from scenarios.dynamics.field import UniformRotation
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_states
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose
-from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.known import draw_knowledge
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.draw import draw_knowledge
+from scenarios.orbits.true_orbit import state_at_epoch
 from scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([3.0, -2.0, 5.0])
@@ -40,13 +47,13 @@ def _rims(count, rng):
 def test_detections_are_read_back_as_they_were(tmp_path):
     rng = np.random.default_rng(1)
     found = CraterDetections(_rims(4, rng), np.array([0.9, 0.5, 0.5, 1.0 / 3.0]))
-    write_detections(tmp_path / "a", DetectedImage(7, 1234.5, found))
+    write_detections(tmp_path / "a", ImageDetections(7, 1234.5, found))
     again = read_detections(tmp_path / "a")
     assert (again.number, again.time_s, again.reason) == (7, 1234.5, "")
     np.testing.assert_array_equal(again.detections.ellipses.centre_px, found.ellipses.centre_px)
     np.testing.assert_array_equal(again.detections.ellipses.semi_axes_px, found.ellipses.semi_axes_px)
     np.testing.assert_array_equal(again.detections.confidence, found.confidence)
-    write_detections(tmp_path / "b", DetectedImage(8, 0.0, CraterDetections.none(), "the image is black"))
+    write_detections(tmp_path / "b", ImageDetections(8, 0.0, CraterDetections.none(), "the image is black"))
     assert read_detections(tmp_path / "b").reason == "the image is black"
 
 
@@ -61,7 +68,7 @@ def test_detections_are_read_back_as_they_were(tmp_path):
 )
 def test_a_wrong_file_of_craters_is_refused_with_its_line(tmp_path, change, message):
     found = CraterDetections(_rims(2, np.random.default_rng(1)), np.ones(2))
-    write_detections(tmp_path / "a", DetectedImage(7, 1.0, found))
+    write_detections(tmp_path / "a", ImageDetections(7, 1.0, found))
     (tmp_path / "a").write_text((tmp_path / "a").read_text().replace(*change))
     with pytest.raises(BoresightError, match=message):
         read_detections(tmp_path / "a")
@@ -76,12 +83,12 @@ def test_matches_are_read_back_and_a_pair_that_stands_twice_is_refused(tmp_path)
     np.testing.assert_array_equal(first.matches.score, some.matches.score)
     assert (second.first, second.second, second.matches.reason) == (1, 2, "image 2 has no crater")
     write_matches(tmp_path / "b", [some, some])
-    with pytest.raises(BoresightError, match=r"b:5: images 0 and 3 stand twice"):
+    with pytest.raises(BoresightError, match=r"b:5: images 0 and 3 are listed twice"):
         read_matches(tmp_path / "b")
 
 
 def _database(rng):
-    """Two pictures, the same landmark in both, in axes whose origin is off the centre of mass."""
+    """Make two pictures with the same landmark, in axes whose origin is off the centre of mass."""
     times, points = [100.0, 5000.0], rng.uniform(-200, 200, (3, 3)) + SHIFT_M
     attitudes = Rotation.from_rotvec(rng.normal(size=(2, 3))).as_matrix()
     turns = ROTATION.at(np.array(times))
@@ -90,7 +97,7 @@ def _database(rng):
         rotation = attitude @ turn.T
         pose = Pose(rotation, -rotation @ (turn @ np.array([3000.0, 0.0, 100.0]) + SHIFT_M))
         shown = np.array([0, 2 - number])
-        pictures.append(Picture(number, time, CAMERA, pose, np.array([0.0, 0.0, -1.0]), shown, _rims(2, rng)))
+        pictures.append(SequencePicture(number, time, CAMERA, pose, np.array([0.0, 0.0, -1.0]), shown, _rims(2, rng)))
     spread = np.tile(np.diag([9.0, 4.0, 14.0]), (3, 1, 1))
     landmarks = Landmarks(
         np.arange(3), points, np.tile([0.0, 0.0, 1.0], (3, 1)), np.ones(3), spread, np.array([2, 1, 1])
@@ -102,7 +109,10 @@ def test_orbit_determination_reads_a_data_base_about_the_centre_of_mass(tmp_path
     made, attitudes = _database(np.random.default_rng(2))
     made.save(tmp_path)
     database = CraterDatabase.load(tmp_path)
-    pictures, places = sequence_of_pictures(database, CAMERA, ROTATION), places_of_landmarks(database, SHIFT_M)
+    pictures, places = (
+        pictures_for_orbit(database.pictures, CAMERA, ROTATION),
+        landmarks_for_orbit(database.landmarks, SHIFT_M),
+    )
     np.testing.assert_allclose(pictures.R_cam_inertial, attitudes, atol=1e-14)
     assert pictures.image.tolist() == [0, 0, 1, 1]
     assert pictures.landmark.tolist() == [0, 2, 0, 1]
@@ -120,21 +130,21 @@ def test_a_number_that_stands_twice_no_picture_and_another_camera_are_refused(tm
     made.save(tmp_path)
     text = (tmp_path / LANDMARKS).read_text()
     (tmp_path / LANDMARKS).write_text(text.replace("landmark 1 ", "landmark 0 "))
-    with pytest.raises(BoresightError, match=r"landmarks.txt:3: landmark 0 stands twice"):
+    with pytest.raises(BoresightError, match=r"landmarks.txt:3: landmark 0 is listed twice"):
         CraterDatabase.load(tmp_path)
     (tmp_path / LANDMARKS).write_text(text)
     shown = (tmp_path / PICTURES).read_text()
     (tmp_path / PICTURES).write_text(shown.replace("sighting 0 2", "sighting 0 0"))
-    with pytest.raises(BoresightError, match=r"pictures.txt:4: landmark 0 stands twice in picture 0"):
+    with pytest.raises(BoresightError, match=r"pictures.txt:4: landmark 0 is listed twice in picture 0"):
         CraterDatabase.load(tmp_path)
     with pytest.raises(BoresightError, match="no picture"):
-        sequence_of_pictures(CraterDatabase((), made.landmarks), CAMERA, ROTATION)
+        pictures_for_orbit((), CAMERA, ROTATION)
     with pytest.raises(BoresightError, match="picture 0 is of another camera"):
-        sequence_of_pictures(made, replace(CAMERA, fx_px=1.0), ROTATION)
+        pictures_for_orbit(made.pictures, replace(CAMERA, fx_px=1.0), ROTATION)
 
 
 def test_a_stage_is_made_once_and_a_failure_leaves_nothing(tmp_path):
-    stages, calls = Stages(tmp_path), []
+    stages, calls = StageFiles(tmp_path), []
 
     def make(path):
         calls.append(path)
@@ -144,20 +154,20 @@ def test_a_stage_is_made_once_and_a_failure_leaves_nothing(tmp_path):
         raise RuntimeError("on purpose")
 
     for _ in range(2):
-        assert stages.kept("a", "one", make, lambda path: path.read_text()) == "x"
+        assert stages.cached("a", "one", make, lambda path: path.read_text()) == "x"
     assert len(calls) == 1
     with pytest.raises(RuntimeError, match="on purpose"):
-        stages.kept("b", "two", fail, lambda path: path.read_text())
+        stages.cached("b", "two", fail, lambda path: path.read_text())
     assert set(stages.seconds()) == {"one"}
 
 
 def _placed(world, knowledge, times):
-    """Two images without craters, as the a priori orbit places them."""
-    ground = MeshGround(world.believed.shape.mesh())
+    """Make two images without craters, with prior poses from the a priori orbit."""
+    ground = MeshGround(world.onboard.shape.mesh())
     task = NavigationTask(knowledge, AprioriShape(ground, SHIFT_M, 1.0), None, times)
     pixels, rims = np.zeros((2, 2), np.float32), CraterDetections.none()
     ones = [Exposure(i, t, np.eye(3), np.array([0.0, 0.0, -1.0]), pixels, rims) for i, t in enumerate(times)]
-    return placed_images(ones, Trajectory.known_before(knowledge, times), task)
+    return images_along_trajectory(ones, Trajectory.a_priori(knowledge, times), task)
 
 
 def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit():
@@ -169,11 +179,11 @@ def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit(
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > -1e-6 * covariance.max()
     sigma = np.repeat([known.position_sigma_m, known.velocity_sigma_m_s], 3)
-    none, shifts = Pushes.none(float(times[-1])), []
-    nominal = travelled(known.field, known.state, times, none)[:, :3]
+    none, shifts = PiecewiseAcceleration.none(float(times[-1])), []
+    nominal = propagate_states(known.field, known.state, times, none)[:, :3]
     for _ in range(400):
         harmonics = replace(known.field.harmonics, gm_m3_s2=known.field.harmonics.gm_m3_s2 * (1 + 0.01 * rng.normal()))
-        moved = travelled(
+        moved = propagate_states(
             replace(known.field, harmonics=harmonics), known.state + sigma * rng.normal(size=6), times, none
         )
         shifts.append((nominal - moved[:, :3]).ravel())  # R_cam_inertial is the identity: the translation moves by -dr
@@ -186,7 +196,7 @@ def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit(
 
 
 def _by_turn(images, known):
-    """(6, 6) of both translations by what turns the camera: alike in the mounting, alone in the attitude."""
+    """Return (6, 6) the effect of camera rotations on both translations: common misalignment, independent attitudes."""
     lever = [np.cross(np.eye(3), image.frame.prior_T_cam_body.translation_m) for image in images]
     mounting, attitude = known.misalignment_sigma_rad**2, known.attitude_sigma_rad**2
     both = mounting * np.vstack([one.T for one in lever]) @ np.hstack(lever)
@@ -200,16 +210,16 @@ def test_places_that_move_together_are_told_apart_by_their_difference():
     shared = np.tile(100.0 * np.eye(3), (3, 1, 1))
     own = np.tile(4.0 * np.eye(3), (3, 1, 1))
     together = own + shared @ np.swapaxes(shared, 1, 2)
-    assert same_place(points, together, 3.0).tolist() == [[0, 1], [0, 2], [1, 2]]
-    assert same_place(points, together, 3.0, shared).tolist() == [[0, 2]]
-    assert same_place(points[:1], together[:1], 3.0, shared[:1]).tolist() == []
+    assert couples_at_same_place(points, together, 3.0).tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert couples_at_same_place(points, together, 3.0, shared).tolist() == [[0, 2]]
+    assert couples_at_same_place(points[:1], together[:1], 3.0, shared[:1]).tolist() == []
 
 
 def test_pairs_with_too_few_matches_are_not_believed():
     few = PairMatches(0, 1, CraterMatches(np.array([[0, 0], [1, 1]]), np.ones(2)))
     enough = PairMatches(0, 2, CraterMatches(np.array([[0, 0], [1, 1], [2, 2]]), np.ones(3)))
     none = PairMatches(1, 2, CraterMatches.none("nothing in common"))
-    found = believed([few, enough, none], 3)
+    found = reject_small_matches([few, enough, none], 3)
     assert [len(pair.matches.pairs) for pair in found] == [0, 3, 0]
     assert found[0].matches.reason == "2 matches are fewer than the 3 that have to agree"
     assert found[2].matches.reason == "nothing in common"

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.dense.gauss_newton import PriorTerm, band, inverse, reduced_camera, reduced_image
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import LevelOptions, PhotometricOptions
-from estimators.dense.photometric import PhotometricEstimator
-from estimators.dense.whole_image import registering
-from estimators.landmark.centroid import MeshView
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.contract import Stopwatch
+from estimators.dense.gauss_newton import (
+    LevelOptions,
+    available_gradient,
+    band_pass,
+    inverse,
+    reduced_camera,
+    reduced_image,
+)
+from estimators.dense.photometric import PhotometricEstimator, PhotometricOptions
+from estimators.dense.whole_image import registration_aligner
+from estimators.landmark.alignment import MeshView
+from estimators.landmark.pose.posterior import PosePrior
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies.embedded import EMBEDDED
 from scenarios.errors import BoresightError
@@ -54,7 +60,7 @@ def errors(pose: Pose) -> tuple[float, float]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
-    """The same renderer made the image: what is left is below a pixel (5 m), the prior's error 40 m."""
+    """The image is from the same renderer: the error is below a pixel (5 m), that of the prior 40 m."""
     found = estimate(renderer, frame(image, seed))
     assert found.status == "ok"
     shift_m, turn_deg = errors(found.pose)
@@ -96,10 +102,10 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
-    """Shift and turn, and the point that the shift begins with for drawing."""
+    """The alignment estimates translation and rotation, and gives the first points of the shift for drawing."""
     start = frame(image, seed)
     clock = Stopwatch()
-    found = registering(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
+    found = registration_aligner(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
     assert not found.failure
     assert found.steps[0].T_cam_body is start.prior_T_cam_body
     assert errors(found.T_cam_body)[1] < min(0.15, 0.5 * errors(start.prior_T_cam_body)[1])
@@ -111,7 +117,7 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
 )
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_both_gradients_lead_to_the_same_pose(renderer, image, seed):
-    """Twelve renderings hold for every shadow; the renderer's derivatives must not lead elsewhere."""
+    """Differences of twelve renderings include all shadows; the renderer's derivatives must give the same pose."""
     poses = [
         estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).pose
         for gradient in ("autodiff", "differences")
@@ -138,7 +144,7 @@ def test_the_unit_of_the_image_has_no_part(renderer, image):
 
 
 def test_what_the_image_does_not_tell_comes_from_the_prior(renderer, image):
-    """With a prior much surer than the image, the pose stays at the prior along the boresight."""
+    """With a prior much more accurate than the image, the pose stays at the prior along the boresight."""
     sure = np.diag(np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3, 1e-3]) ** 2)
     wrong = TRUE.perturbed(np.zeros(3), np.array([0.0, 0.0, 30.0]))
     found = estimate(renderer, Frame(image, SUN_CAM, wrong, sure))
@@ -176,25 +182,25 @@ def test_reduction_averages_and_a_band_has_no_mean():
     image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
     np.testing.assert_allclose(reduced_image(image, 4)[3, 5], image[12:16, 20:24].mean(), rtol=1e-6)
     flat = np.full((64, 64), 3.0, dtype=np.float32)
-    np.testing.assert_allclose(band(flat, LevelOptions(blur_px=1.0, background_px=4.0)), 0.0, atol=1e-5)
+    np.testing.assert_allclose(band_pass(flat, LevelOptions(blur_px=1.0, background_px=4.0)), 0.0, atol=1e-5)
 
 
 def test_the_prior_term_measures_what_perturbed_does():
     step = np.array([0.01, -0.02, 0.005, 3.0, -4.0, 1.0])
-    np.testing.assert_allclose(PriorTerm(TRUE, np.eye(6)).error(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
+    np.testing.assert_allclose(PosePrior(TRUE, np.eye(6)).offset(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
     np.testing.assert_allclose(inverse(np.diag([1e8, 1e-3, 2.0])) @ np.diag([1e8, 1e-3, 2.0]), np.eye(3), atol=1e-12)
 
 
 @pytest.mark.parametrize("sure_of", [(5,), (0, 1, 2), (0, 1, 2, 3, 4, 5)], ids=["range", "attitude", "all"])
 def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
-    """A variance of 0 has no inverse, but a meaning."""
+    """A variance of 0 has no inverse, but it fixes the component."""
     sigmas = PRIOR_SIGMAS.copy()
     sigmas[list(sure_of)] = 0.0
     error = np.random.default_rng(1).normal(0.0, sigmas)
     prior = TRUE.perturbed(error[:3], error[3:])
     found = estimate(renderer, Frame(image, SUN_CAM, prior, np.diag(sigmas**2)))
     assert found.status == "ok"
-    moved = PriorTerm(prior, np.eye(6)).error(found.pose)
+    moved = PosePrior(prior, np.eye(6)).offset(found.pose)
     np.testing.assert_allclose(moved[list(sure_of)], 0.0, atol=1e-6)
     assert np.isfinite(found.covariance).all()
     assert errors(found.pose)[0] < 2.5
@@ -202,7 +208,7 @@ def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
 
 def test_a_shape_that_goes_out_of_sight_on_the_way_is_a_failure_with_a_reason(renderer, image):
     class OnlyWhole:
-        """Shows the body to the first shift, and nothing to the levels, which are smaller."""
+        """Renders the body for the first shift, and nothing for the smaller images of the levels."""
 
         def render(self, view: View) -> np.ndarray:
             whole = view.camera.width_px == CAMERA.width_px

@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from estimators.descriptors.build import DescriptorOptions, view_features
-from estimators.descriptors.database import FILE, DescriptorDatabase, ViewFeatures
+from estimators.descriptors.database import FILE, DescriptorDatabase, DescriptorOptions, ViewFeatures, view_features
 from estimators.descriptors.features import FeatureOptions, find_features, match_features
 from estimators.descriptors.recognizer import (
     PRODUCT,
     DescriptorNavigatorOptions,
-    Matched,
     OrbNavigator,
+    PointMatches,
     SiftNavigator,
     find_consensus,
     near_prediction,
 )
-from estimators.landmark.pose.posterior import Prior
+from estimators.landmark.pose.posterior import GaussianPose
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
 from scenarios.draw import draw_lit_view
@@ -106,7 +105,7 @@ def matched_scene(seed, inliers=40, outliers=30):
     points *= 150.0 / np.linalg.norm(points, axis=1, keepdims=True)
     uv = CAMERA.project(TRUE.transform(points)) + rng.normal(0.0, 0.3, (len(points), 2))
     uv[inliers:] = rng.uniform(90.0, 166.0, (outliers, 2))
-    return Matched(uv, points)
+    return PointMatches(uv, points)
 
 
 def test_consensus_finds_the_pose_among_outliers_and_repeats_itself():
@@ -127,7 +126,7 @@ def test_too_little_agreement_says_so():
 def test_matches_far_from_their_prediction_are_dropped():
     matched = matched_scene(5, 50, 0)
     frame = Frame(np.zeros((256, 256), dtype=np.float32), np.array([0.0, 0.0, -1.0]), TRUE, PRIOR_COVARIANCE)
-    far = Matched(matched.uv_px + np.where(np.arange(50) < 10, 80.0, 0.0)[:, None], matched.points_m)
+    far = PointMatches(matched.uv_px + np.where(np.arange(50) < 10, 80.0, 0.0)[:, None], matched.points_m)
     # 29 m are 11.5 px here: 80 px along both axes are almost ten sigmas, 4 are allowed.
     np.testing.assert_array_equal(near_prediction(far, CAMERA, frame, 4.0), np.arange(50) >= 10)
 
@@ -176,7 +175,7 @@ def test_the_nearest_views_look_from_there_under_that_sun():
 
 
 class World:
-    """A body with boulders and data bases of its features; lends what the estimators ask for."""
+    """A body with boulders and data bases of its features, as the assets of the estimators."""
 
     camera = CAMERA
 
@@ -251,7 +250,7 @@ def test_the_points_of_a_view_are_where_its_features_are(world):
 def test_a_solution_that_contradicts_the_prior_is_refused(world):
     estimator = SiftNavigator.from_options({"prior_sigma": 1e6}, world)
     view, frame = world.frame(0)
-    sure = Prior(view.T_cam_body.perturbed(np.array([0.0, 0.0, 0.05]), np.zeros(3)), 1e-6 * PRIOR_COVARIANCE)
+    sure = GaussianPose(view.T_cam_body.perturbed(np.array([0.0, 0.0, 0.05]), np.zeros(3)), 1e-6 * PRIOR_COVARIANCE)
     wrong = Frame(frame.image, frame.sun_dir_cam, sure.T_cam_body, np.diag([3e-3] * 3 + [1.0] * 3) ** 2)
     result = estimator.estimate(Observation(CAMERA, wrong), rng=np.random.default_rng(1))
     assert result.status == "failed"

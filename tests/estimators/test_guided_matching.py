@@ -1,16 +1,16 @@
-"""Matching by an estimator's covariance: consensus against a known world, covariance against another way."""
+"""Guided matching: consensus against a known world, and the predicted covariance against another computation."""
 
 from __future__ import annotations
 
 import numpy as np
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.foresight import joint_covariance
-from estimators.slam.levenberg import view_covariance
 from estimators.slam.options import SmootherOptions
+from estimators.slam.prediction import joint_covariance
 from estimators.slam.smoother import WindowSmoother
-from estimators.slam.vision.features import Features
-from estimators.slam.vision.guided import guided_rows
+from estimators.slam.solver import view_covariance
+from estimators.slam.vision.features import ImageFeatures
+from estimators.slam.vision.matching import guided_rows
 from scenarios.tracks import Prediction
 
 
@@ -48,7 +48,7 @@ def test_the_next_sightings_lie_in_the_predicted_ellipses():
 
 
 def world(rng, n=25, clutter=300):
-    """Landmarks that a shared error of 40 px shifts, among features that look like nothing in particular."""
+    """Landmarks shifted by a shared error of 40 px, among random features."""
     expected = rng.uniform(200, 800, (n, 2))
     shared = np.tile(np.eye(2), (n, n)) * 40.0**2 + np.eye(2 * n) * 2.0**2
     shift = np.array([37.0, -51.0])
@@ -59,13 +59,13 @@ def world(rng, n=25, clutter=300):
     return (
         Prediction(np.arange(n), expected, shared),
         descriptors,
-        Features(uv, look.astype(np.float32), np.ones(len(uv))),
+        ImageFeatures(uv, look.astype(np.float32), np.ones(len(uv))),
     )
 
 
 def test_landmarks_are_found_though_some_look_more_like_something_else():
     prediction, descriptors, features = world(np.random.default_rng(1))
-    # Copies of a fifth of them lie within the ellipses, but not where the others say.
+    # Copies of a fifth of them lie within the ellipses, but not at the shared shift.
     features.descriptors[100:105] = descriptors[:5]
     features.uv_px[100:105] = prediction.uv_px[:5] + np.array([-30.0, 60.0])
     rows = guided_rows(prediction, descriptors, features, 0.5)
@@ -75,9 +75,9 @@ def test_landmarks_are_found_though_some_look_more_like_something_else():
 
 def test_what_is_not_there_is_not_found():
     prediction, descriptors, features = world(np.random.default_rng(2))
-    gone = Features(features.uv_px[10:], features.descriptors[10:], features.strength[10:])
+    gone = ImageFeatures(features.uv_px[10:], features.descriptors[10:], features.strength[10:])
     rows = guided_rows(prediction, descriptors, gone, 0.5)
     assert (rows[:10] == -1).mean() > 0.8
     assert np.mean(rows[10:] == np.arange(15)) > 0.9
-    nothing = Features(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
+    nothing = ImageFeatures(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
     assert (guided_rows(prediction, descriptors, nothing, 0.5) == -1).all()

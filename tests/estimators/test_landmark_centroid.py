@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from estimators.landmark.alignment import best_shift, correlation_pair
-from estimators.landmark.centroid import (
+from estimators.contract import Stopwatch
+from estimators.landmark.alignment import (
     AlignmentOptions,
     MeshView,
     align_translation,
+    best_shift,
     brightness_centroid,
     centroid_pair,
+    correlation_pair,
     translation_update,
 )
 from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
 from scenarios.geometry import Camera, Pose
 
 CAMERA = Camera(256, 200, 800.0, 800.0, 128.0, 100.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimators.landmark.clustering import (
-    Cluster,
     ClusterOptions,
+    PointCluster,
     cluster_stages,
     grow_clusters,
     refine_clusters,
@@ -115,8 +115,8 @@ def test_the_trace_criterion_decides_between_merging_and_pruning(gap, merges):
     first, second = cross((0.0, 0.0, 0.0), 1.0, 12), cross((gap, 0.0, 0.0), 1.0, 11)
     points = np.concatenate([first, second])
     clusters = [
-        Cluster.of(points, np.arange(len(first)), 1e-3),
-        Cluster.of(points, np.arange(len(first), len(points)), 1e-3),
+        PointCluster.of(points, np.arange(len(first)), 1e-3),
+        PointCluster.of(points, np.arange(len(first), len(points)), 1e-3),
     ]
     refined = refine_clusters(points, clusters, ClusterOptions(sigma_floor_m=1e-3))
     assert len(refined) == 1
@@ -127,7 +127,7 @@ def test_clusters_beyond_nine_sigma_are_left_alone():
     # Along x each variance is 1/2, their sum 1: nine sigma is 9 m.
     for gap, count in ((8.5, 1), (9.5, 2)):
         points = np.concatenate([cross((0.0, 0.0, 0.0), 1.0, 30), cross((gap, 0.0, 0.0), 1.0, 30)])
-        clusters = [Cluster.of(points, np.arange(120), 1e-3), Cluster.of(points, np.arange(120, 240), 1e-3)]
+        clusters = [PointCluster.of(points, np.arange(120), 1e-3), PointCluster.of(points, np.arange(120, 240), 1e-3)]
         assert len(refine_clusters(points, clusters, ClusterOptions(sigma_floor_m=1e-3))) == count
 
 

@@ -7,10 +7,18 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
-from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses
-from estimators.landmark.robust.options import ConsensusOptions, MixtureOptions, SearchOptions
-from estimators.landmark.robust.sampling import sampled_hypotheses
-from estimators.landmark.robust.search import best_hypotheses, corner_map, refined, turns_within
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.landmark.pose.stack import PoseStack
+from estimators.landmark.robust.estimator import ConsensusOptions
+from estimators.landmark.robust.mixture import Mixture, MixtureOptions
+from estimators.landmark.robust.search import (
+    SearchOptions,
+    best_hypotheses,
+    corner_map,
+    refine_hypotheses,
+    rotation_grid,
+    sampled_hypotheses,
+)
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
@@ -43,11 +51,11 @@ def scene(seed: int, detected: float = 0.4, clutter: int = 120):
 def solve(mixture: Mixture, corners: np.ndarray, prior: PosePrior):
     search = SearchOptions()
     hypotheses = best_hypotheses(mixture, prior.mean, PRIOR_SIGMAS[0], corners, CAMERA, search)
-    return refined(mixture, hypotheses, SEEN.corner_sigma_px, search)
+    return refine_hypotheses(mixture, hypotheses, SEEN.corner_sigma_px, search)
 
 
-def one(pose) -> Poses:
-    return Poses(pose.rotation[None], pose.translation_m[None])
+def one(pose) -> PoseStack:
+    return PoseStack(pose.rotation[None], pose.translation_m[None])
 
 
 def test_the_gradient_is_that_of_the_posterior():
@@ -56,10 +64,10 @@ def test_the_gradient_is_that_of_the_posterior():
     units = np.array([1e-4, 1e-4, 1e-4, 0.2, 0.2, 0.2])
 
     def posterior(x):
-        return mixture.step(one(prior.mean).perturbed((units * x)[None]), 0.8).log_posterior[0]
+        return mixture.evaluate(one(prior.mean).perturbed((units * x)[None]), 0.8).log_posterior[0]
 
     expected = approx_fprime(np.zeros(6), posterior, 1e-3) / units
-    found = mixture.step(one(prior.mean), 0.8).gradient[0]
+    found = mixture.evaluate(one(prior.mean), 0.8).gradient[0]
     np.testing.assert_allclose(found * units, expected * units, atol=0.02 * np.abs(expected * units).max())
 
 
@@ -68,31 +76,31 @@ def test_each_climb_raises_the_posterior():
     poses = one(prior.mean)
     posteriors = []
     for _ in range(6):
-        posteriors.append(mixture.step(poses, 1.0).log_posterior[0])
-        poses = mixture.climb(poses, 1.0, 1)
+        posteriors.append(mixture.evaluate(poses, 1.0).log_posterior[0])
+        poses = mixture.maximise(poses, 1.0, 1)
     assert (np.diff(posteriors) > -1e-4).all(), "but for the covariances, which are taken as constant"
 
 
 def test_poses_side_by_side_are_those_one_by_one():
     mixture, _, prior = scene(3)
     steps = np.random.default_rng(0).normal(0, 1, (5, 6)) * PRIOR_SIGMAS
-    many = Poses(np.repeat(prior.mean.rotation[None], 5, 0), np.repeat(prior.mean.translation_m[None], 5, 0))
+    many = PoseStack(np.repeat(prior.mean.rotation[None], 5, 0), np.repeat(prior.mean.translation_m[None], 5, 0))
     many = many.perturbed(steps)
-    together = mixture.step(many, 0.5)
+    together = mixture.evaluate(many, 0.5)
     for index in range(5):
-        alone = mixture.step(many.take(np.array([index])), 0.5)
+        alone = mixture.evaluate(many.rows(np.array([index])), 0.5)
         assert alone.log_posterior[0] == pytest.approx(together.log_posterior[index])
         np.testing.assert_allclose(alone.hessian[0], together.hessian[index], rtol=1e-9)
 
 
 def test_the_pose_is_found_and_its_covariance_is_true():
-    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene is lost, P neither vain nor shy."""
+    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene fails, and P has the right size."""
     squares = []
     for seed in range(25):
         mixture, corners, prior = scene(seed)
         pose = solve(mixture, corners, prior)
         error = PosePrior(TRUE, np.eye(6)).errors(one(pose))[0]
-        squares.append(error @ mixture.step(one(pose), SEEN.corner_sigma_px).hessian[0] @ error)
+        squares.append(error @ mixture.evaluate(one(pose), SEEN.corner_sigma_px).hessian[0] @ error)
     low, high = chi2.ppf([0.005, 0.995], 6 * len(squares)) / len(squares)
     assert low < np.mean(squares) < high * 1.15, "soft assignment knows a little less than the curvature says"
 
@@ -104,10 +112,10 @@ def test_the_same_input_gives_the_same_bits():
 
 
 def test_turns_fill_the_ball_and_keep_to_their_number():
-    turns = turns_within(0.04, 0.007, 4000)
+    turns = rotation_grid(0.04, 0.007, 4000)
     assert np.linalg.norm(turns, axis=1).max() <= 0.04
     assert len(turns) == pytest.approx(4.0 / 3.0 * np.pi * (0.04 / 0.007) ** 3, rel=0.1)
-    assert len(turns_within(0.04, 0.0007, 500)) <= 500
+    assert len(rotation_grid(0.04, 0.0007, 500)) <= 500
 
 
 def test_the_corner_map_counts_every_corner():
@@ -124,11 +132,11 @@ def sampled(mixture: Mixture, corners: np.ndarray, prior: PosePrior, seed: int =
 
 
 def test_minimal_sets_lead_to_the_pose_that_the_whole_prior_does():
-    """Two searches that share no hypothesis end at one optimum."""
+    """Two searches without common hypotheses find the same optimum."""
     for seed in range(6):
         mixture, corners, prior = scene(seed)
         hypotheses, search = sampled(mixture, corners, prior)
-        found = refined(mixture, hypotheses, SEEN.corner_sigma_px, search)
+        found = refine_hypotheses(mixture, hypotheses, SEEN.corner_sigma_px, search)
         expected = solve(mixture, corners, prior)
         difference = PosePrior(expected, np.eye(6)).errors(one(found))[0]
         assert (np.abs(difference) < 0.02 * PRIOR_SIGMAS).all()
@@ -142,7 +150,7 @@ def test_minimal_sets_are_those_of_their_seed():
 
 
 def test_a_minimal_set_of_true_corners_gives_the_true_pose():
-    """Without noise and clutter every set is true, so every hypothesis is the pose but for the linearisation."""
+    """Without noise and clutter every set is correct, so every hypothesis is the pose, up to the linearisation."""
     mixture, _, prior = scene(4)
     near = PosePrior(TRUE.perturbed(np.full(3, 1e-4), np.full(3, 0.05)), prior.information)
     points = mixture.points_m[::12]

@@ -1,11 +1,10 @@
-"""A solution whose rendered mesh has its light elsewhere is told by the distance, and fails where that is asked."""
+"""The check of a solution by the brightness centroid of the rendered mesh, and the image correlation."""
 
 import cv2
 import numpy as np
 import pytest
 
-from estimators.landmark.centroid import MeshView
-from estimators.landmark.consistency import centroid_residual_px, inconsistency, likeness
+from estimators.landmark.alignment import MeshView, centroid_residual_px, consistency_failure, image_correlation
 from estimators.landmark.signal import extract_signal
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
@@ -50,12 +49,13 @@ def test_a_mesh_out_of_view_has_no_centroid(view):
 
 def test_the_likeness_is_greatest_at_the_true_pose(view):
     observed = extract_signal(view.render(POSE), (0.0, 0.0)).image
-    assert likeness(observed, POSE, view) == pytest.approx(1.0)
+    assert image_correlation(observed, POSE, view) == pytest.approx(1.0)
     turned = POSE.perturbed(np.array([0.0, 0.0, 0.05]), np.zeros(3))
-    nearer, farther = (likeness(observed, POSE.perturbed(np.zeros(3), np.array([x, 0.0, 0.0])), view) for x in (5, 50))
+    shifted = (POSE.perturbed(np.zeros(3), np.array([x, 0.0, 0.0])) for x in (5, 50))
+    nearer, farther = (image_correlation(observed, pose, view) for pose in shifted)
     assert 1.0 > nearer > farther > 0.0
-    assert likeness(observed, turned, view) < 1.0
-    assert likeness(observed, POSE.perturbed(np.zeros(3), np.array([3000.0, 0.0, 0.0])), view) == -1.0
+    assert image_correlation(observed, turned, view) < 1.0
+    assert image_correlation(observed, POSE.perturbed(np.zeros(3), np.array([3000.0, 0.0, 0.0])), view) == -1.0
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,6 @@ def test_the_likeness_is_greatest_at_the_true_pose(view):
     [(3.0, None, ""), (None, None, ""), (3.0, 3.0, ""), (3.1, 3.0, "3.1 px from"), (None, 3.0, "out of view")],
 )
 def test_only_what_exceeds_a_limit_fails(residual, limit, says):
-    reason = inconsistency(residual, limit)
+    reason = consistency_failure(residual, limit)
     assert says in reason
     assert bool(reason) is bool(says)

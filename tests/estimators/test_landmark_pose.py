@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.hull import concave_hull
-from estimators.landmark.pose.epnp import solve_epnp
 from estimators.landmark.pose.levenberg_marquardt import (
     MarquardtOptions,
     minimal_jacobian,
@@ -18,9 +17,8 @@ from estimators.landmark.pose.levenberg_marquardt import (
     refine_pose,
 )
 from estimators.landmark.pose.outliers import PoseOptions, solve_pose
-from estimators.landmark.pose.problem import PoseProblem
-from estimators.landmark.projection import project_landmarks
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.pose.problem import PoseProblem, solve_epnp
+from estimators.landmark.projection import project_landmarks, visible_landmarks
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
 

@@ -1,13 +1,12 @@
-"""Many pose problems at once against the solver of one, scipy, and themselves in other company."""
+"""Stacks of pose problems against the solver of one, scipy, and other stacks of the same problems."""
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.pose.batch import refine_poses
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
-from estimators.landmark.pose.stack import PoseStack, ProblemStack
+from estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
 
@@ -84,7 +83,7 @@ def test_bits_do_not_depend_on_the_company(options):
 
 
 def test_renormalising_alone_costs_steps_and_no_accuracy():
-    """As printed, a part of each step is taken back: the convergence is linear, its end the same."""
+    """As printed, a part of each step is undone: the convergence is linear, the minimum the same."""
     problems, starts, _ = stack(100, seed=8)
     kept, printed = (
         refine_poses(problems, starts, MarquardtOptions(parameters=name))
@@ -95,7 +94,7 @@ def test_renormalising_alone_costs_steps_and_no_accuracy():
 
 
 def test_a_fixed_lambda_creeps_where_adaptive_damping_arrives():
-    """Of landmarks on the near side alone, turn and shift are nearly the same: a long and narrow valley."""
+    """For landmarks on the near side alone, rotation and translation are nearly the same: a long and narrow valley."""
     problems, starts, _ = stack(100, seed=9, near_m=120.0)
     fixed = MarquardtOptions(parameters="minimal", schedule="fixed", damping=1.0, max_iterations=20)
     creeping = refine_poses(problems, starts, fixed)

@@ -1,4 +1,4 @@
-"""The whole recogniser on images of a body with relief, and the contract of the estimators."""
+"""The whole recogniser on images of a body with relief, and the interface of the estimators."""
 
 import sys
 
@@ -9,7 +9,7 @@ from estimators.contract import Estimate
 from estimators.dense.whole_image import WholeImageRecognizer
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, shifting
+from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
 from estimators.landmark.signal import extract_signal
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import MitsubaRenderer
@@ -35,7 +35,7 @@ MANY = 40  # of eight trials the medians of some seeds are no better than the pr
 
 
 class World:
-    """A body with boulders, its renderer and a data base made of its images; lends what an estimator asks for."""
+    """A body with boulders, its renderer and a data base of its images, as the assets of an estimator."""
 
     def __init__(self):
         spec = BodySpec(
@@ -133,7 +133,7 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
 
 
 def test_a_recognition_counts_only_where_it_is_the_better_likeness_if_asked(world):
-    """Else the pose before it is the answer, which rests on no landmark and has no covariance."""
+    """Otherwise the aligned pose is the answer, which uses no landmark and has no covariance."""
     careful, answers, offsets = recogniser(world, keep="if-better"), {0: 0, 1: 0}, []
     shape = MitsubaRenderer(world.shape(), world.brdf, 1)
     for trial in range(MANY):
@@ -163,7 +163,7 @@ def _likeness(shape, frame, pose):
 
 
 def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
-    """The centroid leaves the prior's attitude as it is; the image tells it."""
+    """The alignment of centroids leaves the prior's attitude unchanged; that of the whole image corrects it."""
     by_centroid, by_image = recogniser(world), WholeImageRecognizer.from_options({"database": DATABASE}, world)
     starts, gains = [], []
     for trial in range(TRIALS):
@@ -354,8 +354,9 @@ def test_a_saved_data_base_recognises_the_same(world, tmp_path):
     again = LandmarkDatabase.load(tmp_path)
     _, frame = world.frame(1)
     options = LandmarkOptions(database=DATABASE)
-    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, shifting(options))
-    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, shifting(options))
+    aligner = translation_aligner(options)
+    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, aligner)
+    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, aligner)
     assert same(estimate(first, frame), estimate(second, frame))
 
 

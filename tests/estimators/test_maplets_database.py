@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from estimators.maplets.build import MapletOptions, build_maplets, relief, spread_points
+from estimators.maplets.build import MapletOptions, Plane, Surface, build_maplets, relief, sample_heights, spread_points
 from estimators.maplets.database import FILE, MapletDatabase
-from estimators.maplets.heights import Plane, Surface, sample_heights
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
 from scenarios.errors import BoresightError
@@ -160,7 +159,7 @@ def test_a_stored_data_base_is_the_same_to_half_a_step(tmp_path):
 
 @pytest.mark.parametrize(("largest_m", "step_m"), [(0.0, 0.01), (327.67, 0.01), (327.68, 0.02), (5e4, 2.56)])
 def test_heights_of_any_size_are_stored_to_half_a_step(tmp_path, largest_m, step_m):
-    """In 16 bits: of the largest height, to one part in 30,000, and to half a centimetre where that is enough."""
+    """Heights in 16 bits have an error of at most 1/30,000 of the largest, or half a centimetre for small ones."""
     heights = largest_m * np.array([[-1.0, 0.123456, 1.0], [0.5, 0.0, np.nan], [-0.3333, 0.7, 0.001]])[None]
     MapletDatabase(np.zeros((1, 3)), np.eye(3)[None], heights, 30.0).save(tmp_path)
     again = MapletDatabase.load(tmp_path).heights_m

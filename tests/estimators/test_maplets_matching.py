@@ -6,11 +6,9 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from estimators.landmark.pose.posterior import Prior, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
 from estimators.landmark.pose.problem import PoseProblem
-from estimators.landmark.pose.stack import shared_pixels
-from estimators.maplets.correlation import correlate_window, shift_covariance
-from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.displacement import correlate_window, make_pair, refine_window, shift_covariance
 from scenarios.geometry import Camera, look_at
 
 SIDE = 64
@@ -104,7 +102,7 @@ def test_stripes_fix_one_component_only():
 
 @pytest.mark.parametrize("method", [correlated, refined], ids=["correlation", "refinement"])
 def test_the_covariance_is_that_of_the_scatter(method):
-    """White noise before the smoothing of the refinement holds together over its kernel, 4 pi sigma^2 = 6.2 px^2."""
+    """White noise is correlated over the kernel of the refinement's smoothing, 4 pi sigma^2 = 6.2 px^2."""
     area = {"correlated": 1.0, "refined": 4.0 * np.pi * 0.7**2}[method.__name__]
     image, rng = picture(8, 2.0), np.random.default_rng(3)
     found = [method(shifted(image, 0.1, 0.2) + rng.normal(0.0, 0.03, image.shape), image) for _ in range(300)]
@@ -132,7 +130,7 @@ def scene(rng, n=40):
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), rng.normal(size=(n, 2)))
     problem = PoseProblem(points, CAMERA.project(TRUE.transform(points)) + noise, np.linalg.inv(covariances), CAMERA)
     error = np.sqrt(np.diag(PRIOR_COVARIANCE)) * rng.normal(size=6)
-    return problem, Prior(TRUE.perturbed(error[:3], error[3:]), PRIOR_COVARIANCE)
+    return problem, GaussianPose(TRUE.perturbed(error[:3], error[3:]), PRIOR_COVARIANCE)
 
 
 def parts_of(problem):
@@ -141,7 +139,7 @@ def parts_of(problem):
 
 def test_the_offset_of_a_pose_is_its_perturbation():
     step = np.array([0.01, -0.02, 0.03, 4.0, -5.0, 6.0])
-    prior = Prior(TRUE, PRIOR_COVARIANCE)
+    prior = GaussianPose(TRUE, PRIOR_COVARIANCE)
     np.testing.assert_allclose(prior.offset(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
 
 
@@ -170,7 +168,7 @@ def test_the_covariance_is_consistent_and_the_bound_below_it():
     for seed in range(150):
         problem, prior = scene(np.random.default_rng(100 + seed))
         found = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
-        error = Prior(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
+        error = GaussianPose(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
         squares.append(error @ np.linalg.solve(found.covariance, error))
         ratios.append(np.trace(found.covariance[3:, 3:]) / np.trace(found.bound[3:, 3:]))
     low, high = chi2.ppf([0.0005, 0.9995], 6 * len(squares)) / len(squares)
@@ -187,7 +185,7 @@ def test_wrong_maplets_hardly_count():
     wrong = PoseProblem(problem.points_body_m, wrong_px, problem.information_px2, CAMERA)
     found = solve_map(wrong, prior, prior.T_cam_body, np.eye(40))
     sigma = np.sqrt(np.diag(clean.covariance))
-    shift = Prior(clean.T_cam_body, clean.covariance).offset(found.T_cam_body)
+    shift = GaussianPose(clean.T_cam_body, clean.covariance).offset(found.T_cam_body)
     assert np.abs(shift / sigma).max() < 1.5
     assert found.d2[:6].min() > 20.0 * found.d2[6:].max()
 
@@ -195,7 +193,7 @@ def test_wrong_maplets_hardly_count():
 def test_windows_share_what_their_pixels_share():
     first = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0], [20.0, 0.0], [0.0, 0.0]])
     last = first + np.array([[10.0, 10.0]] * 4 + [[20.0, 10.0]])
-    shared = shared_pixels(first, last)
+    shared = window_overlap(first, last)
     expected = [1.0, 0.5, 0.25, 0.0, 100.0 / np.sqrt(100.0 * 200.0)]
     np.testing.assert_allclose(shared[0], expected)
     np.testing.assert_allclose(np.diag(shared), 1.0)
@@ -208,7 +206,7 @@ def test_windows_share_what_their_pixels_share():
 
 def test_observations_that_are_one_count_once():
     problem, prior = scene(np.random.default_rng(6))
-    vague = Prior(prior.T_cam_body, 1e6 * PRIOR_COVARIANCE)
+    vague = GaussianPose(prior.T_cam_body, 1e6 * PRIOR_COVARIANCE)
     doubled = PoseProblem(*(np.repeat(part, 2, axis=0) for part in parts_of(problem)), CAMERA)
     pairs = np.kron(np.eye(40), np.ones((2, 2)))
     once, twice = solve_map(problem, vague, TRUE, np.eye(40)), solve_map(doubled, vague, TRUE, pairs)
@@ -224,14 +222,14 @@ def test_the_covariance_is_consistent_where_errors_hold_together():
         rng = np.random.default_rng(300 + seed)
         problem, prior = scene(rng)
         exact_px = CAMERA.project(TRUE.transform(problem.points_body_m))
-        shared = shared_pixels(exact_px - 12.0, exact_px + 12.0)
+        shared = window_overlap(exact_px - 12.0, exact_px + 12.0)
         white = np.linalg.cholesky(shared + 1e-9 * np.eye(40)) @ rng.normal(size=(40, 2))
         root = np.linalg.cholesky(np.linalg.inv(problem.information_px2))
         held = PoseProblem(
             problem.points_body_m, exact_px + np.einsum("nij,nj->ni", root, white), problem.information_px2, CAMERA
         )
         found = solve_map(held, prior, prior.T_cam_body, shared)
-        error = Prior(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
+        error = GaussianPose(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
         squares.append(error @ np.linalg.solve(found.covariance, error))
     low, high = chi2.ppf([0.0005, 0.9995], 6 * len(squares)) / len(squares)
     assert low < np.mean(squares) < 1.2 * high

@@ -34,7 +34,7 @@ def spec(facets):
 
 
 class World:
-    """A body, its renderer, and maplets of a shape with a quarter of its facets; lends what the estimator asks for."""
+    """A body, its renderer, and maplets of a shape with a quarter of its facets, as the assets of the estimator."""
 
     camera = CAMERA
     brdf = LambertSpec()
@@ -131,7 +131,7 @@ def test_an_estimate_holds_what_the_contract_says(world, navigator):
 
 
 def test_the_depth_is_no_worse_than_the_prior_where_the_prior_is_good(world, navigator):
-    """Range by the size of the picture is good to some metres; a prior of 0.1 m must not be spoilt by it."""
+    """The range from the size in the image is accurate to some metres; it must not degrade a prior of 0.1 m."""
     view, frame = world.frame(3)
     sure = view.T_cam_body.perturbed(np.zeros(3), np.array([20.0, -10.0, 0.0]))
     covariance = np.diag([0.02] * 3 + [29.0] * 2 + [0.1]) ** 2

@@ -1,4 +1,4 @@
-"""The batch filter: derivatives, its Schur complement against scipy's least squares, recovery, honesty, bad input."""
+"""The batch filter: derivatives, Schur complement against scipy's least squares, recovery, consistency, bad input."""
 
 from dataclasses import replace
 
@@ -7,20 +7,19 @@ import pytest
 from orbit_worlds import CAMERA, orbit_world
 from scipy.optimize import least_squares
 
-from estimators.orbit.arc import Arc, Solution
+from estimators.orbit.arc import BatchState, DataArc
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
-from estimators.orbit.model import Unknowns, fly
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
-from estimators.orbit.rays import agreeing
+from estimators.orbit.kernels import consistent_rays
+from estimators.orbit.model import Unknowns, propagate_orbit
+from estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from estimators.orbit.registry import orbit_estimator_class
-from estimators.orbit.solve import Limits, Prior, Robust, adjust, linearise
+from estimators.orbit.solve import HuberLoss, LandmarkPrior, StoppingCriteria, adjust, linearise
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.rotation import UniformRotation
 
-LEAST_SQUARES = Robust(np.inf, 1.0)
+LEAST_SQUARES = HuberLoss(np.inf, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +34,9 @@ def solved(clean):
 
 def _arc(data, options=None, until=np.inf):
     options = options or OrbitOptions()
-    layout = Layout.of(data, options)
-    solution = Solution.begin(data, layout)
-    return Arc.until(data, layout, options, solution, min(until, data.pictures.times_s[-1])), solution
+    layout = ParameterLayout.of(data, options)
+    solution = BatchState.initial(data, layout)
+    return DataArc.until(data, layout, options, solution, min(until, data.pictures.times_s[-1])), solution
 
 
 def test_derivatives_are_central_differences(clean):
@@ -100,8 +99,8 @@ def test_the_reduced_solution_is_that_of_scipys_least_squares(clean):
     arc, solution = _arc(data, options, until=0.35 * 86_400.0)
     layout, model = arc.layout, arc.model
     start = arc.unknowns(solution)
-    prior = Prior(start.points, np.full(len(start.points), 50.0**-2))
-    found = adjust(model, prior, start, LEAST_SQUARES, Limits(30, 1e-12))
+    prior = LandmarkPrior(start.points, np.full(len(start.points), 50.0**-2))
+    found = adjust(model, prior, start, LEAST_SQUARES, StoppingCriteria(30, 1e-12))
     n, images, sigma = layout.size, len(model.measured.times_s), layout.knowledge.attitude_sigma_rad
     root = np.linalg.cholesky(layout.information).T
 
@@ -158,13 +157,13 @@ def test_the_same_data_give_the_same_bits(clean, solved):
 
 def test_an_orbit_that_was_followed_is_taken_again_for_the_same_unknowns_alone(clean):
     data = clean[1]
-    layout, times = Layout.of(data, OrbitOptions()), data.pictures.times_s
+    layout, times = ParameterLayout.of(data, OrbitOptions()), data.pictures.times_s
     x, other = np.zeros(layout.size), np.full(layout.size, 1e-3)
-    first = fly(layout, x, times)
-    assert fly(layout, x.copy(), times.copy()) is first
+    first = propagate_orbit(layout, x, times)
+    assert propagate_orbit(layout, x.copy(), times.copy()) is first
     for unknowns, wanted in ((other, times), (x, times[:-3]), (other, times[:-3]), (x, times)):
-        fresh = fly(Layout.of(data, OrbitOptions()), unknowns, wanted)
-        assert np.array_equal(fly(layout, unknowns, wanted).by_state, fresh.by_state)
+        fresh = propagate_orbit(ParameterLayout.of(data, OrbitOptions()), unknowns, wanted)
+        assert np.array_equal(propagate_orbit(layout, unknowns, wanted).by_state, fresh.by_state)
     assert len(layout.flights) == 2  # those of a whole solution would fill the memory
 
 
@@ -216,7 +215,7 @@ def test_rays_through_two_places_are_told_apart():
     origins = 1000.0 * rng.normal(size=(9, 3))
     directions = np.vstack([places[which], [[300.0, 0.0, 0.0]]]) - origins
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found = agreeing(origins, directions, np.array([0, 9]), np.full(9, 2e-3), 3)
+    found = consistent_rays(origins, directions, np.array([0, 9]), np.full(9, 2e-3), 3)
     assert found.tolist() == [*which.tolist(), -1]
 
 

@@ -9,19 +9,20 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
-from estimators.slam.marginal import marginalised
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import (
+from estimators.slam.marginal import marginalise_view
+from estimators.slam.normal import (
+    VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
     cost,
     distance_jacobians,
     distance_residuals,
     motion_residuals,
+    normal_equations,
 )
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from estimators.slam.slam_map import SlamMap
+from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
 RULE = StoppingRule(1e-8)
 
@@ -31,22 +32,22 @@ def small() -> tuple[Adjustment, State]:
     """Four views, the first fixed, their landmarks, one range and the motions, at a disturbed state."""
     rng = np.random.default_rng(5)
     sequence, truth = make_sequence(rng, Recipe(frames=4, landmarks=8))
-    journal = Journal(sequence.camera)
-    journal.frames = dict(enumerate(sequence.frames))
-    journal.positions_m = dict(enumerate(truth.positions_m))
-    journal.points_m = dict(truth.points_m)
+    slam_map = SlamMap(sequence.camera)
+    slam_map.frames = dict(enumerate(sequence.frames))
+    slam_map.positions_m = dict(enumerate(truth.positions_m))
+    slam_map.points_m = dict(truth.points_m)
     views = list(range(4))
-    tracks = sorted(track for track, by in journal.seen_by(views).items() if len(by) >= 2)
+    tracks = sorted(track for track, by in slam_map.seen_by(views).items() if len(by) >= 2)
     problem = Adjustment(
         camera=sequence.camera,
-        R_cam_body=journal.attitudes(views),
-        sightings=journal.sightings(views, tracks),
+        R_cam_body=slam_map.attitudes(views),
+        pixels=slam_map.pixels(views, tracks),
         free_views=np.array([False, True, True, True]),
         free_points=np.ones(len(tracks), dtype=bool),
-        distances=journal.distances(views, tracks),
-        motions=journal.motions(views),
+        distances=slam_map.distances(views, tracks),
+        motions=slam_map.motions(views),
     )
-    true = journal.state(views, tracks)
+    true = slam_map.state(views, tracks)
     shift = 3.0 * rng.standard_normal(true.positions_m.shape) * problem.free_views[:, None]
     return problem, State(true.positions_m + shift, true.points_m + 5.0 * rng.standard_normal(true.points_m.shape))
 
@@ -100,7 +101,7 @@ def test_schur_step_solves_the_dense_equations(small: tuple[Adjustment, State], 
     problem, state = small
     if kept:  # some landmarks stay in the reduced system
         problem = replace(problem, kept_points=np.arange(len(problem.free_points)) % 3 == 0)
-    system = normal_equations(problem, state, Layout.of(problem))
+    system = normal_equations(problem, state, VariableOrdering.of(problem))
     matrix, right, inverse = system.reduced(damping=0.7)
     step = np.linalg.solve(matrix, right).reshape(-1, 3)
     moved = system.stepped(state, step, system.back_substituted(step, inverse))
@@ -129,25 +130,25 @@ def test_free_scale_is_one_missing_rank(small: tuple[Adjustment, State]) -> None
     assert reduced_rank_deficiency(problem, at) == 0
     scaleless = replace(problem, distances=Distances(), motions=Motions())
     free = minimise(scaleless, at, RULE)
-    assert np.isfinite(free.cost)  # it comes to a stop all the same
+    assert np.isfinite(free.cost)  # it converges all the same
     assert reduced_rank_deficiency(scaleless, free.state) == 1
     adrift = replace(scaleless, free_views=np.ones(4, dtype=bool))
     assert reduced_rank_deficiency(adrift, free.state) == 4
 
 
 def test_prior_of_the_departed_stands_for_them(small: tuple[Adjustment, State]) -> None:
-    """The gradient and the matrix of what stays are those of the whole problem with the departed eliminated."""
+    """Gradient and matrix of the remaining variables are those of the whole problem with the others eliminated."""
     problem, state = small
     problem = replace(problem, free_views=np.ones(4, dtype=bool), prior=_anchor(state))
     at = minimise(problem, state, RULE).state
     lost = np.zeros(len(problem.free_points), dtype=bool)
-    lost[problem.sightings.point[problem.sightings.view == 0][:2]] = True
-    prior = marginalised(problem, at, 0, lost)
-    seen = problem.sightings
+    lost[problem.pixels.point[problem.pixels.view == 0][:2]] = True
+    prior = marginalise_view(problem, at, 0, lost)
+    seen = problem.pixels
     stays = (seen.view != 0) & ~lost[seen.point]
     rest = replace(
         problem,
-        sightings=type(seen)(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
+        pixels=type(seen)(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
         free_views=np.array([False, True, True, True]),
         free_points=~lost,
         distances=Distances(),
@@ -160,9 +161,9 @@ def test_prior_of_the_departed_stands_for_them(small: tuple[Adjustment, State]) 
     np.testing.assert_allclose(again.state.positions_m[1:], at.positions_m[1:], atol=1e-3)
 
 
-def _anchor(state: State) -> Prior:
+def _anchor(state: State) -> QuadraticPrior:
     none = np.zeros(0, dtype=np.int64)
-    return Prior(np.zeros(1, dtype=np.int64), none, state.positions_m[:1], 4.0 * np.eye(3), np.zeros(3))
+    return QuadraticPrior(np.zeros(1, dtype=np.int64), none, state.positions_m[:1], 4.0 * np.eye(3), np.zeros(3))
 
 
 def _motion_parts(motions: Motions) -> tuple[np.ndarray, ...]:

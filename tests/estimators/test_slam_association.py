@@ -1,4 +1,4 @@
-"""Wrong associations in a window: the covariance that they are judged by, and estimators that do not follow them."""
+"""Outlier rejection in a window: the predicted covariance of the gate, and estimators on tracks with outliers."""
 
 from __future__ import annotations
 
@@ -9,22 +9,30 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.association import Adjusted, Jury, all_fit
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
-from estimators.slam.expected import Common
-from estimators.slam.hearing import fitting
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule
+from estimators.slam.gating import gate_frame
+from estimators.slam.outliers import OutlierGate, all_within_gate
+from estimators.slam.prediction import SharedUncertainty
+from estimators.slam.problem import (
+    AdjustedWindow,
+    Adjustment,
+    Distances,
+    Motions,
+    PixelMeasurements,
+    QuadraticPrior,
+    State,
+)
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import TrackSequence
 
 SHARE = 0.05
 
 
 def thrown(sequence: TrackSequence, seed: int) -> tuple[TrackSequence, list[set[int]]]:
-    """Sightings anywhere in the image, but for those that begin a track; and which they are."""
+    """Put some pixels, but the first of no track, anywhere in the image; also return which."""
     rng = np.random.default_rng(seed)
     frames, wrong, older = [sequence.frames[0]], [set[int]()], sequence.frames[0].tracks
     for frame in sequence.frames[1:]:
@@ -37,7 +45,7 @@ def thrown(sequence: TrackSequence, seed: int) -> tuple[TrackSequence, list[set[
 
 
 def misplaced_gauge(sequence: TrackSequence) -> TrackSequence:
-    """See the landmark of known distance far off in the second frame."""
+    """Misplace the pixel of the ranged landmark in the second frame."""
     gauge = sequence.frames[0].ranges[0].track
     second = sequence.frames[1]
     uv = np.where((second.tracks == gauge)[:, None], second.uv_px + np.array([120.0, -70.0]), second.uv_px)
@@ -53,7 +61,7 @@ def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
     ("estimator", "options"), [(FixedLagSmoother, {"lag": 6}), (BundleSlam, {}), (BatchAdjustment, {})]
 )
 def test_wrong_associations_cost_little(estimator: type[FixedLagSmoother], options: dict[str, object]) -> None:
-    """Five in a hundred: believed, they cost many times the error; refused, hardly any."""
+    """5 % outliers: used, they increase the error many times; refused, hardly."""
     frames = 10 if estimator is BatchAdjustment else 30
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=frames, landmarks=20))
     spoilt, _ = thrown(sequence, 77)
@@ -66,17 +74,17 @@ def test_wrong_associations_cost_little(estimator: type[FixedLagSmoother], optio
 
 
 def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A right pixel is refused once in a thousand times; 12 sequences of 19 frames have about 4000."""
-    juries: list[Jury] = []
-    original = Jury.forget
+    """One correct pixel in a thousand is refused; 12 sequences of 19 frames have about 4000."""
+    gates: list[OutlierGate] = []
+    original = OutlierGate.drop_view
 
-    def remember(self: Jury, view: int) -> None:
-        juries.append(self)
+    def remember(self: OutlierGate, view: int) -> None:
+        gates.append(self)
         last[id(self), view] = set(self.refused.get(view, set()))
         original(self, view)
 
     last: dict[tuple[int, int], set[int]] = {}
-    monkeypatch.setattr(Jury, "forget", remember)
+    monkeypatch.setattr(OutlierGate, "drop_view", remember)
     missed = wrongly = total = 0
     for trial in range(12):
         last.clear()
@@ -93,28 +101,30 @@ def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyP
 
 
 def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a frame that fits at once, all that is known refuses no wrong pixel, and hardly a right one."""
+    """If a frame passes the fast test, the gate with the full covariance refuses no outlier and few correct pixels."""
     judged = {"at once": 0, "frames": 0, "right": 0, "wrong": 0, "pixels": 0}
     wrong: list[set[int]] = []
 
-    def both(self: Jury, view: int, before: Adjusted | None, rule: StoppingRule, depth_m: float) -> None:
+    def both(self: OutlierGate, view: int, before: AdjustedWindow | None, rule: StoppingRule, depth_m: float) -> None:
         place(self, view, before, rule, depth_m)
         if before is None:
             return
-        self.journal.place(view, rule)  # as before anything of it was judged
-        heard = self._heard(view, before, depth_m)
+        self.slam_map.place(view, rule)  # as before the gate
+        matches = self._match_frame(view, before, depth_m)
         judged["frames"] += 1
-        if not self.refused.get(view) and all_fit(self.journal, heard, (before.problem, before.state), self.limit):
+        if not self.refused.get(view) and all_within_gate(
+            self.slam_map, matches, (before.problem, before.state), self.limit
+        ):
             judged["at once"] += 1
-            seen = self._expected(heard, before)
-            fit = fitting(self.journal.camera, self.complete[view], seen, self.false_alarm, self.limit)
-            otherwise = set(self.complete[view].tracks[seen.rows[~fit]].tolist())
+            seen = self._predict_lines(matches, before)
+            fit = gate_frame(self.slam_map.camera, self.raw_frames[view], seen, self.false_alarm, self.limit)
+            otherwise = set(self.raw_frames[view].tracks[seen.rows[~fit]].tolist())
             judged["wrong"] += len(otherwise & wrong[view])
             judged["right"] += len(otherwise - wrong[view])
             judged["pixels"] += len(fit)
 
-    place = Jury.place
-    monkeypatch.setattr(Jury, "place", both)
+    place = OutlierGate.place
+    monkeypatch.setattr(OutlierGate, "place", both)
     for trial in range(8):
         sequence, _ = make_sequence(np.random.default_rng([5, trial]), Recipe(frames=25, landmarks=18))
         spoilt, thrown_off = thrown(sequence, trial)
@@ -126,7 +136,7 @@ def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytes
 
 
 def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> None:
-    """The one landmark of known distance is misplaced once; the scale comes back with it."""
+    """The one ranged landmark is misplaced once; the scale is recovered with its next pixel."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
     estimate = FixedLagSmoother.from_options({}).follow(misplaced_gauge(sequence))
     assert estimate.status == "ok", estimate.reason
@@ -135,26 +145,28 @@ def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> N
 
 
 def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
-    """Three views, and four landmarks of which all but one are eliminated: one problem of least squares."""
+    """Three views and four landmarks, all but one eliminated, against one dense least-squares problem."""
     rng = np.random.default_rng(4)
     sequence, truth = make_sequence(rng, Recipe(frames=3, landmarks=15))
     tracks = sorted(set.intersection(*(set(frame.tracks.tolist()) for frame in sequence.frames)))[:4]
-    journal = Journal(sequence.camera)
-    journal.frames.update(enumerate(sequence.frames))
+    slam_map = SlamMap(sequence.camera)
+    slam_map.frames.update(enumerate(sequence.frames))
     state = State(truth.positions_m[:3].copy(), np.array([truth.points_m[track] for track in tracks]))
-    prior = Prior(np.array([1]), np.array([2]), np.zeros((2, 3)), np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), np.zeros(6))
+    prior = QuadraticPrior(
+        np.array([1]), np.array([2]), np.zeros((2, 3)), np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), np.zeros(6)
+    )
     one = np.array([0])
     problem = Adjustment(
         camera=sequence.camera,
-        R_cam_body=journal.attitudes([0, 1, 2]),
-        sightings=journal.sightings([0, 1, 2], tracks),
+        R_cam_body=slam_map.attitudes([0, 1, 2]),
+        pixels=slam_map.pixels([0, 1, 2], tracks),
         free_views=np.array([False, True, True]),
         free_points=np.ones(4, dtype=np.bool_),
         distances=Distances(one, one, np.array([600.0]), np.array([0.5])),
         motions=Motions(np.array([1]), np.array([2]), np.zeros((1, 3)), np.diag([0.1, 0.2, 0.3])[None]),
         prior=prior,
     )
-    seen: Sightings = problem.sightings
+    seen: PixelMeasurements = problem.pixels
 
     def residuals(x: np.ndarray) -> np.ndarray:
         positions = np.concatenate([state.positions_m[:1], x[:6].reshape(2, 3)])
@@ -171,8 +183,8 @@ def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
 
     x = np.concatenate([state.positions_m[1:].ravel(), state.points_m.ravel()])
     jacobian = least_squares(residuals, x, method="trf", max_nfev=1, jac="3-point").jac
-    # one evaluation: the derivatives are those where it began
-    common = Common.of((problem, state), (0, 1, 2), np.zeros((3, 3)))
+    # one evaluation: derivatives at the initial state
+    common = SharedUncertainty.of((problem, state), (0, 1, 2), np.zeros((3, 3)))
     by_landmark, own = common.by_landmarks(problem, state, (0, 1, 2), np.arange(4))
     rows = np.concatenate([common.by_view(1), common.by_view(2), *by_landmark])
     found = rows @ common.covariance @ rows.T
@@ -183,7 +195,7 @@ def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
 
 
 def test_refused_pixels_do_not_move_the_window_of_keyframes() -> None:
-    """A landmark that is misplaced in one frame is still in view: the oldest view of the window stays."""
+    """A landmark with a refused pixel counts as in view: the oldest view of the window stays."""
     for trial in range(3):
         sequence, _ = make_sequence(np.random.default_rng([6, trial]), Recipe(frames=60, landmarks=12))
         spoilt, wrong = thrown(sequence, trial)
@@ -194,7 +206,7 @@ def test_refused_pixels_do_not_move_the_window_of_keyframes() -> None:
 
 
 def test_bundle_waits_a_frame_where_the_gauge_is_refused() -> None:
-    """The one landmark of known distance is misplaced in the second frame: there is no scale until the third."""
+    """The one ranged landmark is misplaced in the second frame: the scale is undetermined until the third."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
     spoilt = misplaced_gauge(sequence)
     gated = BundleSlam.from_options({"associations": "consensus"}).follow(spoilt)

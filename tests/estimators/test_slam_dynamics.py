@@ -1,4 +1,4 @@
-"""Smoothing with dynamics: the motion against scipy, the adjustment against scipy, the truth without noise."""
+"""Smoothing with dynamics: propagation and adjustment against scipy, and the truth without noise."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from scipy.stats import chi2
 from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
-from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
-from estimators.slam.dynamics.smoother import DynamicSmoother, marginalised_dynamic
-from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
-from estimators.slam.dynamics.system import Rows, dynamic_equations
-from estimators.slam.dynamics.window import Window
-from estimators.slam.levenberg import StoppingRule
-from estimators.slam.residuals import bearing_residuals, distance_residuals
-from estimators.slam.state import State
+from estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
+from estimators.slam.dynamics.solver import (
+    DynamicOrdering,
+    covariance_of,
+    dynamic_equations,
+    marginalise_dynamic,
+    minimise_dynamic,
+)
+from estimators.slam.normal import bearing_residuals, distance_residuals
+from estimators.slam.problem import State
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import Forces, TrackSequence
 
 FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))
-FIELD = Field.of(FORCES, ORBIT_M)
+FIELD = ForceModel.of(FORCES, ORBIT_M)
 STARTS = np.array([[700.0, -200.0, 300.0, 100.0, 650.0, -300.0], [790.0, 5.0, -8.0, -20.0, 10.0, 800.0]])
 DURATIONS = np.array([0.035, 0.09])
 
@@ -42,28 +45,28 @@ def test_motion_is_that_of_scipy_in_si_units() -> None:
         true = solve_ivp(rate, (0.0, duration * FIELD.time_s), si, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
         true[3:] *= FIELD.time_s
         parameters = ORBIT_M * np.array([ratio, factor])
-        found = propagated(FIELD, start[None], parameters, np.array([duration]))[0]
+        found = propagate(FIELD, start[None], parameters, np.array([duration]))[0]
         np.testing.assert_allclose(found, true, atol=2e-7)
 
 
 def test_derivatives_of_the_motion_are_those_of_central_differences() -> None:
     parameters = ORBIT_M * np.array([1.07, 0.8])
-    _, found = propagated_with_derivatives(FIELD, STARTS, parameters, DURATIONS)
+    _, found = propagate_with_derivatives(FIELD, STARTS, parameters, DURATIONS)
     for axis in range(8):
         step = np.zeros(8)
         step[axis] = 1e-2
-        ahead = propagated(FIELD, STARTS + step[:6], parameters + step[6:], DURATIONS)
-        behind = propagated(FIELD, STARTS - step[:6], parameters - step[6:], DURATIONS)
+        ahead = propagate(FIELD, STARTS + step[:6], parameters + step[6:], DURATIONS)
+        behind = propagate(FIELD, STARTS - step[:6], parameters - step[6:], DURATIONS)
         np.testing.assert_allclose(found[:, :, axis], (ahead - behind) / 2e-2, atol=1e-9)
 
 
 def test_covariance_of_an_arc_is_that_of_drawn_pushes() -> None:
-    """What a constant push does to the end of an arc, in units in which the push is 1 m per T^2."""
+    """Displacement of an arc's end by a constant acceleration, in units in which that is 1 m per T^2."""
     duration = np.array([0.035])
     covariance = np.linalg.inv(arc_information(duration, 1.0, ORBIT_M))[0]
     pushes = np.random.default_rng(3).standard_normal((4000, 3))
     ends = [
-        propagated(replace(FIELD, radiation_m=push), STARTS[:1], np.full(2, ORBIT_M), duration)[0] for push in pushes
+        propagate(replace(FIELD, radiation_m=push), STARTS[:1], np.full(2, ORBIT_M), duration)[0] for push in pushes
     ]
     drawn = np.cov(np.array(ends).T)
     scale = np.sqrt(np.diag(covariance))
@@ -76,45 +79,45 @@ def small() -> tuple[DynamicAdjustment, DynamicState, TrackSequence]:
     rng = np.random.default_rng(5)
     sequence, truth = make_orbit_sequence(rng, Recipe(frames=4, landmarks=8))
     assert sequence.forces is not None
-    window = Window(sequence, sequence.forces)
+    window = DynamicWindow(sequence, sequence.forces)
     window.begin(sequence)
-    window.journal.frames = dict(enumerate(sequence.frames))
+    window.slam_map.frames = dict(enumerate(sequence.frames))
     window.views = [0, 1, 2, 3]
-    window.journal.positions_m = dict(enumerate(truth.positions_m))
-    window.journal.points_m = dict(truth.points_m)
+    window.slam_map.positions_m = dict(enumerate(truth.positions_m))
+    window.slam_map.points_m = dict(truth.points_m)
     window.velocities_m = dict(enumerate(truth.states[:, 3:] * window.field.time_s))
     tracks = [track for track in window.tracks() if sum(track in f.tracks for f in sequence.frames) >= 2]
     problem = window.problem(tracks, first_estimates=True)
     true = window.state(tracks)
     moved = 1.0 * rng.standard_normal((4, 3)) * problem.vision.free_views[:, None]
-    places = State(true.places.positions_m + moved, true.places.points_m + rng.standard_normal((len(tracks), 3)))
+    places = State(true.vision.positions_m + moved, true.vision.points_m + rng.standard_normal((len(tracks), 3)))
     velocities = true.velocities_m + rng.standard_normal((4, 3))
     return problem, DynamicState(places, velocities, true.parameters_m + np.array([20.0, -30.0])), sequence
 
 
 def unpacked(problem: DynamicAdjustment, state: DynamicState, x: np.ndarray) -> DynamicState:
-    points = len(state.places.points_m)
+    points = len(state.vision.points_m)
     parts = np.split(x, np.cumsum([9, 12, 2]))
-    positions = np.concatenate([state.places.positions_m[:1], parts[0].reshape(3, 3)])
+    positions = np.concatenate([state.vision.positions_m[:1], parts[0].reshape(3, 3)])
     return DynamicState(State(positions, parts[3].reshape(points, 3)), parts[1].reshape(4, 3), parts[2])
 
 
 def packed(state: DynamicState) -> np.ndarray:
-    places = state.places
+    places = state.vision
     return np.concatenate(
         [places.positions_m[1:].ravel(), state.velocities_m.ravel(), state.parameters_m, places.points_m.ravel()]
     )
 
 
 def all_residuals(problem: DynamicAdjustment, state: DynamicState, sequence: TrackSequence) -> np.ndarray:
-    """Written anew in SI units: motion by DOP853, and what is known before from the sequence."""
+    """Independent residuals in SI units: propagation by DOP853, and the prior from the sequence."""
     forces = sequence.forces
     assert forces is not None
     field = problem.field
     ratio, factor = state.parameters_m / field.length_m
-    at = np.einsum("vji,vj->vi", [f.R_body_inertial for f in sequence.frames], state.places.positions_m)
+    at = np.einsum("vji,vj->vi", [f.R_body_inertial for f in sequence.frames], state.vision.positions_m)
     velocities = state.velocities_m / field.time_s
-    rows = [bearing_residuals(problem.vision, state.places).ravel(), distance_residuals(problem.vision, state.places)]
+    rows = [bearing_residuals(problem.vision, state.vision).ravel(), distance_residuals(problem.vision, state.vision)]
     for k in range(3):
 
         def rate(_: float, y: np.ndarray) -> np.ndarray:
@@ -145,7 +148,7 @@ def test_minimum_and_covariance_are_those_of_scipy(
     assert solution.cost == pytest.approx(foreign.cost, rel=1e-6)
     sigma = np.sqrt(np.diag(np.linalg.inv(foreign.jac.T @ foreign.jac)))
     assert np.all(np.abs(packed(solution.state) - foreign.x) < 1e-3 * sigma)
-    rows = Rows.of(problem)
+    rows = DynamicOrdering.of(problem)
     wanted = np.concatenate([rows.position[3], rows.velocity[1], rows.parameters])
     places = np.concatenate([[6, 7, 8], [12, 13, 14], [21, 22]])
     covariance = np.linalg.inv(foreign.jac.T @ foreign.jac)[np.ix_(places, places)]
@@ -160,10 +163,10 @@ def test_prior_of_the_departed_stands_for_them(
     """With the oldest view and some landmarks marginalised, matrix and gradient of the rest are as before."""
     problem, state, _ = small
     state = minimise_dynamic(problem, state, StoppingRule(1e-7)).state
-    seen = problem.vision.sightings
+    seen = problem.vision.pixels
     lost = np.zeros(len(problem.vision.free_points), dtype=bool)
     lost[seen.point[seen.view == 0][:2]] = True
-    prior = marginalised_dynamic(problem, state, 0, lost)
+    prior = marginalise_dynamic(problem, state, 0, lost)
     stays = (seen.view != 0) & ~lost[seen.point]
     kept = np.zeros(len(lost), dtype=bool)
     kept[prior.points] = True
@@ -173,7 +176,7 @@ def test_prior_of_the_departed_stands_for_them(
         problem,
         vision=replace(
             problem.vision,
-            sightings=type(seen)(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
+            pixels=type(seen)(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
             distances=type(measured)(),
             free_views=np.array([False, True, True, True]),
             free_points=~lost,
@@ -185,7 +188,7 @@ def test_prior_of_the_departed_stands_for_them(
         free_velocities=np.array([False, True, True, True]),
         prior=prior,
     )  # fmt: skip
-    whole_rows, rest_rows = Rows.of(problem), Rows.of(rest)
+    whole_rows, rest_rows = DynamicOrdering.of(problem), DynamicOrdering.of(rest)
     for rows_of in (lambda rows: rows.position[3], lambda rows: rows.velocity[1], lambda rows: rows.parameters):
         whole = covariance_of(problem, state, rows_of(whole_rows), whole_rows)
         np.testing.assert_allclose(covariance_of(rest, state, rows_of(rest_rows), rest_rows), whole, rtol=1e-5)
@@ -201,7 +204,7 @@ def errors(estimate, truth: OrbitTruth) -> np.ndarray:
 
 
 def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
-    """What is believed of velocity, gravity and light is wrong all the same."""
+    """The prior velocity, gravity parameter and radiation pressure have errors."""
     drive = Drive(noise_m_s2=0.0, gm_sigma=1.0, radiation_sigma=1.0)
     sequence, truth = make_orbit_sequence(np.random.default_rng(1), Recipe(frames=60, noise_px=0.0), drive)
     forces = replace(sequence.forces, gm_m3_s2=1.05 * GM, radiation_m_s2=0.9 * LIGHT)
@@ -256,7 +259,7 @@ def test_long_lag_is_the_batch_and_a_short_one_near_it() -> None:
 
 
 def test_error_of_the_first_position_is_found_out() -> None:
-    """Gravity tells where the centre of mass is: half a revolution leaves a tenth of the uncertainty, which is true."""
+    """Gravity determines the centre of mass: half a revolution leaves a tenth of the uncertainty, and it is right."""
     sequence, truth = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=91), Drive(noise_m_s2=1e-9))
     shift = np.array([12.0, -16.0, 0.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=400.0 * np.eye(3))
@@ -285,7 +288,7 @@ def test_innovation_is_one_and_wrong_forces_are_declared() -> None:
 
 
 def test_what_is_certain_stays_as_it_is() -> None:
-    """Nothing is solved for that has no variance, and the covariance of the path is the smaller for it."""
+    """Parameters without variance are fixed, which makes the covariance of the path smaller."""
     certain = Drive(gm_sigma=0.0, radiation_sigma=0.0, velocity_sigma_m_s=0.0)
     sequence, truth = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=16), certain)
     assert sequence.forces is not None

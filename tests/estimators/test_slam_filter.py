@@ -9,10 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
 
-from estimators.slam.ekf_measure import Sight
-from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import Iteration, iterated, updated
-from estimators.slam.inverse_depth import landmark_jacobians, landmark_points
+from estimators.slam.ekf_state import FilterState, landmark_jacobians, landmark_points
+from estimators.slam.ekf_update import FrameMeasurements, IterationRule, iterated_update, kalman_update
 from scenarios.tracks import TrackFrame
 
 NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
@@ -20,13 +18,13 @@ NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 @pytest.fixture
 def state() -> FilterState:
-    """Three landmarks anchored at the first position, the camera two degrees further on."""
+    """Three landmarks anchored at the first position, and the camera two degrees further on the orbit."""
     rng = np.random.default_rng(3)
     first = np.array([ORBIT_M, 0.0, 0.0])
     start = FilterState.of_camera(first, 0.01 * np.eye(3), frame_at(first, first))
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
-    joined = start.joined(np.array([4, 7, 9]), elements, noise)
+    joined = start.augmented(np.array([4, 7, 9]), elements, noise)
     return joined.predicted(frame_at(_second(), first))
 
 
@@ -41,11 +39,11 @@ def _second() -> np.ndarray:
     return ORBIT_M * np.array([np.cos(STEP_RAD), np.sin(STEP_RAD), 0.0])
 
 
-def sight(state: FilterState, rows: list[int], shift_px: np.ndarray, sigma_px: float = 0.7) -> Sight:
-    """The landmarks where the state expects them from the second position, but for a shift."""
+def measured(state: FilterState, rows: list[int], shift_px: np.ndarray, sigma_px: float = 0.7) -> FrameMeasurements:
+    """Pixels predicted by the state at the second position, plus a shift."""
     lines = state.points(CAMERA)[rows] - state.position_m
     uv = CAMERA.project(lines @ look_down(_second()).T) + shift_px
-    return Sight(CAMERA, np.array(rows), uv, sigma_px, *NO_RANGES)
+    return FrameMeasurements(CAMERA, np.array(rows), uv, sigma_px, *NO_RANGES)
 
 
 def square_root(covariance: np.ndarray) -> np.ndarray:
@@ -83,7 +81,7 @@ def test_derivatives_are_those_of_central_differences(state: FilterState) -> Non
 def test_innovation_derivatives_are_those_of_central_differences(state: FilterState) -> None:
     """Of pixels and of distances."""
     seen = replace(
-        sight(state, [2, 0], np.zeros((1, 2))),
+        measured(state, [2, 0], np.zeros((1, 2))),
         range_rows=np.array([1, 2]),
         range_m=np.full(2, 600.0),
         range_sigma_m=np.ones(2),
@@ -95,9 +93,9 @@ def test_innovation_derivatives_are_those_of_central_differences(state: FilterSt
 
 
 def test_update_is_that_of_the_least_squares(state: FilterState) -> None:
-    """It gives what the prior and the linearised measurements give as one weighted least-squares problem."""
-    innovation = sight(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
-    after, squared = updated(state, innovation)
+    """The update solves the weighted least-squares problem of prior and linearised measurements."""
+    innovation = measured(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
+    after, squared = kalman_update(state, innovation)
     root = square_root(state.covariance)
     rows_of_noise = innovation.jacobian @ root / 0.7
     stacked = np.concatenate([rows_of_noise, np.eye(root.shape[1])])
@@ -110,20 +108,20 @@ def test_update_is_that_of_the_least_squares(state: FilterState) -> None:
 
 
 def test_covariance_of_the_update_is_that_of_the_form_of_joseph(state: FilterState) -> None:
-    innovation = sight(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
+    innovation = measured(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
     H, P, R = innovation.jacobian, state.covariance, np.diag(innovation.variance)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     left = np.eye(len(P)) - K @ H
     joseph = left @ P @ left.T + K @ R @ K.T
     scale = np.sqrt(np.diag(P))
-    found = updated(state, innovation)[0].covariance
+    found = kalman_update(state, innovation)[0].covariance
     np.testing.assert_allclose(found / np.outer(scale, scale), joseph / np.outer(scale, scale), atol=1e-9)
 
 
 def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
-    """Distances wrong by 30 % and a position by metres: one step of the plain filter does not get there."""
+    """Distances wrong by 30 % and a position by metres: one step of the plain filter does not reach the minimum."""
     unsure = replace(state, covariance=state.covariance * 100.0)
-    seen = sight(state, [0, 1, 2], np.array([[60.0, -25.0], [75.0, -20.0], [50.0, -30.0]]))
+    seen = measured(state, [0, 1, 2], np.array([[60.0, -25.0], [75.0, -20.0], [50.0, -30.0]]))
     root = square_root(unsure.covariance)
 
     def residuals(z: np.ndarray) -> np.ndarray:
@@ -131,27 +129,27 @@ def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
         return np.concatenate([seen.residual(moved) / 0.7, z])
 
     foreign = least_squares(residuals, np.zeros(root.shape[1]), xtol=1e-15, ftol=1e-15, gtol=1e-12)
-    found, squared = iterated(unsure, seen, Iteration(50, 1e-12))
+    found, squared = iterated_update(unsure, seen, IterationRule(50, 1e-12))
     np.testing.assert_allclose(found.position_m, (unsure.x + root @ foreign.x)[:3], atol=1e-4)
     assert squared == pytest.approx(2.0 * foreign.cost, rel=1e-6)
-    once, _ = updated(unsure, seen.innovation(unsure))
+    once, _ = kalman_update(unsure, seen.innovation(unsure))
     assert np.linalg.norm(once.position_m - found.position_m) > 0.1
     expected = (root @ np.linalg.inv(foreign.jac.T @ foreign.jac) @ root.T)[:3, :3]
     np.testing.assert_allclose(found.covariance[:3, :3], expected, rtol=1e-3, atol=1e-6)
 
 
 def test_one_step_of_the_iterated_update_moves_as_the_plain_one(state: FilterState) -> None:
-    seen = sight(state, [0, 1, 2], np.array([[0.5, -1.0]]))
-    one, _ = iterated(state, seen, Iteration(1))
-    np.testing.assert_allclose(one.x, updated(state, seen.innovation(state))[0].x, atol=1e-9)
+    seen = measured(state, [0, 1, 2], np.array([[0.5, -1.0]]))
+    one, _ = iterated_update(state, seen, IterationRule(1))
+    np.testing.assert_allclose(one.x, kalman_update(state, seen.innovation(state))[0].x, atol=1e-9)
 
 
 def test_settled_landmarks_tell_nothing_of_the_scale(state: FilterState) -> None:
-    """Bearings from two places and with two estimates: one direction of the scale, about any point, unseen by both."""
-    settled = state.settling(1.0)
+    """Bearing Jacobians at two positions and estimates have a common null space: the scale about any point."""
+    settled = state.with_fixed_linearisation(1.0)
     assert not np.isnan(settled.settled).any()
     later = replace(settled, x=settled.x * np.tile([1.02, 0.97, 1.01], len(settled.x) // 3))
-    first = sight(state, [0, 1, 2], np.zeros((1, 2)))
+    first = measured(state, [0, 1, 2], np.zeros((1, 2)))
     for moved, learns in ((later, False), (replace(later, settled=np.full((3, 4), np.nan)), True)):
         growth = np.zeros(len(state.x)).reshape(-1, 3)
         growth[0] = moved.position_m  # the camera's own position is known anew at each frame
@@ -162,7 +160,7 @@ def test_settled_landmarks_tell_nothing_of_the_scale(state: FilterState) -> None
 
 
 def test_new_landmark_shares_the_error_of_its_anchor(state: FilterState) -> None:
-    joined = state.joined(np.array([11]), np.array([[500.0, 400.0, 1 / 600]]), np.array([[1.0, 1.0, 1e-8]]))
+    joined = state.augmented(np.array([11]), np.array([[500.0, 400.0, 1 / 600]]), np.array([[1.0, 1.0, 1e-8]]))
     np.testing.assert_array_equal(joined.covariance[-3:, :3], state.covariance[:3, :3])
     np.testing.assert_array_equal(joined.covariance[-3:, -3:], state.covariance[:3, :3])
     without = joined.without(np.array([True, True, True, False]))

@@ -1,4 +1,4 @@
-"""Gates on an innovation: their false alarms, and what they find where the predicted position is wrong."""
+"""Innovation gates: false-alarm rates, and outliers found with a wrong predicted position."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from estimators.slam.gating import believed
+from estimators.slam.gating import gate_pixels
 
 COMMON_PX = 30.0
 OWN_PX = 0.7
@@ -28,27 +28,27 @@ def drawn(rng: np.random.Generator, n: int) -> np.ndarray:
 def test_right_pixels_are_refused_as_often_as_asked(gate: Literal["individual", "one-point"]) -> None:
     """One pixel a time is chi-square of two degrees; the bounds are left by chance once in a thousand."""
     rng = np.random.default_rng(1)
-    refused = sum(not believed(drawn(rng, 1), covariance(1), gate, 0.05)[0] for _ in range(2000))
+    refused = sum(not gate_pixels(drawn(rng, 1), covariance(1), gate, 0.05)[0] for _ in range(2000))
     assert binom.ppf(0.0005, 2000, 0.05) <= refused <= binom.ppf(0.9995, 2000, 0.05)
 
 
 def test_consensus_refuses_few_right_pixels_of_many() -> None:
-    """Each is refused with at most the probability asked for, now and then with the one that all hang on."""
+    """Each is refused with at most the given probability, sometimes because the hypothesis itself is poor."""
     rng = np.random.default_rng(2)
-    kept = [believed(drawn(rng, 20), covariance(20), "one-point", 0.001) for _ in range(200)]
+    kept = [gate_pixels(drawn(rng, 20), covariance(20), "one-point", 0.001) for _ in range(200)]
     assert np.mean(kept) > 0.997
 
 
 @pytest.mark.parametrize("wrong", [1, 3, 7])
 def test_consensus_finds_what_gates_one_by_one_let_pass(wrong: int) -> None:
-    """Fifteen pixels off by up to 20 px, in a common error of 30: each alone is well within what is expected."""
+    """Outliers of up to 20 px within a common error of 30 px: each pixel passes its individual gate."""
     rng = np.random.default_rng(wrong)
     missed_alone = 0
     for _ in range(50):
         residual = drawn(rng, 15)
         residual[:wrong] += 8.0 * np.sign(rng.standard_normal((wrong, 2))) * rng.uniform(1.0, 2.0, (wrong, 2))
-        alone = believed(residual, covariance(15), "individual", 0.001)
-        together = believed(residual, covariance(15), "one-point", 0.001)
+        alone = gate_pixels(residual, covariance(15), "individual", 0.001)
+        together = gate_pixels(residual, covariance(15), "one-point", 0.001)
         missed_alone += int(alone[:wrong].sum())
         assert not together[:wrong].any()
         assert together[wrong:].sum() >= 15 - wrong - 1
@@ -56,5 +56,5 @@ def test_consensus_finds_what_gates_one_by_one_let_pass(wrong: int) -> None:
 
 
 def test_no_gate_believes_all() -> None:
-    assert believed(np.full((3, 2), 1e6), covariance(3), "none", 0.001).all()
-    assert believed(np.zeros((0, 2)), np.zeros((0, 0)), "one-point", 0.001).shape == (0,)
+    assert gate_pixels(np.full((3, 2), 1e6), covariance(3), "none", 0.001).all()
+    assert gate_pixels(np.zeros((0, 2)), np.zeros((0, 0)), "one-point", 0.001).shape == (0,)

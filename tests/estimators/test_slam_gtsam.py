@@ -1,4 +1,4 @@
-"""gtsam on the contract, and as a foreign check of our own adjustment."""
+"""Smoothers of gtsam as sequence estimators, and as an independent check of our own adjustment."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.peers import solved_by_ceres, solved_by_gtsam
+from benchmarks.peers import graph_of, solved_by_ceres, solved_by_gtsam
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
-from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.peers.smoothers import Factors, GtsamFixedLag, GtsamIsam2, graph_of
+from estimators.slam.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2
+from estimators.slam.problem import Distances, Motions
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Distances, Motions
+from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.errors import BoresightError
 
 
@@ -56,7 +56,7 @@ def test_minimum_is_that_of_gtsam(seed: int, gtsam) -> None:
 
 @pytest.mark.parametrize("seed", [0, 5, 6])
 def test_adjustment_solved_by_peers_ends_at_our_minimum(seed: int) -> None:
-    """Ceres holds attitudes exactly, and shares no projection with us."""
+    """Ceres fixes attitudes exactly and has its own projection."""
     pytest.importorskip("pyceres", reason="pyceres is not installed")
     pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     pytest.importorskip("gtsam", reason="gtsam is not installed")

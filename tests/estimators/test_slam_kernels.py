@@ -14,58 +14,58 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam import deviations, levenberg, marginal
+from estimators.slam import marginal, solver
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.compiled import descent, equations, sight
+from estimators.slam.compiled import descent, equations
 from estimators.slam.compiled import envelope as packed
-from estimators.slam.compiled import layout as layouts
-from estimators.slam.compiled.flat import flat
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import cost
+from estimators.slam.compiled import problem as flat_problem
+from estimators.slam.compiled import residuals as residual_kernels
+from estimators.slam.compiled.problem import flat
+from estimators.slam.normal import VariableOrdering, cost, normal_equations
+from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
 RULE = StoppingRule(1e-6)
 REFERENCED = (
     "minimise",
     "reduced_rank_deficiency",
     "view_covariance",
-    "schur",
-    "sighting_squares",
+    "eliminate_rows",
+    "residual_squares",
     "landmark_information",
     "pixel_squares",
 )
 
 
 def window(seed: int) -> tuple[Adjustment, State]:
-    """Five views and their landmarks with everything that a problem can hold, at a disturbed state."""
+    """Five views and their landmarks with every kind of measurement, at a disturbed state."""
     rng = np.random.default_rng([31, seed])
     sequence, truth = make_sequence(rng, Recipe(frames=5, landmarks=6 + 2 * seed, range_all=True))
-    journal = Journal(sequence.camera)
-    journal.frames = dict(enumerate(sequence.frames))
-    journal.positions_m = dict(enumerate(truth.positions_m))
-    journal.points_m = dict(truth.points_m)
+    slam_map = SlamMap(sequence.camera)
+    slam_map.frames = dict(enumerate(sequence.frames))
+    slam_map.positions_m = dict(enumerate(truth.positions_m))
+    slam_map.points_m = dict(truth.points_m)
     views = list(range(5))
-    tracks = sorted(track for track, by in journal.seen_by(views).items() if len(by) >= 2)
-    true = journal.state(views, tracks)
+    tracks = sorted(track for track, by in slam_map.seen_by(views).items() if len(by) >= 2)
+    true = slam_map.state(views, tracks)
     state = State(
         true.positions_m + rng.normal(size=true.positions_m.shape), true.points_m + rng.normal(size=(len(tracks), 3))
     )
     problem = Adjustment(
         camera=sequence.camera,
-        R_cam_body=journal.attitudes(views),
-        sightings=journal.sightings(views, tracks),
+        R_cam_body=slam_map.attitudes(views),
+        pixels=slam_map.pixels(views, tracks),
         free_views=np.ones(5, dtype=bool),
         free_points=np.ones(len(tracks), dtype=bool),
-        distances=journal.distances(views, tracks),
-        motions=journal.motions(views),
+        distances=slam_map.distances(views, tracks),
+        motions=slam_map.motions(views),
     )
     variables = np.array([0, 2]), rng.permutation(len(tracks))[:3]
     origin = np.concatenate([true.positions_m[variables[0]], true.points_m[variables[1]]])
     root = rng.normal(size=(15, 20))
-    prior = Prior(*variables, origin, root @ root.T, rng.normal(size=15))
+    prior = QuadraticPrior(*variables, origin, root @ root.T, rng.normal(size=15))
     frozen = State(np.full((5, 3), np.nan), np.full((len(tracks), 3), np.nan))
     frozen.positions_m[0] = true.positions_m[0]
     frozen.points_m[variables[1]] = origin[2:]
@@ -83,12 +83,12 @@ def window(seed: int) -> tuple[Adjustment, State]:
 
 @pytest.fixture
 def in_numpy(monkeypatch: pytest.MonkeyPatch):
-    """Call a function with the arithmetic in numpy, wherever it is called from."""
+    """Call a function with the kernels replaced by their numpy reference in all modules."""
 
     def call(function, *arguments):
         with monkeypatch.context() as patch:
             for name in REFERENCED:
-                compiled = getattr(deviations, name, None) or getattr(levenberg, name, None) or getattr(marginal, name)
+                compiled = getattr(solver, name, None) or getattr(marginal, name)
                 for module in [m for key, m in sys.modules.items() if key.startswith("estimators.slam")]:
                     if getattr(module, name, None) is compiled:
                         patch.setattr(module, name, getattr(numpy_adjustment, name))
@@ -101,15 +101,19 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
 def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
-    sights = np.empty((sight.SIGHT_ROWS, len(problem.sightings.view)))
-    assert sight.look(flat(problem), *at, sights) == pytest.approx(cost(problem, state), rel=1e-12)
-    layout = layouts.make_layout(flat(problem))
-    system = equations.linearise(flat(problem), layout, *at, sights)
-    done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
+    residuals = np.empty((residual_kernels.RESIDUAL_ROWS, len(problem.pixels.view)))
+    assert residual_kernels.evaluate_residuals(flat(problem), *at, residuals) == pytest.approx(
+        cost(problem, state), rel=1e-12
+    )
+    ordering = flat_problem.make_ordering(flat(problem))
+    system = equations.linearise(flat(problem), ordering, *at, residuals)
+    done, matrix, right, inverse = descent.reduced(system, ordering, 0.3)
     assert done
-    expected, expected_right, expected_inverse = normal_equations(problem, state, Layout.of(problem)).reduced(0.3)
+    expected, expected_right, expected_inverse = normal_equations(problem, state, VariableOrdering.of(problem)).reduced(
+        0.3
+    )
     for found, wanted in [
-        (packed.dense(matrix, layout.shape), expected),
+        (packed.dense(matrix, ordering.shape), expected),
         (right, expected_right),
         (inverse, expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
     ]:
@@ -118,11 +122,11 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
-    """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
+    """Also for a landmark behind its camera; one pixel against derivatives by differences."""
     problem, state = window(seed)
-    squares = deviations.sighting_squares(problem, state)
-    np.testing.assert_allclose(squares, numpy_adjustment.sighting_squares(problem, state), rtol=1e-11)
-    told = deviations.landmark_information(problem, state)
+    squares = solver.residual_squares(problem, state)
+    np.testing.assert_allclose(squares, numpy_adjustment.residual_squares(problem, state), rtol=1e-11)
+    told = solver.landmark_information(problem, state)
     np.testing.assert_allclose(
         told, numpy_adjustment.landmark_information(problem, state), rtol=0, atol=1e-12 * told.max()
     )
@@ -132,7 +136,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     lines = camera.unproject(frame.uv_px[rows] + rng.normal(size=(4, 2))) @ frame.R_cam_body * 600.0
     root = rng.normal(size=(4, 3, 5))
     arguments = camera, frame, rows, lines, root @ np.swapaxes(root, 1, 2)
-    found = deviations.pixel_squares(*arguments)
+    found = solver.pixel_squares(*arguments)
     np.testing.assert_allclose(found, numpy_adjustment.pixel_squares(*arguments), rtol=1e-11)
     shifts = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
     ends = camera.project((lines[0] + shifts) @ frame.R_cam_body.T)
@@ -141,7 +145,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     expected = mahalanobis(frame.uv_px[0], camera.project(frame.R_cam_body @ lines[0]), inverse)
     assert found[0] == pytest.approx(expected**2, rel=1e-6)
     lines[1] *= -1.0
-    for judge in (deviations.pixel_squares, numpy_adjustment.pixel_squares):
+    for judge in (solver.pixel_squares, numpy_adjustment.pixel_squares):
         np.testing.assert_array_equal(np.isnan(judge(*arguments)), [False, True, False, False])
 
 
@@ -153,7 +157,7 @@ def test_minimum_is_that_of_numpy(seed: int) -> None:
     assert solution.converged
     assert solution.cost == pytest.approx(expected.cost, rel=1e-12)
     np.testing.assert_allclose(solution.state.positions_m, expected.state.positions_m, rtol=1e-12, atol=1e-9)
-    # Equal costs leave points that are seen at small angles free by more than the rounding of their places.
+    # At equal costs, points with small parallax differ by more than the rounding of their coordinates.
     np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-8)
     at = expected.state
     assert reduced_rank_deficiency(problem, at) == numpy_adjustment.reduced_rank_deficiency(problem, at) == 0
@@ -218,7 +222,7 @@ def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_nump
 
 
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
-    """The envelope's kernels alone, in a process of their own: none of them lands beside the source."""
+    """The envelope's kernels in a separate process: none is cached in the source folder."""
     code = (
         "import numpy as np; from estimators.slam.compiled.envelope import make_envelope;"
         "print(make_envelope(np.array([2, 1, 2])).reach.tolist())"

@@ -1,4 +1,4 @@
-"""The views of BA-SLAM's window, worked out by hand, and what no estimator may know: the frames to come."""
+"""The views of BA-SLAM's window, worked out by hand, and causality: no estimator uses later frames."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import pytest
 from slam_sequences import Recipe, make_sequence
 
 from estimators.slam.following import LostError
-from estimators.slam.gauge import Gauge, handed_over
-from estimators.slam.keyframes import trailing_views
+from estimators.slam.keyframes import DepthGauge, hand_over_gauge, trailing_views
 from estimators.slam.options import BundleOptions
 from estimators.slam.registry import sequence_estimator_class
 from scenarios.tracks import TrackRange
@@ -48,32 +47,32 @@ def test_the_rule_of_the_paper_is_the_default():
 @pytest.mark.parametrize("connected", WINDOWS)
 def test_a_turn_beyond_the_largest_angle_shifts_the_window(connected):
     turned = {i: 790.0 * np.array([np.cos(0.1 * i), np.sin(0.1 * i), 0.0]) for i in range(40)}
-    journal = SimpleNamespace(positions_m=turned)
+    slam_map = SimpleNamespace(positions_m=turned)
     views = [
-        trailing_views(journal, Overlap(), [1, 2], 4, BundleOptions(views=3, connected=connected, angle_max_deg=a))
+        trailing_views(slam_map, Overlap(), [1, 2], 4, BundleOptions(views=3, connected=connected, angle_max_deg=a))
         for a in (12, 11)
     ]
     assert views == [[1, 2], [2, 3]]  # 11.5 deg between the last two
 
 
 def gauged(connected, seen, ranges=()):
-    """The landmark that holds the scale of views 2, 4 and 6, where landmark 7 did since view 2."""
+    """The landmark of the depth gauge for views 2, 4 and 6, after landmark 7 since view 2."""
     points = {track: np.array([0.0, 0.0, float(track)]) for track in (7, 8, 9)}
     frame = SimpleNamespace(tracks=np.array(sorted(seen)), ranges=ranges)
-    journal = SimpleNamespace(frames={2: frame}, points_m=points, guessed={9}, positions_m={2: np.zeros(3)})
-    return handed_over(journal, Gauge(2, 7, 6.5, 0.1), [2, 4, 6], seen, BundleOptions(connected=connected))
+    slam_map = SimpleNamespace(frames={2: frame}, points_m=points, guessed={9}, positions_m={2: np.zeros(3)})
+    return hand_over_gauge(slam_map, DepthGauge(2, 7, 6.5, 0.1), [2, 4, 6], seen, BundleOptions(connected=connected))
 
 
 def test_the_gauge_of_the_paper_serves_while_the_last_acquired_view_sees_its_landmark():
     seen = {7: [2, 4], 8: [2, 4, 6]}
-    assert gauged("last-two", seen) == Gauge(2, 8, 8.0, 0.01)
-    assert gauged("whole-window", seen) == Gauge(2, 7, 6.5, 0.1)
-    assert gauged("last-two", {7: [2, 6], 8: [2, 4, 6]}) == Gauge(2, 7, 6.5, 0.1)
+    assert gauged("last-two", seen) == DepthGauge(2, 8, 8.0, 0.01)
+    assert gauged("whole-window", seen) == DepthGauge(2, 7, 6.5, 0.1)
+    assert gauged("last-two", {7: [2, 6], 8: [2, 4, 6]}) == DepthGauge(2, 7, 6.5, 0.1)
 
 
 def test_a_distance_that_was_measured_takes_the_gauge_over_before_an_estimated_one():
     seen = {7: [2, 4], 8: [2, 4, 6], 9: [2, 6]}
-    assert gauged("last-two", seen, [TrackRange(9, 9.3, 0.2)]) == Gauge(2, 9, 9.3, 0.2)
+    assert gauged("last-two", seen, [TrackRange(9, 9.3, 0.2)]) == DepthGauge(2, 9, 9.3, 0.2)
     with pytest.raises(LostError, match="no landmark can take the depth gauge over"):
         gauged("last-two", {7: [2, 4], 9: [2, 6]})
 

@@ -1,4 +1,4 @@
-"""Loop closure: which pairs agree against a full search, covariances against scipy, whole loops against the truth."""
+"""Loop closure: compatible pairs against a full search, covariances against scipy, whole loops against the truth."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 
-from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.loops.history import History
-from estimators.slam.loops.outside import Staying, landmark_covariance, told_from_outside
-from estimators.slam.loops.smoother import LoopSmoother, agreeing
+from estimators.slam.loop_history import GlobalMap
+from estimators.slam.loop_smoother import LoopSmoother, compatible_pairs
+from estimators.slam.marginal import Retained, landmark_covariance, marginalise_outside
+from estimators.slam.problem import Distances, PixelMeasurements, State
 from estimators.slam.smoother import FixedLagSmoother
-from estimators.slam.state import Distances, Sightings, State
+from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.tracks import TrackFrame, TrackRange, TrackSequence
 
 FRAMES = 75
@@ -86,40 +86,40 @@ def test_pairs_that_agree_are_the_largest_compatible_set() -> None:
                 if square <= chi2.ppf(0.999, 3 * size) and (size, -square) > best[:2]:
                     best = (size, -square, subset)
         if good.sum() >= 3:
-            assert tuple(agreeing(differences, covariance, 0.999)) == best[2] == tuple(np.flatnonzero(good))
+            assert tuple(compatible_pairs(differences, covariance, 0.999)) == best[2] == tuple(np.flatnonzero(good))
 
 
 def test_pairs_that_are_all_impossible_leave_nothing() -> None:
-    assert agreeing(np.full((3, 3), 100.0), np.eye(9), 0.999) == []
+    assert compatible_pairs(np.full((3, 3), 100.0), np.eye(9), 0.999) == []
 
 
 @pytest.fixture(scope="module")
-def history() -> History:
+def global_map() -> GlobalMap:
     """Twelve frames, near the truth."""
     sequence, positions, points = loop(1)
-    known = History(sequence, motion=True)
+    known = GlobalMap(sequence, motion=True)
     for number in range(12):
         known.add(number, sequence.frames[number])
-    known.journal.positions_m = dict(enumerate(positions))
-    known.journal.points_m = dict(enumerate(points))
+    known.slam_map.positions_m = dict(enumerate(positions))
+    known.slam_map.points_m = dict(enumerate(points))
     return known
 
 
-def test_what_is_told_from_outside_stands_for_it(history: History) -> None:
-    problem, tracks = history.problem()
+def test_what_is_told_from_outside_stands_for_it(global_map: GlobalMap) -> None:
+    problem, tracks = global_map.problem()
     views = list(range(12))
-    state = minimise(problem, history.journal.state(views, tracks), StoppingRule(1e-9)).state
+    state = minimise(problem, global_map.slam_map.state(views, tracks), StoppingRule(1e-9)).state
     inside = np.arange(12) >= 8
-    lost = np.array([min(history.seen[t]) < 8 and 11 not in history.seen[t] for t in tracks])
+    lost = np.array([min(global_map.seen[t]) < 8 and 11 not in global_map.seen[t] for t in tracks])
     assert 0 < lost.sum() < len(lost)
-    seen, moved, measured = problem.sightings, problem.motions, problem.distances
+    seen, moved, measured = problem.pixels, problem.motions, problem.distances
     stays = inside[seen.view] & ~lost[seen.point] & (np.arange(len(seen.view)) % 7 > 0)  # any may go
     arcs = inside[moved.start] & inside[moved.end]
     far = inside[measured.view] & ~lost[measured.point]
-    prior = told_from_outside(problem, state, Staying(inside, ~lost, stays, far))
+    prior = marginalise_outside(problem, state, Retained(inside, ~lost, stays, far))
     rest = replace(
         problem,
-        sightings=Sightings(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
+        pixels=PixelMeasurements(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
         distances=Distances(measured.view[far], measured.point[far], measured.range_m[far], measured.sigma_m[far]),
         motions=type(moved)(moved.start[arcs], moved.end[arcs], moved.displacement_m[arcs], moved.information[arcs]),
         free_views=inside,
@@ -133,12 +133,12 @@ def test_what_is_told_from_outside_stands_for_it(history: History) -> None:
     np.testing.assert_allclose(back.positions_m[inside], state.positions_m[inside], atol=1e-4)
 
 
-def test_covariance_of_landmarks_is_that_of_scipy(history: History) -> None:
-    """All residuals written down anew, and their derivatives by scipy's differences."""
-    problem, tracks = history.problem(kept=history.seen)
+def test_covariance_of_landmarks_is_that_of_scipy(global_map: GlobalMap) -> None:
+    """Independent residuals, with derivatives by scipy's differences."""
+    problem, tracks = global_map.problem(kept=global_map.seen)
     views = list(range(12))
-    state = minimise(problem, history.journal.state(views, tracks), StoppingRule(1e-9)).state
-    frames = [history.journal.frames[view] for view in views]
+    state = minimise(problem, global_map.slam_map.state(views, tracks), StoppingRule(1e-9)).state
+    frames = [global_map.slam_map.frames[view] for view in views]
     count = 3 * 11
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -167,22 +167,22 @@ def test_covariance_of_landmarks_is_that_of_scipy(history: History) -> None:
     np.testing.assert_allclose(found, whole[np.ix_(rows, rows)] / np.outer(scale, scale), atol=1e-3)
 
 
-def test_united_landmarks_go_by_the_older_number(history: History) -> None:
+def test_united_landmarks_go_by_the_older_number(global_map: GlobalMap) -> None:
     sequence, _, _ = loop(1)
-    known = History(sequence, motion=True)
+    known = GlobalMap(sequence, motion=True)
     for number, frame in enumerate(sequence.frames[:20]):
         known.add(number, frame)
     pairs = [(int(a), int(b)) for frame in sequence.frames[:20] for a, b in frame.again]
     new, old = pairs[0]
-    assert known.may_be_one(new, old)
+    assert known.may_merge(new, old)
     before = known.seen[new] | known.seen[old]
-    known.unite(new, old)
+    known.merge(new, old)
     assert known.of(new) == old
     assert known.seen[old] == before
-    assert all(new not in frame.tracks for frame in known.journal.frames.values())
-    assert sum(old in frame.tracks for frame in known.journal.frames.values()) == len(before)
+    assert all(new not in frame.tracks for frame in known.slam_map.frames.values())
+    assert sum(old in frame.tracks for frame in known.slam_map.frames.values()) == len(before)
     together = [track for track in sequence.frames[0].tracks.tolist() if track != old]
-    assert not known.may_be_one(together[0], together[1])
+    assert not known.may_merge(together[0], together[1])
 
 
 def last_errors(estimator, wrong: float, trials: int) -> tuple[np.ndarray, float, int]:
@@ -204,7 +204,7 @@ def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -
     trials = 4
     open_errors, _, _ = last_errors(FixedLagSmoother.from_options({}), 0.0, trials)
     low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 3 * trials)
-    for wrong, room in ((0.0, 200), (0.3, 200), (0.0, 5)):  # also where the prior of the window has room for few
+    for wrong, room in ((0.0, 200), (0.3, 200), (0.0, 5)):  # also with a small limit of the prior
         options = {"closure_frames": 10, "prior_landmarks": room}
         errors, square, united = last_errors(LoopSmoother.from_options(options), wrong, trials)
         assert united > 5 * trials
@@ -243,7 +243,7 @@ def test_recognitions_wait_until_enough_are_there() -> None:
 
 
 def test_error_of_the_first_position_shifts_all() -> None:
-    """A closed loop tells nothing about where the body's centre is: the error stays, and the covariance adds."""
+    """A loop closure does not determine the body's centre: the error of the first position stays in the covariance."""
     sequence, _, _ = loop(5)
     shift = np.array([3.0, -2.0, 1.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=4.0 * np.eye(3))

@@ -1,4 +1,4 @@
-"""The motion propagator of BA-SLAM: scipy's integrator, Kepler's orbit, the gain of a filter that ran long."""
+"""The motion propagator of BA-SLAM: scipy's integrator, Kepler's orbit, the gain of a converged Kalman filter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slam_orbits import GM, INTERVAL_S, LIGHT, RATE, Drive, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe, make_sequence
 
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.force_model import ForceModel
 from estimators.slam.motion_filter import MotionFilter, steady_gain
 from scenarios.tracks import Forces
 
@@ -20,12 +20,12 @@ CIRCLE = np.array([0.0, ORBIT_M * RATE, 0.0])
 
 def motion(radiation: np.ndarray, velocity: np.ndarray) -> MotionFilter:
     forces = Forces(GM, 0.0, radiation, 0.0, 1e-7, velocity, np.zeros((3, 3)))
-    field = Field.of(forces, ORBIT_M)
+    field = ForceModel.of(forces, ORBIT_M)
     return MotionFilter(field, 1e-7, 1.0, 100.0, np.array([ORBIT_M, 0.0, 0.0]), velocity)
 
 
 def test_motion_is_that_of_scipy() -> None:
-    """Gravity pulls, which equation (6) as printed does not say, and sunlight pushes."""
+    """Gravity attracts, unlike in equation (6) as printed, and sunlight repels."""
     start = motion(LIGHT, 1.1 * CIRCLE + [0.001, 0.0, 0.002])
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_motion_is_that_of_scipy() -> None:
 
 
 def test_orbit_closes_after_the_period_of_kepler() -> None:
-    """A slower start at the far end of an ellipse: vis-viva gives its half axis, Kepler's third law the period."""
+    """Start at apoapsis: the vis-viva equation gives the semi-major axis, Kepler's third law the period."""
     start = motion(np.zeros(3), 0.9 * CIRCLE)
     speed = float(np.linalg.norm(start.velocity_m_s))
     half_axis = 1.0 / (2.0 / ORBIT_M - speed**2 / GM)
@@ -53,7 +53,7 @@ def test_orbit_closes_after_the_period_of_kepler() -> None:
 
 
 def test_gain_is_what_a_filter_ends_with() -> None:
-    """The recursion of a Kalman filter with the same noise, written down step by step."""
+    """The covariance recursion of a Kalman filter with the same noise."""
     duration, push, sigma = INTERVAL_S, 1e-6, 0.7
     F = np.array([[1.0, duration], [0.0, 1.0]])
     g = push * np.array([0.5 * duration**2, duration])

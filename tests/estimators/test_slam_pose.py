@@ -1,4 +1,4 @@
-"""The filter with the whole camera in its state: attitudes, derivatives, covariance, and what it is worth."""
+"""The filter with the camera's pose in its state: attitudes, derivatives, covariance, consistency, accuracy."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_se
 
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.ekf_measure import Sight
-from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, turn_of
-from estimators.slam.inverse_depth import landmark_points, turn_jacobians
+from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
+from estimators.slam.ekf_state import landmark_points, turn_jacobians
+from estimators.slam.ekf_update import FrameMeasurements
 from estimators.slam.smoother import FixedLagSmoother
 from scenarios.geometry import cross_matrix
 from scenarios.tracks import TrackFrame, TrackSequence
@@ -29,7 +29,7 @@ def on_orbit(number: int) -> np.ndarray:
 
 
 def frame_at(number: int, **values: object) -> TrackFrame:
-    """A frame that looks down on a body that turns by ``SPIN`` from each to the next; no tracks."""
+    """A frame without tracks above a body that rotates by ``SPIN`` between frames."""
     turned = SPIN.as_rotvec() * number
     known = Rotation.from_rotvec(turned).as_matrix()
     here = TrackFrame(
@@ -49,11 +49,11 @@ def frame_at(number: int, **values: object) -> TrackFrame:
 def state() -> PoseState:
     """Three landmarks anchored at the first pose, the camera a frame further on; all attitudes have errors on them."""
     rng = np.random.default_rng(3)
-    sigmas = {"attitude_sigma_rad": 0.02, "attitude_lasting_rad": 0.01}
+    sigmas = {"attitude_sigma_rad": 0.02, "attitude_bias_sigma_rad": 0.01}
     start = PoseState.at_first(on_orbit(0), 0.01 * np.eye(3), frame_at(0, **sigmas), TURN_NOISE_RAD)
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
-    moved = start.joined(np.array([4, 7, 9]), elements, noise).predicted(frame_at(1, **sigmas))
+    moved = start.augmented(np.array([4, 7, 9]), elements, noise).predicted(frame_at(1, **sigmas))
     x = moved.x.copy()
     x[6:9] = 0.05, -0.1, 0.2
     x[15:].reshape(3, 9)[:, 6:] = rng.normal(0.0, 0.1, (3, 3))
@@ -70,7 +70,7 @@ def differences(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def errors_of(state: PoseState, true: PoseState) -> np.ndarray:
-    """(15,) what a state has wrong, in the elements of its covariance; rotations by scipy."""
+    """(15,) errors of a state, in the elements of its covariance; rotations by scipy."""
     turn = Rotation.from_matrix(true.attitude) * Rotation.from_matrix(state.attitude).inv()
     wrong = true.x[:15] - state.x[:15]
     wrong[6:9] = turn.as_rotvec()
@@ -82,7 +82,7 @@ def test_rotation_vectors_are_those_of_scipy(angle: float) -> None:
     turn = angle * np.array([[2.0, -1.0, 2.0], [0.6, 0.0, -0.8]]) / np.array([[3.0], [1.0]])
     foreign = Rotation.from_rotvec(turn)
     np.testing.assert_allclose(rotation_of(turn), foreign.as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(turn_of(foreign[0].as_matrix()), turn[0], atol=1e-14)
+    np.testing.assert_allclose(rotation_vector(foreign[0].as_matrix()), turn[0], atol=1e-14)
     np.testing.assert_allclose(cross_matrix(turn)[1] @ [1.0, 2.0, 3.0], np.cross(turn[1], [1.0, 2.0, 3.0]), atol=1e-15)
     for row, J in zip(turn, left_jacobian(turn), strict=True):
         numeric = differences(
@@ -108,8 +108,10 @@ def test_landmark_turns_with_its_anchor(state: PoseState) -> None:
 
 
 def test_innovation_derivatives_are_those_of_central_differences(state: PoseState) -> None:
-    """Of pixels and of distances, at attitudes that are not those which the filter holds beside its state."""
-    seen = Sight(CAMERA, np.array([2, 0]), np.full((2, 2), 500.0), 0.7, np.array([1, 2]), np.full(2, 600.0), np.ones(2))
+    """Of pixels and of distances, at attitude errors that are not zero."""
+    seen = FrameMeasurements(
+        CAMERA, np.array([2, 0]), np.full((2, 2), 500.0), 0.7, np.array([1, 2]), np.full(2, 600.0), np.ones(2)
+    )
     landmark = [1e-2, 1e-2, 1e-8, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6]
     steps = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-6), np.full(6, 1e-3), np.tile(landmark, 3)])
     numeric = differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
@@ -119,8 +121,8 @@ def test_innovation_derivatives_are_those_of_central_differences(state: PoseStat
 
 
 def test_propagation_has_the_derivatives_of_central_differences(state: PoseState) -> None:
-    """With a body that turns below the camera; what is added has the covariance of drawn motions and accelerations."""
-    start = state.folded()
+    """With a rotating body; the process noise is the covariance of drawn motions and accelerations."""
+    start = state.with_errors_reset()
     end = start.propagated(frame_at(2))
     shifts = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-5), np.full(3, 1e-7), np.full(3, 1e-5)])
     columns = []
@@ -129,7 +131,7 @@ def test_propagation_has_the_derivatives_of_central_differences(state: PoseState
         for sign in (1.0, -1.0):
             x = start.x.copy()
             x[i] += sign * shift
-            sides.append(errors_of(end, replace(start, x=x).folded().propagated(frame_at(2))))
+            sides.append(errors_of(end, replace(start, x=x).with_errors_reset().propagated(frame_at(2))))
         columns.append((sides[0] - sides[1]) / (2.0 * shift))
     F = np.stack(columns, axis=1)
     scale = 1.0 / np.sqrt(np.diag(end.covariance))
@@ -148,7 +150,7 @@ def test_propagation_has_the_derivatives_of_central_differences(state: PoseState
 
 
 def _drawn_noise(start: PoseState, count: int) -> np.ndarray:
-    """(count, 15) errors after an interval in which the camera moves and accelerates as chance has it."""
+    """(count, 15) errors after an interval with random motions and angular accelerations."""
     rng = np.random.default_rng(8)
     frame, end = frame_at(2), start.propagated(frame_at(2))
     known, dt = frame.R_body_inertial, SECONDS
@@ -167,7 +169,7 @@ def _drawn_noise(start: PoseState, count: int) -> np.ndarray:
 
 
 def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> None:
-    folded = state.folded()
+    folded = state.with_errors_reset()
     np.testing.assert_allclose(folded.attitude, state.attitude, atol=1e-15)
     np.testing.assert_allclose(folded.points(CAMERA), state.points(CAMERA), atol=1e-10)
     assert not folded.x[6:9].any()
@@ -183,28 +185,28 @@ def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> Non
 
 
 def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseState) -> None:
-    """Without a misalignment all that lasts is the body's: with the measured attitude landmarks look the same."""
-    grown = replace(state.folded(), misalignment_rad=0.0)
+    """Without a misalignment the lasting error is the body's: with the measured attitude, pixels do not change."""
+    grown = replace(state.with_errors_reset(), misalignment_rad=0.0)
     grown = replace(grown, x=grown.x + np.eye(len(grown.x))[12] * 0.01)
-    position, covariance, points = grown.told(CAMERA)
+    position, covariance, points = grown.estimate(CAMERA)
     known = Rotation.from_rotvec(grown.x[12:15]).as_matrix() @ grown.attitude
     there = (grown.points(CAMERA) - grown.position_m) @ grown.attitude.T
     np.testing.assert_allclose((points - position) @ known.T, there, atol=1e-9)
     steps = np.full(len(grown.x), 1e-5)
-    J = differences(lambda x: replace(grown, x=x).told(CAMERA)[0], grown.x, steps)
+    J = differences(lambda x: replace(grown, x=x).estimate(CAMERA)[0], grown.x, steps)
     J[:, 6:9] = 0.0  # a turn of the axes is itself the error: of second order
     expected = J @ grown.covariance @ J.T
     np.testing.assert_allclose(covariance, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())
-    still = replace(state.folded(), misalignment_rad=state.frame.attitude_lasting_rad)
-    np.testing.assert_array_equal(still.told(CAMERA)[0], still.position_m)
-    half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_lasting_rad)
-    np.testing.assert_allclose(half.told(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
+    still = replace(state.with_errors_reset(), misalignment_rad=state.frame.attitude_bias_sigma_rad)
+    np.testing.assert_array_equal(still.estimate(CAMERA)[0], still.position_m)
+    half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_bias_sigma_rad)
+    np.testing.assert_allclose(half.estimate(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
 
 
 def test_star_tracker_without_landmarks_is_consistent() -> None:
     """Attitude, rate and misalignment of 200 drawn cameras: their NEES has the mean of a chi-square of 9."""
     rng, lasting, white, frames = np.random.default_rng(5), 0.01, 0.005, 6
-    sigmas = {"attitude_sigma_rad": float(np.hypot(lasting, white)), "attitude_lasting_rad": lasting}
+    sigmas = {"attitude_sigma_rad": float(np.hypot(lasting, white)), "attitude_bias_sigma_rad": lasting}
     total, runs = 0.0, 200
     for _ in range(runs):
         wrong, rate = lasting * rng.normal(size=3), rng.normal(0.0, 1e-5, 3)
@@ -226,11 +228,11 @@ def test_star_tracker_without_landmarks_is_consistent() -> None:
         total += error @ np.linalg.solve(covariance, error)
     low, high = chi2.ppf([0.001, 0.999], 9 * runs)
     assert low < total < high
-    assert np.sqrt(np.diag(covariance)[:3]).min() > 0.99 * lasting  # no number of frames tells the misalignment
+    assert np.sqrt(np.diag(covariance)[:3]).min() > 0.99 * lasting  # the misalignment is not observable
 
 
 def test_rate_and_velocity_are_those_of_the_orbit() -> None:
-    """In inertial space, while the body turns below: closed form of a circle whose camera looks at its centre."""
+    """In inertial space, above a rotating body: closed form for a circle with the camera pointed at its centre."""
     state = PoseState.at_first(on_orbit(0), np.zeros((3, 3)), frame_at(0), TURN_NOISE_RAD)
     for number in range(1, 9):
         state = state.predicted(frame_at(number))
@@ -263,7 +265,7 @@ def disturbed(sequence: TrackSequence, rng: np.random.Generator, noise_rad: floa
             frame,
             R_cam_body=Rotation.from_rotvec(wrong + noise_rad * rng.normal(size=3)).as_matrix() @ frame.R_cam_body,
             attitude_sigma_rad=float(np.hypot(noise_rad, lasting_rad)),
-            attitude_lasting_rad=lasting_rad,
+            attitude_bias_sigma_rad=lasting_rad,
         )
         for frame in sequence.frames
     ]
@@ -284,7 +286,7 @@ def squares(estimate: SequenceEstimate, true_m: np.ndarray) -> tuple[float, floa
 
 @pytest.mark.parametrize(("noise_deg", "lasting_deg"), [(0.03, 0.0), (0.0, 0.1)])
 def test_whole_camera_is_more_accurate_and_more_consistent(noise_deg: float, lasting_deg: float) -> None:
-    """Than the position with the star tracker's attitude taken for true; all on the same tracks."""
+    """Compared with the position-only filter with the star tracker's attitude taken as exact; on the same tracks."""
     kept = []
     for seed in range(4):
         sequence, truth = make_sequence(np.random.default_rng(seed), Recipe(frames=60))
@@ -302,7 +304,7 @@ def test_whole_camera_is_more_accurate_and_more_consistent(noise_deg: float, las
 
 
 def test_smoother_counts_noise_of_attitudes_as_noise_of_pixels() -> None:
-    """Where there is none, or none but what lasts, nothing changes; with it the smoother is less overconfident."""
+    """Without frame-to-frame noise nothing changes; with it the smoother is less overconfident."""
     kept = []
     for seed in range(4):
         sequence, truth = make_sequence(np.random.default_rng(seed), Recipe(frames=60))
@@ -327,9 +329,9 @@ def test_same_input_gives_the_same_bits_and_stays_as_it_was() -> None:
 
 
 def test_propagation_adds_the_whole_covariance_of_the_motion(state: PoseState) -> None:
-    """To the position, on which nothing else of the camera depends."""
+    """Compared with the position: no other camera element affects it."""
     frame = frame_at(2)
-    moved = state.folded().propagated(frame)
-    added = moved.covariance[:3, :3] - state.folded().covariance[:3, :3]
+    moved = state.with_errors_reset().propagated(frame)
+    added = moved.covariance[:3, :3] - state.with_errors_reset().covariance[:3, :3]
     np.testing.assert_allclose(added, frame.motion_covariance_m2, rtol=1e-9)
     assert np.trace(frame.motion_covariance_m2) > 0.0

@@ -1,4 +1,4 @@
-"""Estimators of sequences on a small world: the truth without noise, consistency, clear ends."""
+"""Sequence estimators on a small world: the truth without noise, consistency, reasons of failure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dynamics.smoother import DynamicSmoother
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.loops.smoother import LoopSmoother
+from estimators.slam.loop_smoother import LoopSmoother
 from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError
@@ -55,7 +55,7 @@ def lonely(sequence: TrackSequence, number: int) -> TrackSequence:
 
 
 def thrown(sequence: TrackSequence, share: float) -> TrackSequence:
-    """A share of the sightings anywhere in the image, but for those that begin a track."""
+    """Put a share of the pixels, but the first of no track, anywhere in the image."""
     rng = np.random.default_rng(77)
     frames, older = [], sequence.frames[0].tracks
     for frame in sequence.frames:
@@ -79,7 +79,7 @@ def thrown(sequence: TrackSequence, share: float) -> TrackSequence:
     ],
 )
 def test_noise_free_sequence_returns_the_truth(estimator: type[BundleSlam], options: dict[str, object]) -> None:
-    """Predicted motions are wrong by half the displacement all the same."""
+    """Predicted motions have errors of half the displacement."""
     sequence, truth = make_sequence(np.random.default_rng(11), QUIET)
     estimate = estimator.from_options({"tolerance": 1e-10, **options}).follow(sequence)
     assert estimate.status == "ok", estimate.reason
@@ -92,7 +92,7 @@ def test_noise_free_sequence_returns_the_truth(estimator: type[BundleSlam], opti
 
 @pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
 def test_filter_returns_the_truth_where_nothing_is_guessed(estimator: type[EkfSlam]) -> None:
-    """A filter that linearises at a guess is not exact; with all ranges and motions given it has nothing to guess."""
+    """A filter that linearises at guessed distances is not exact; with all ranges and motions there are none."""
     recipe = replace(QUIET, motion_error=0.0, range_all=True)
     sequence, truth = make_sequence(np.random.default_rng(11), recipe)
     estimate = estimator.from_options({}).follow(sequence)
@@ -109,7 +109,7 @@ def test_filter_returns_the_truth_where_nothing_is_guessed(estimator: type[EkfSl
     ],
 )
 def test_window_of_all_frames_is_the_minimum_of_scipy(estimator: type[BundleSlam], options: dict[str, object]) -> None:
-    """All frames, written down again without the product's residuals."""
+    """All frames, with residuals that are independent of the product's."""
     sequence, truth = make_sequence(np.random.default_rng(2), Recipe(frames=5, landmarks=8))
     estimate = estimator.from_options(options).follow(sequence)
     tracks = estimate.frames[-1].tracks.tolist()
@@ -165,7 +165,7 @@ def test_error_of_the_smoother_is_what_its_covariance_says() -> None:
 
 @pytest.mark.parametrize("estimator", ALL)
 def test_later_range_corrects_the_scale(estimator: type[FixedLagSmoother]) -> None:
-    """The first range is wrong by 1 %, as it may be by its standard deviation; one at frame 12 is right."""
+    """The first range has an error of 1 %, its standard deviation; the one at frame 12 is exact."""
     drive = Drive(noise_m_s2=1e-5, velocity_sigma_m_s=0.05, spinning=False)
     sequence, truth = make_orbit_sequence(np.random.default_rng(11), QUIET, drive)
     sequence = replace(sequence, frames=tuple(replace(frame, sigma_px=0.67) for frame in sequence.frames))
@@ -185,7 +185,7 @@ def test_later_range_corrects_the_scale(estimator: type[FixedLagSmoother]) -> No
 
 
 def test_small_prior_knows_less_and_says_so() -> None:
-    """As above, with room for four landmarks of about ten: nothing is counted twice."""
+    """As above, with a prior of four landmarks of about ten: no measurement is used twice."""
     total = 0.0
     for trial in range(12):
         sequence, truth = make_sequence(np.random.default_rng([21, trial]), Recipe(frames=25, landmarks=20))
@@ -203,7 +203,7 @@ def test_small_prior_knows_less_and_says_so() -> None:
 
 @pytest.mark.parametrize("estimator", [EkfSlam, FixedLagSmoother, BatchAdjustment])
 def test_error_of_the_first_position_shifts_all(estimator: type[FixedLagSmoother]) -> None:
-    """Bearings and ranges tell nothing about where the body's centre is: the error stays, and the covariance adds."""
+    """Bearings and ranges do not determine the body's centre: the error of the first position stays."""
     sequence, _ = make_sequence(np.random.default_rng(9), Recipe(frames=12))
     shift = np.array([3.0, -2.0, 1.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=4.0 * np.eye(3))
@@ -217,7 +217,7 @@ def test_error_of_the_first_position_shifts_all(estimator: type[FixedLagSmoother
 
 
 def same_but_for_the_time(one: FrameEstimate, other: FrameEstimate) -> None:
-    """All that two estimates of a frame tell, to the last bit."""
+    """All values of two estimates of a frame, to the last bit."""
     for name in (field.name for field in fields(FrameEstimate) if field.name != "seconds"):
         first, second = getattr(one, name), getattr(other, name)
         assert (first is None) == (second is None), name
@@ -237,7 +237,7 @@ def same_but_for_the_time(one: FrameEstimate, other: FrameEstimate) -> None:
     ],
 )
 def test_estimate_does_not_know_later_frames(name: str, options: dict[str, object]) -> None:
-    """Whether the sequence ends after a frame or goes on, and however it goes on, its estimate is the same."""
+    """The estimate of a frame does not depend on later frames, nor on whether there are any."""
     if name.startswith("gtsam-"):
         pytest.importorskip("gtsam", reason="gtsam is not installed")
     sequence, _ = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=21))
@@ -279,7 +279,7 @@ def test_bad_sequence_ends_with_a_reason_and_the_frames_before(
 
 @pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
 def test_filter_declares_its_divergence(estimator: type[EkfSlam]) -> None:
-    """Bearings that are far noisier than the filter is told; the frames before are kept."""
+    """Bearings are far noisier than the filter assumes; the estimates before the failure are kept."""
     sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=30, noise_px=6.0))
     wrong = replace(sequence, frames=tuple(replace(frame, sigma_px=0.5) for frame in sequence.frames))
     estimate = estimator.from_options({}).follow(wrong)
@@ -290,7 +290,7 @@ def test_filter_declares_its_divergence(estimator: type[EkfSlam]) -> None:
 
 
 def test_gate_that_refuses_most_declares_the_divergence() -> None:
-    """What passes a gate always fits: the share that does not pass tells."""
+    """Pixels that pass a gate always fit: the share of refusals shows the divergence."""
     sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=30, noise_px=6.0))
     wrong = replace(sequence, frames=tuple(replace(frame, sigma_px=0.1) for frame in sequence.frames))
     estimate = ConsistentEkfSlam.from_options({"gate": "one-point"}).follow(wrong)
@@ -301,7 +301,7 @@ def test_gate_that_refuses_most_declares_the_divergence() -> None:
 
 @pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
 def test_gated_filter_survives_wrong_associations(estimator: type[EkfSlam]) -> None:
-    """Five of a hundred sightings are thrown anywhere; without a gate the filter diverges."""
+    """5 % of the pixels are anywhere in the image; without a gate the filter diverges."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=40, landmarks=20))
     clean = estimator.from_options({}).follow(sequence)
     spoilt = thrown(sequence, 0.05)

@@ -1,4 +1,4 @@
-"""The vision layer: features where they were painted, epipolar geometry against OpenCV, registration against SciPy."""
+"""The vision layer: features of a known image, epipolar geometry against OpenCV, registration against SciPy."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import pytest
 from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.spatial import cKDTree
 
-from estimators.slam.vision.carriers import Look
-from estimators.slam.vision.epipolar import agree_with_direction, agree_with_fundamental, fitted_direction
 from estimators.slam.vision.features import find_features
-from estimators.slam.vision.flow import local_flow
-from estimators.slam.vision.matching import matched
-from estimators.slam.vision.registration import Spline, Warps, cut, register
+from estimators.slam.vision.matching import direction_inliers, fitted_direction, fundamental_inliers, match_descriptors
+from estimators.slam.vision.point_trackers import MatchedImage, local_flow
+from estimators.slam.vision.registration import AffineWarps, Spline, cut_patches, register_patches
 from estimators.slam.vision.tracker import Tracker
 from scenarios.geometry import Camera
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.spec.sequence import ImageVisionSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
 LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])
@@ -35,7 +33,7 @@ def texture(rng, size=256):
 
 
 def moved(image):
-    """Let what was at (u, v) about the middle be at LINEAR (u, v) + SHIFT: SciPy resamples by the inverse."""
+    """Move the point (u, v) about the middle to LINEAR (u, v) + SHIFT: SciPy resamples by the inverse."""
     middle = 0.5 * (np.array(image.shape) - 1.0)
     inverse = np.linalg.inv(LINEAR[::-1, ::-1])
     offset = middle - inverse @ (middle + SHIFT[::-1])
@@ -54,7 +52,7 @@ def test_features_move_with_the_image(detector, share, error_px):
     first, second = find_features(image, detector, 400), find_features(moved(image), detector, 400)
     assert len(first) > 60
     assert np.all(np.diff(first.strength) <= 0.0)
-    pairs = matched(first, second, 0.8)
+    pairs = match_descriptors(first, second, 0.8)
     error = np.linalg.norm(where_moved(first.uv_px[pairs[:, 0]]) - second.uv_px[pairs[:, 1]], axis=1)
     right = error < 3.0
     assert right.sum() > share * min(len(first), len(second))
@@ -72,7 +70,7 @@ def test_no_feature_lies_at_the_edge_of_the_body_and_a_black_image_has_none():
 
 
 def epipolar_world(rng, count=120, wrong=40):
-    """Matches of two cameras that look the same way, the last of them wrong."""
+    """Matches of two cameras with the same attitude, the last of them wrong."""
     points = np.column_stack([rng.uniform(-120, 120, (count, 2)), rng.uniform(550, 750, count)])
     motion = np.array([60.0, 8.0, -15.0])
     uv = [CAMERA.project(points - place) + 0.2 * rng.standard_normal((count, 2)) for place in (0.0, motion)]
@@ -84,7 +82,7 @@ def test_matches_that_agree_on_one_motion_are_told_apart_as_by_opencv():
     rng = np.random.default_rng(5)
     (before, after), motion = epipolar_world(rng)
     rays = CAMERA.unproject(before), CAMERA.unproject(after)
-    kept = agree_with_direction(*rays, 1.0 * CAMERA.pixel_angle_rad, np.random.default_rng(0))
+    kept = direction_inliers(*rays, 1.0 * CAMERA.pixel_angle_rad, np.random.default_rng(0))
     assert kept[:80].mean() > 0.97
     assert kept[80:].mean() < 0.3  # a wrong match may lie near its epipolar line by chance
     found = fitted_direction(rays[0][kept], rays[1][kept])
@@ -94,7 +92,7 @@ def test_matches_that_agree_on_one_motion_are_told_apart_as_by_opencv():
     _, _, direction, _ = cv2.recoverPose(matrix, before, after, CAMERA.matrix, mask=mask)
     ours, theirs = (np.degrees(np.arccos(abs(float(d.ravel() @ motion)))) for d in (found, direction))
     assert ours <= theirs
-    by_matrix = agree_with_fundamental(before, after, 1.0)
+    by_matrix = fundamental_inliers(before, after, 1.0)
     assert by_matrix[:80].mean() > 0.8
     assert by_matrix[80:].mean() < 0.3
 
@@ -102,8 +100,8 @@ def test_matches_that_agree_on_one_motion_are_told_apart_as_by_opencv():
 def test_too_few_matches_agree_on_nothing():
     rng = np.random.default_rng(0)
     rays = np.eye(3)[:2]
-    assert not agree_with_direction(rays, rays, 1e-3, rng).any()
-    assert not agree_with_fundamental(np.zeros((5, 2)), np.zeros((5, 2)), 1.0).any()
+    assert not direction_inliers(rays, rays, 1e-3, rng).any()
+    assert not fundamental_inliers(np.zeros((5, 2)), np.zeros((5, 2)), 1.0).any()
 
 
 def test_the_local_flow_is_the_affine_map_that_was_applied():
@@ -122,14 +120,16 @@ def test_a_patch_is_registered_to_hundredths_of_a_pixel_whatever_gain_and_offset
     rng = np.random.default_rng(8)
     places = rng.uniform(90, 166, (12, 2))
     other = 1.7 * moved(image) + 40.0 + 2.0 * rng.standard_normal(image.shape).astype(np.float32)
-    start = Warps(np.tile(np.eye(2), (12, 1, 1)), where_moved(places) + rng.uniform(-1, 1, (12, 2)))
-    found, correlation = register(Spline(other, EVERYWHERE), cut(Spline(image, EVERYWHERE), places), start)
+    start = AffineWarps(np.tile(np.eye(2), (12, 1, 1)), where_moved(places) + rng.uniform(-1, 1, (12, 2)))
+    found, correlation = register_patches(
+        Spline(other, EVERYWHERE), cut_patches(Spline(image, EVERYWHERE), places), start
+    )
     error = np.linalg.norm(found.place_px - where_moved(places), axis=1)
     assert np.median(error) < 0.02
     assert (correlation > 0.98).all()
     assert np.abs(found.linear - LINEAR).max() < 0.05
-    strange, correlation = register(
-        Spline(texture(np.random.default_rng(9)), EVERYWHERE), cut(Spline(image, EVERYWHERE), places), start
+    strange, correlation = register_patches(
+        Spline(texture(np.random.default_rng(9)), EVERYWHERE), cut_patches(Spline(image, EVERYWHERE), places), start
     )
     assert np.median(correlation) < 0.8
     assert np.isfinite(strange.place_px).all()
@@ -146,8 +146,8 @@ def test_tracks_follow_the_image_and_a_lost_one_never_returns(carry, error_px):
     for step in range(4):
         image = wide[:, 20 * step : 20 * step + 256]
         features = find_features(image, "surf", 500)
-        pairs = np.empty((0, 2), dtype=np.int64) if before is None else matched(before, features, 0.8)
-        seen.append(tracker.advance(Look(image, features, pairs), np.eye(3)))
+        pairs = np.empty((0, 2), dtype=np.int64) if before is None else match_descriptors(before, features, 0.8)
+        seen.append(tracker.advance(MatchedImage(image, features, pairs), np.eye(3)))
         before = features
     assert [len(frame.tracks) for frame in seen] == [25] * 4
     for first, second in itertools.pairwise(seen):

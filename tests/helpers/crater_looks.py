@@ -15,9 +15,9 @@ from scenarios.craters.simulated import (
     DetectionErrors,
     PlaneCraters,
     detect_simulated,
-    draw_craters,
     in_view,
-    raised,
+    raise_craters,
+    sample_plane_craters,
 )
 from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from scenarios.observation import Frame
@@ -35,7 +35,7 @@ def ellipsoid(subdivisions: int = 4) -> MeshGround:
 
 
 def population(ground: MeshGround, seed: int, count: int = 700) -> PlaneCraters:
-    return draw_craters(ground, count, (110.0, 2500.0), 1.8, np.random.default_rng(seed))
+    return sample_plane_craters(ground, count, (110.0, 2500.0), 1.8, np.random.default_rng(seed))
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Look:
 
 def turned(direction: FloatArray, angle_deg: float, azimuth_rad: float) -> FloatArray:
     """Turn a unit vector by an angle, towards an azimuth."""
-    return pairs.turned(direction, np.radians(angle_deg), azimuth_rad)
+    return pairs.turn_direction(direction, np.radians(angle_deg), azimuth_rad)
 
 
 def look(
@@ -69,7 +69,7 @@ def look(
     attitude = look_at(position - target_m, rng.uniform(0.0, 2.0 * np.pi)).rotation
     view = View(CAMERA, Pose(attitude, -attitude @ position), towards_sun)
     visible = in_view(craters, ground, view, (60.0, 20.0, 75.0))
-    found = detect_simulated(raised(craters, errors.height_m, rng), visible, view, errors, rng)
+    found = detect_simulated(raise_craters(craters, errors.height_m, rng), visible, view, errors, rng)
     prior = view.T_cam_body.perturbed(np.zeros(3), rng.normal(0.0, position_sigma_m, 3))
     covariance = np.diag([1e-12] * 3 + [position_sigma_m**2] * 3)
     image = np.zeros((CAMERA.height_px, CAMERA.width_px), np.float32) if pixels is None else pixels

@@ -1,4 +1,4 @@
-"""The adjustment of sequences in plain numpy: what its compiled kernels are held against."""
+"""The adjustment of sequences in plain numpy: the reference of its compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,70 +9,76 @@ from numpy.linalg import LinAlgError as NumpyLinAlgError
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.gating import mahalanobis_squares
-from estimators.slam.levenberg import RANK_TOLERANCE, Solution
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import bearing_jacobians, bearing_residuals, cost, distance_jacobians
+from estimators.slam.normal import (
+    VariableOrdering,
+    bearing_jacobians,
+    bearing_residuals,
+    cost,
+    distance_jacobians,
+    normal_equations,
+)
+from estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
 
 
 def minimise(problem, state, rule):
-    """`estimators.slam.levenberg.minimise`."""
-    layout = Layout.of(problem)
+    """`estimators.slam.solver.minimise`."""
+    ordering = VariableOrdering.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
-        return Solution(state, value, 0, converged=False)
+        return AdjustmentSolution(state, value, 0, converged=False)
     damping = -1.0
     for iteration in range(1, rule.iterations + 1):
-        system = normal_equations(problem, state, layout)
+        system = normal_equations(problem, state, ordering)
         damping = _first_damping(system) if damping < 0.0 else damping
         trial, step, damping = _descend(problem, system, state, value, damping)
         if trial is None:
-            return Solution(state, value, iteration, converged=step <= 1e3 * rule.step_m)
+            return AdjustmentSolution(state, value, iteration, converged=step <= 1e3 * rule.step_m)
         state, value = trial, cost(problem, trial)
         if step <= rule.step_m:
-            return Solution(state, value, iteration, converged=True)
-    return Solution(state, value, rule.iterations, converged=False)
+            return AdjustmentSolution(state, value, iteration, converged=True)
+    return AdjustmentSolution(state, value, rule.iterations, converged=False)
 
 
 def reduced_rank_deficiency(problem, state):
-    """`estimators.slam.levenberg.reduced_rank_deficiency`."""
-    layout = Layout.of(problem)
+    """`estimators.slam.solver.reduced_rank_deficiency`."""
+    ordering = VariableOrdering.of(problem)
     try:
-        matrix = normal_equations(problem, state, layout).reduced()[0]
+        matrix = normal_equations(problem, state, ordering).reduced()[0]
     except NumpyLinAlgError:
-        return 3 * layout.kept
+        return 3 * ordering.kept
     values = np.linalg.eigvalsh(matrix) if len(matrix) else np.zeros(1)
     return int(np.count_nonzero(values < RANK_TOLERANCE * values[-1]))
 
 
 def view_covariance(problem, state, view):
-    """`estimators.slam.levenberg.view_covariance`."""
-    layout = Layout.of(problem)
-    matrix, _, _ = normal_equations(problem, state, layout).reduced()
-    slot = 3 * int(layout.view[view])
+    """`estimators.slam.solver.view_covariance`."""
+    ordering = VariableOrdering.of(problem)
+    matrix, _, _ = normal_equations(problem, state, ordering).reduced()
+    slot = 3 * int(ordering.view[view])
     columns = np.eye(len(matrix))[:, slot : slot + 3]
     covariance = cho_solve(cho_factor(matrix), columns)[slot : slot + 3]
     return 0.5 * (covariance + covariance.T)
 
 
-def schur(information, gradient, out):
-    """`estimators.slam.marginal.schur`."""
+def eliminate_rows(information, gradient, out):
+    """`estimators.slam.marginal.eliminate_rows`."""
     cross = information[np.ix_(out, ~out)]
     solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
     left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
     return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
 
 
-def sighting_squares(problem, state):
-    """`estimators.slam.deviations.sighting_squares`."""
+def residual_squares(problem, state):
+    """`estimators.slam.solver.residual_squares`."""
     return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
 
 
 def landmark_information(problem, state):
-    """`estimators.slam.deviations.landmark_information`."""
+    """`estimators.slam.solver.landmark_information`."""
     problem = replace(problem, frozen=None, prior=None)
     told = np.zeros((len(state.points_m), 3, 3))
     for point, rows in (
-        (problem.sightings.point, bearing_jacobians(problem, state)),
+        (problem.pixels.point, bearing_jacobians(problem, state)),
         (problem.distances.point, distance_jacobians(problem, state)),
     ):
         np.add.at(told, point, np.swapaxes(rows, 1, 2) @ rows)
@@ -80,7 +86,7 @@ def landmark_information(problem, state):
 
 
 def pixel_squares(camera, frame, rows, lines_m, own_m2):
-    """`estimators.slam.deviations.pixel_squares`."""
+    """`estimators.slam.solver.pixel_squares`."""
     in_camera = lines_m @ frame.R_cam_body.T
     by_line = camera.jacobian(in_camera) @ frame.R_cam_body
     spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
@@ -89,12 +95,12 @@ def pixel_squares(camera, frame, rows, lines_m, own_m2):
 
 def _first_damping(system):
     """Return a millionth of the mean diagonal."""
-    diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.gone, axis1=1, axis2=2).ravel()])
+    diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.eliminated, axis1=1, axis2=2).ravel()])
     return 1e-6 * float(diagonal.mean()) if len(diagonal) else 1.0
 
 
 def _descend(problem, system, state, value, damping):
-    """Raise the damping until the cost does not grow; nothing if it grows however small the step.
+    """Increase the damping until the cost does not increase; None if it increases for every step.
 
     Returns the new state, the longest step of a variable (m), and the damping to begin with next time. Rounding may
     raise the cost by some parts in 1e12 at the minimum.
@@ -102,12 +108,12 @@ def _descend(problem, system, state, value, damping):
     step = 0.0
     for _ in range(25):
         try:
-            kept_step, gone_step = _solve(system, damping)
+            kept_step, eliminated_step = _solve(system, damping)
         except (LinAlgError, NumpyLinAlgError):
             damping *= 10.0
             continue
-        step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(gone_step).max(initial=0.0)))
-        trial = system.stepped(state, kept_step, gone_step)
+        step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(eliminated_step).max(initial=0.0)))
+        trial = system.stepped(state, kept_step, eliminated_step)
         if cost(problem, trial) <= value + 1e-12 * abs(value) + 1e-18:
             return trial, step, 0.1 * damping
         damping *= 10.0

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.world import Asteroid, BelievedShape, OrbitWorld
+from scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
 from scenarios.spec.orbit import OrbitSpec
 
 CAMERA = Camera.from_fov(512, 400, np.radians(6.0))
@@ -24,7 +24,7 @@ def orbit_world(**changes):
         {key: {**SECTION.get(key, {}), **changes.get(key, {})} for key in SECTION | changes}
     )
     asteroid = Asteroid.of(lump(), section, 3)
-    return OrbitWorld(section, CAMERA, asteroid, BelievedShape.of(asteroid, section, section.knowledge.shape_degree))
+    return OrbitWorld(section, CAMERA, asteroid, OnboardShape.of(asteroid, section, section.knowledge.shape_degree))
 
 
 def lump():

@@ -1,4 +1,4 @@
-"""Sequences along orbits that scipy integrates, for the tests of SLAM with dynamics."""
+"""Sequences along orbits integrated by scipy, for the tests of SLAM with dynamics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPIN = np.array([0.2, -0.1, 1.0]) * 2.0 * np.pi / (30.4 * 3600.0)
 
 @dataclass(frozen=True)
 class Drive:
-    """How wrong what the spacecraft believes is; standard deviations."""
+    """Standard deviations of the errors of the spacecraft's prior knowledge."""
 
     noise_m_s2: float = 1e-7
     gm_sigma: float = 0.1
@@ -33,7 +33,7 @@ class Drive:
 
 
 def flown(start: FloatArray, gm: float, light: FloatArray, pushes: FloatArray) -> FloatArray:
-    """(n + 1, 6) states by DOP853, with a constant push in each interval."""
+    """(n + 1, 6) states by DOP853, with a constant acceleration in each interval."""
     states = [start]
     for push in pushes:
 
@@ -47,7 +47,7 @@ def flown(start: FloatArray, gm: float, light: FloatArray, pushes: FloatArray) -
 
 @dataclass(frozen=True)
 class OrbitTruth(Truth):
-    """Beside the places in the body frame: (n, 6) inertial states, and the parameters."""
+    """Besides the positions in the body frame: (n, 6) inertial states, and the parameters."""
 
     states: FloatArray
     gm: float
@@ -56,7 +56,7 @@ class OrbitTruth(Truth):
 def make_orbit_sequence(
     rng: np.random.Generator, recipe: Recipe, drive: Drive = Drive()
 ) -> tuple[TrackSequence, OrbitTruth]:
-    """True forces are GM and LIGHT; what is believed of them has errors drawn by their standard deviations."""
+    """True forces are GM and LIGHT; their prior values have errors drawn by their standard deviations."""
     start = np.array([ORBIT_M, 0.0, 0.0, 0.0, ORBIT_M * RATE, 0.0])
     states = flown(start, GM, LIGHT, drive.noise_m_s2 * rng.standard_normal((recipe.frames - 1, 3)))
     times = INTERVAL_S * np.arange(recipe.frames)

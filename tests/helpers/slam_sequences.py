@@ -1,4 +1,4 @@
-"""A small world for the tests of SLAM, not the product's: a circular orbit over a sphere."""
+"""A small world for the tests of SLAM, independent of the product's: a circular orbit above a sphere."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def sequence_along(rng: np.random.Generator, positions: FloatArray, recipe: Reci
 def _tracks(
     rng: np.random.Generator, positions: FloatArray, recipe: Recipe
 ) -> tuple[list[set[int]], dict[int, FloatArray]]:
-    """Which tracks each frame sees. Where a track dies, a new landmark comes up in view: the density stays."""
+    """Tracks of each frame. A lost track is replaced by a new landmark in view: the density is constant."""
     share = 0.5 * (1.0 - RADIUS_M / ORBIT_M)
     points = dict(enumerate(_on_sphere(rng, round(recipe.landmarks / share))))
     alive, before, frames = set(points), set[int](), []
@@ -97,7 +97,7 @@ def _tracks(
             points[len(points)] = point
             alive.add(len(points) - 1)
             visible.add(len(points) - 1)
-        for track in sorted(before - visible - dying):  # gone over the limb: it comes back under another number
+        for track in sorted(before - visible - dying):  # beyond the limb: it returns under another number
             points[len(points)] = points[track]
             alive.add(len(points) - 1)
         frames.append(visible)

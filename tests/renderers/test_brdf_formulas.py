@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
 from renderers.brdf.hapke import h_function, opposition_surge
-from renderers.brdf.phase import henyey_greenstein
+from renderers.brdf.lunar_lambert import henyey_greenstein
 from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
 
 HAPKES = [

@@ -9,7 +9,7 @@ import trimesh
 from mission_data import data_path, needs_data
 
 from renderers.mitsuba3 import MitsubaRenderer, check_outside
-from renderers.mitsuba3.rays import Window, body_window, outline_points
+from renderers.mitsuba3.rays import PixelWindow, body_window, outline_points
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from scenarios.spec.brdf import LambertSpec
@@ -196,7 +196,7 @@ def test_window_bounds_the_body_closely(rock, looking):
 
 def test_strips_cover_a_window_once():
     count = np.zeros((60, 50), dtype=int)
-    window = Window(7, 5, 30, 41)
+    window = PixelWindow(7, 5, 30, 41)
     for strip in window.strips(4):
         assert strip.height <= 4
         count[strip.slices] += 1

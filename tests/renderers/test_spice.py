@@ -18,7 +18,7 @@ from tiny_mission import KERNELS, LENGTH_S, SPICE_SECTION, START_ET, SUN_FROM_BO
 from renderers.images import keep_clear, open_product
 from renderers.mitsuba3 import MitsubaRenderer
 from renderers.mitsuba3.rays import outline_points
-from renderers.spice import INSTRUMENTS, Actors, SpiceImageSet, loaded, sight
+from renderers.spice import INSTRUMENTS, SpiceImageSet, SpiceNames, apparent_geometry, loaded_kernels
 from scenarios.bodies import load_body
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
@@ -42,8 +42,8 @@ MSI_KERNELS = [
     "near_2000056_v01_0_sliced_-93000.bc", "near_2000056_v01_1_sliced_-93000.bc", "m0126888978f7_2p_isis_0.bsp",
     "m0126888978f7_2p_isis_1.bsp",
 ]  # fmt: skip
-HAYABUSA = Actors("HAYABUSA", "HAYABUSA_AMICA", "ITOKAWA", "ITOKAWA_FIXED")
-NEAR = Actors("NEAR", "NEAR_MSI", "EROS", "EROS_FIXED")
+HAYABUSA = SpiceNames("HAYABUSA", "HAYABUSA_AMICA", "ITOKAWA", "ITOKAWA_FIXED")
+NEAR = SpiceNames("NEAR", "NEAR_MSI", "EROS", "EROS_FIXED")
 LIGHT_KM_S = 299792.458
 
 
@@ -61,8 +61,8 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> TinyMission:
 
 def test_the_geometric_pose_is_the_closed_form(mission):
     et = START_ET + 1234.5
-    with loaded(mission.kernels):
-        found = sight(HAYABUSA, et, "NONE")
+    with loaded_kernels(mission.kernels):
+        found = apparent_geometry(HAYABUSA, et, "NONE")
     R_body_j2000 = mission.R_body_j2000(et)
     np.testing.assert_allclose(found.T_cam_body.rotation, mission.R_cam_j2000 @ R_body_j2000.T, atol=1e-12)
     expected_m = 1e3 * mission.R_cam_j2000 @ mission.body_from_craft_km
@@ -73,8 +73,8 @@ def test_the_geometric_pose_is_the_closed_form(mission):
 def test_side_by_side_light_time_and_aberration_cancel_but_neither_is_small(mission):
     """30 km/s over 8 km of light: each alone displaces the body by 20 arcsec, both together by some (v / c)^2."""
     et = START_ET + 1234.5
-    with loaded(mission.kernels):
-        geometric, apparent = sight(HAYABUSA, et, "NONE"), sight(HAYABUSA, et)
+    with loaded_kernels(mission.kernels):
+        geometric, apparent = apparent_geometry(HAYABUSA, et, "NONE"), apparent_geometry(HAYABUSA, et)
         late, _ = spiceypy.spkpos("ITOKAWA", et, "J2000", "LT", "HAYABUSA")
     directions = [one.T_cam_body.translation_m for one in (geometric, apparent)]
     assert arcsec(*directions) < 0.02
@@ -88,8 +88,8 @@ def test_side_by_side_light_time_and_aberration_cancel_but_neither_is_small(miss
 def test_the_sun_is_where_it_appears_from_the_body(mission):
     """To a milliarcsecond the geometric direction turned towards the velocity by v / c of its part across."""
     et = START_ET + 1234.5
-    with loaded(mission.kernels):
-        found = sight(HAYABUSA, et)
+    with loaded_kernels(mission.kernels):
+        found = apparent_geometry(HAYABUSA, et)
     moved = SUN_FROM_BODY_KM - 1234.5 * np.array([10.0, 25.0, 13.0])
     geometric = moved / np.linalg.norm(moved)
     aberrated = geometric + np.array([10.0, 25.0, 13.0]) / LIGHT_KM_S
@@ -103,19 +103,22 @@ def test_the_sun_is_where_it_appears_from_the_body(mission):
 
 def test_nothing_stays_in_the_pool(mission):
     before = spiceypy.ktotal("ALL")
-    with loaded(mission.kernels):
+    with loaded_kernels(mission.kernels):
         assert spiceypy.ktotal("ALL") == before + len(KERNELS)
     assert spiceypy.ktotal("ALL") == before
-    with pytest.raises(BoresightError, match=r"SPICE: .*LEAPSECONDS"), loaded([]):
+    with pytest.raises(BoresightError, match=r"SPICE: .*LEAPSECONDS"), loaded_kernels([]):
         spiceypy.str2et("2005-10-01")
 
 
 def test_what_is_wrong_inside_unloads_too(mission):
     before = spiceypy.ktotal("ALL")
-    with pytest.raises(BoresightError, match=r"SPKINSUFFDATA.*ephemeris data") as error, loaded(mission.kernels):
-        sight(HAYABUSA, START_ET - 1e6)
+    with (
+        pytest.raises(BoresightError, match=r"SPKINSUFFDATA.*ephemeris data") as error,
+        loaded_kernels(mission.kernels),
+    ):
+        apparent_geometry(HAYABUSA, START_ET - 1e6)
     assert "\n" not in str(error.value)
-    with pytest.raises(ZeroDivisionError), loaded(mission.kernels):
+    with pytest.raises(ZeroDivisionError), loaded_kernels(mission.kernels):
         1 / 0  # noqa: B018
     assert spiceypy.ktotal("ALL") == before
 
@@ -127,7 +130,7 @@ def test_files_that_are_no_kernels(mission, tmp_path):
         (tmp_path / "b.bsp", "no such kernel"), (tmp_path / "a.tm", "instead of this meta-kernel"),
         (tmp_path / "a.bsp", "not a kernel that SPICE reads"),
     ):  # fmt: skip
-        with pytest.raises(BoresightError, match=message), loaded([*mission.kernels, path]):
+        with pytest.raises(BoresightError, match=message), loaded_kernels([*mission.kernels, path]):
             pass
     assert spiceypy.ktotal("ALL") == 0
 
@@ -136,12 +139,12 @@ def test_a_later_kernel_overrides_an_earlier(mission, tmp_path):
     other = tmp_path / "other.tpc"
     other.write_text("KPL/PCK\n\\begindata\nBODY2025143_PM = ( 0.0 0.0 0.0 )\n\\begintext\n")
     et = START_ET + 100.0
-    with loaded([*mission.kernels, other]):
-        still = sight(HAYABUSA, et)
-    with loaded([other, *mission.kernels]):
-        turning = sight(HAYABUSA, et)
-    with loaded(mission.kernels):
-        alone = sight(HAYABUSA, et)
+    with loaded_kernels([*mission.kernels, other]):
+        still = apparent_geometry(HAYABUSA, et)
+    with loaded_kernels([other, *mission.kernels]):
+        turning = apparent_geometry(HAYABUSA, et)
+    with loaded_kernels(mission.kernels):
+        alone = apparent_geometry(HAYABUSA, et)
     np.testing.assert_array_equal(turning.T_cam_body.rotation, alone.T_cam_body.rotation)
     assert still.T_cam_body.angle_to(alone.T_cam_body) > 0.1
 
@@ -152,8 +155,8 @@ def test_threads_with_different_kernels_do_not_mix(mission, tmp_path):
 
     def work(which: int, one: TinyMission) -> None:
         for _ in range(20):
-            with loaded(one.kernels):
-                found[which].append(sight(HAYABUSA, START_ET + 5.0, "NONE").T_cam_body.translation_m)
+            with loaded_kernels(one.kernels):
+                found[which].append(apparent_geometry(HAYABUSA, START_ET + 5.0, "NONE").T_cam_body.translation_m)
 
     threads = [threading.Thread(target=work, args=(k, one)) for k, one in enumerate((mission, turned))]
     for thread in threads:
@@ -296,8 +299,8 @@ def test_amica_agrees_with_the_camera_model_of_usgs():
     model, _, theirs, sun = usgs(AMICA)
     et = model["center_ephemeris_time"]
     assert et == 182502855.87767982
-    with loaded([AMICA / name for name in AMICA_KERNELS]):
-        geometric, apparent = sight(HAYABUSA, et, "NONE"), sight(HAYABUSA, et)
+    with loaded_kernels([AMICA / name for name in AMICA_KERNELS]):
+        geometric, apparent = apparent_geometry(HAYABUSA, et, "NONE"), apparent_geometry(HAYABUSA, et)
         clock = spiceypy.scs2e(-130, "2457499394")
     assert clock + 0.5 * 0.0218 == pytest.approx(et, abs=1e-6)
     position_m = theirs.camera_position_m
@@ -314,14 +317,14 @@ def test_the_order_of_kernels_decides_between_two_rotation_models():
     """pck00009.tpc and the shape's own pole disagree by far more than a pixel."""
     model, _, theirs, _ = usgs(AMICA)
     wrong = ["itokawa_gaskell_n3.tpc", *(name for name in AMICA_KERNELS if name != "itokawa_gaskell_n3.tpc")]
-    with loaded([AMICA / name for name in wrong]):
-        assert sight(HAYABUSA, model["center_ephemeris_time"]).T_cam_body.angle_to(theirs) > 0.1
+    with loaded_kernels([AMICA / name for name in wrong]):
+        assert apparent_geometry(HAYABUSA, model["center_ephemeris_time"]).T_cam_body.angle_to(theirs) > 0.1
 
 
 @needs_amica
 def test_amicas_camera_is_that_of_its_kernel_and_of_ishiguro():
     amica = INSTRUMENTS["hayabusa-amica"]
-    with loaded([AMICA / name for name in AMICA_KERNELS]):
+    with loaded_kernels([AMICA / name for name in AMICA_KERNELS]):
         camera = amica.camera(amica.constants())
         _, frame, boresight, _, corners = spiceypy.getfov(-130102, 8)
     assert frame == "HAYABUSA_AMICA"
@@ -342,8 +345,8 @@ def test_msi_agrees_with_the_camera_model_of_usgs():
     """Light time and aberration as USGS; its body is not turned back by the light time, 0.08 arcsec of Eros' spin."""
     model, _, theirs, sun = usgs(MSI)
     et = model["center_ephemeris_time"]
-    with loaded([MSI / name for name in MSI_KERNELS]):
-        apparent = sight(NEAR, et)
+    with loaded_kernels([MSI / name for name in MSI_KERNELS]):
+        apparent = apparent_geometry(NEAR, et)
         start = spiceypy.str2et("2000-02-25T11:39:11.972")
         _, light_s = spiceypy.spkpos("EROS", et, "J2000", "LT+S", "NEAR")
     assert start + 0.5 * 0.765 == pytest.approx(et, abs=1e-3)
@@ -357,7 +360,7 @@ def test_msi_agrees_with_the_camera_model_of_usgs():
 
 def msi_camera() -> Camera:
     msi = INSTRUMENTS["near-msi"]
-    with loaded([MSI / "msi15.ti", MSI / "msiAddendum002.ti"]):
+    with loaded_kernels([MSI / "msi15.ti", MSI / "msiAddendum002.ti"]):
         return msi.camera(msi.constants())
 
 
@@ -420,7 +423,7 @@ def test_the_stored_order_of_an_msi_image_is_that_of_the_camera_and_not_that_of_
     quaternion = [header[f"NEAR-0{k}"] for k in (19, 20, 21, 22)]
     craft, target = ([header[f"NEAR-0{k}"] for k in axes] for axes in ((23, 24, 25), (27, 28, 29)))
     msi = INSTRUMENTS["near-msi"]
-    with loaded([MSI / name for name in MSI_KERNELS[:6]]):
+    with loaded_kernels([MSI / name for name in MSI_KERNELS[:6]]):
         et = msi.middle_et(product)
         R_body_j2000 = spiceypy.pxform("J2000", "EROS_FIXED", et)
         R_msi_craft = spiceypy.pxform("NEAR_SC_BUS_PRIME", "NEAR_MSI", et)
@@ -446,10 +449,10 @@ def test_kernels_of_two_missions_take_turns():
     other = usgs(MSI)[0]["center_ephemeris_time"]
     poses = []
     for _ in range(2):
-        with loaded([AMICA / name for name in AMICA_KERNELS]):
-            poses.append(sight(HAYABUSA, et).T_cam_body.rotation)
-        with loaded([MSI / name for name in MSI_KERNELS]):
-            sight(NEAR, other)
+        with loaded_kernels([AMICA / name for name in AMICA_KERNELS]):
+            poses.append(apparent_geometry(HAYABUSA, et).T_cam_body.rotation)
+        with loaded_kernels([MSI / name for name in MSI_KERNELS]):
+            apparent_geometry(NEAR, other)
             with pytest.raises(BoresightError, match="INS-130102_FOCAL_LENGTH: not in the kernels"):
                 INSTRUMENTS["hayabusa-amica"].constants().number("FOCAL_LENGTH")
     np.testing.assert_array_equal(*poses)
@@ -457,6 +460,6 @@ def test_kernels_of_two_missions_take_turns():
 
 def test_rotations_of_the_tiny_mission_are_spices(mission):
     """The closed form of the tests against SPICE itself."""
-    with loaded(mission.kernels):
+    with loaded_kernels(mission.kernels):
         theirs = spiceypy.pxform("J2000", "ITOKAWA_FIXED", START_ET + 77.0)
     assert Rotation.from_matrix(theirs @ mission.R_body_j2000(START_ET + 77.0).T).magnitude() < 1e-11

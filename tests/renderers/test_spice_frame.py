@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import spiceypy
 
-from renderers.spice import loaded
+from renderers.spice import loaded_kernels
 from renderers.spice.kernels import check_binary
 from scenarios.errors import BoresightError
 
@@ -36,7 +36,7 @@ def replaced(kernel: bytes, at: int, form: str, value: float) -> bytes:
 def test_a_kernel_of_spice_itself_is_read(kernel, tmp_path):
     path = tmp_path / "a.bsp"
     path.write_bytes(kernel)
-    with loaded([path]):
+    with loaded_kernels([path]):
         position, _ = spiceypy.spkpos("-130", 295.0, "J2000", "NONE", "10")
     np.testing.assert_allclose(position, [295.0, 0.0, 0.0], atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_what_would_end_the_process_is_refused(kernel, tmp_path, fault):
     path.write_bytes(damage(kernel))
     with (
         pytest.raises(BoresightError, match=f"not a kernel that SPICE reads: .*{said}") as caught,
-        loaded([path]),
+        loaded_kernels([path]),
     ):
         pass
     assert "\n" not in str(caught.value)

@@ -7,9 +7,9 @@ import pytest
 from small_craters import small_ground, small_view
 
 from renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
-from renderers.mitsuba3.parts import tiles_casting, tiles_seen
+from renderers.mitsuba3.tiled import tiles_casting, tiles_seen
 from scenarios.craters import Rims, crater_truth
-from scenarios.craters.meeting import Fan, facets_met
+from scenarios.craters.ray_culling import RayProjection, candidate_facets
 from scenarios.craters.rims import RIM_POINTS
 from scenarios.geometry import TriangleMesh, View, project_circles
 from scenarios.spec.brdf import LambertSpec
@@ -48,8 +48,8 @@ def test_every_facet_that_rays_meet_is_found_and_few_others(renderer: TiledRende
     uv = np.random.default_rng(3).uniform([0, 0], [160, 120], (3000, 2))
     hits = whole.surface(view, uv)
     directions = hits.points_body_m[hits.hit] - view.T_cam_body.camera_position_m
-    fan = Fan.of_view(view)
-    found = facets_met(ground, tiles_seen(ground, view), fan, fan.of_directions(directions))
+    fan = RayProjection.of_view(view)
+    found = candidate_facets(ground, tiles_seen(ground, view), fan, fan.of_directions(directions))
     all_facets = ground.tiling.facets(np.arange(len(ground.tiling.mesh.faces)))
     met = ground.vertices_m[all_facets[np.unique(hits.facets[hits.hit])]].reshape(-1, 9)
     have = {row.tobytes() for row in found.reshape(-1, 9)}
@@ -72,10 +72,10 @@ def test_of_facets_that_rays_leave_behind_none_is_tried(renderer: TiledRenderer,
     hits = whole.surface(view, np.random.default_rng(4).uniform([0, 0], [160, 120], (3000, 2)))
     towards_sun = hits.normals_body @ view.sun_dir_body > 0.05
     start = hits.points_body_m[towards_sun] + 0.01 * hits.normals_body[towards_sun]
-    fan, tiles = Fan.of_parallel(view.sun_dir_body), tiles_casting(ground, view)
+    fan, tiles = RayProjection.of_parallel(view.sun_dir_body), tiles_casting(ground, view)
     rays = fan.of_points(start)
-    found = facets_met(ground, tiles, fan, rays)
-    from_below = facets_met(ground, tiles, fan, rays - [0.0, 0.0, 1e4])
+    found = candidate_facets(ground, tiles, fan, rays)
+    from_below = candidate_facets(ground, tiles, fan, rays - [0.0, 0.0, 1e4])
     # Each ray leaves a facet, which is among those that it would meet if it came from below the body.
     assert 0 < len(found) < 0.5 * len(from_below)
     have = {row.tobytes() for row in from_below.reshape(-1, 9)}

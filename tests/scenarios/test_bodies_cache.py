@@ -91,7 +91,7 @@ def test_clear_removes_entries_and_left_overs(cache):
 
 
 def test_machine_code_of_kernels_is_listed_and_cleared(cache, monkeypatch):
-    """Compiled by numba in a process of its own, as a run does it; a body beside it is another kind."""
+    """Kernels are compiled in a separate process, as in a run; entries of other kinds stay."""
     monkeypatch.setenv("BORESIGHT_CACHE", str(cache.root))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     code = "import numpy as np; from estimators.slam.compiled.envelope import make_envelope as m; m(np.array([2, 1]))"
@@ -128,7 +128,7 @@ def test_without_a_writable_folder_it_works_with_a_warning(tmp_path, caplog, pla
     assert "working without the cache" in caplog.text
 
 
-def test_where_nothing_at_all_can_be_written_one_line_tells(tmp_path):
+def test_without_any_writable_folder_one_line_explains_it(tmp_path):
     def build(folder):
         raise OSError(28, "No space left on device", str(folder / "file"))
 
@@ -175,8 +175,8 @@ def test_the_default_follows_the_environment(tmp_path, monkeypatch):
             default_cache()
 
 
-def test_what_is_large_and_long_unused_makes_room(tmp_path):
-    """A body of yesterday goes before images of today, and a small data base of the day before stays longest."""
+def test_large_and_long_unused_entries_are_evicted_first(tmp_path):
+    """The order is that of size times time since the last use, not of the last use alone."""
     cache = Cache(tmp_path, limit_bytes=1000)
     for key, size, hours in (("body", 500, 24), ("older", 150, 2), ("newer", 150, 1), ("landmarks", 2, 48)):
         manifest = cache.folder("kind", key, writer("x", size)) / "manifest.json"
@@ -205,8 +205,8 @@ def test_puts_keep_within_the_limit(tmp_path):
     assert cache.find("kind", "key-199") is not None
 
 
-def test_a_put_is_not_slower_where_there_are_many(tmp_path, monkeypatch):
-    """All entries were looked at for each eighth of them: at 100,000 images that took as long as to render them."""
+def test_the_time_of_a_put_does_not_grow_with_the_number_of_entries(tmp_path, monkeypatch):
+    """The cache is listed rarely: listing 100,000 entries often would take as long as rendering them."""
     looks, entries = [], Cache.entries
     monkeypatch.setattr(Cache, "entries", lambda cache: looks.append(cache) or entries(cache))
     cache = Cache(tmp_path, limit_bytes=12_000)
@@ -215,7 +215,7 @@ def test_a_put_is_not_slower_where_there_are_many(tmp_path, monkeypatch):
     assert 1 < len(looks) < 20
 
 
-def test_put_says_that_nothing_is_kept(tmp_path, caplog):
+def test_put_warns_if_nothing_can_be_stored(tmp_path, caplog):
     (tmp_path / "file").write_text("in the way")
     assert Cache(tmp_path / "file", 10**9).put("kind", "key", writer()) is False
     assert "nothing is kept there" in caplog.text

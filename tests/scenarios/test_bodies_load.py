@@ -64,7 +64,7 @@ def test_sphere_has_the_volume_of_its_radius():
     assert EMBEDDED["sphere"]().volume_m3 == pytest.approx(4.0 / 3.0 * np.pi * 250.0**3, rel=3e-3)
 
 
-def test_a_body_in_use_is_lent_again_and_checked_as_every_spec_asks(shape, cache):
+def test_a_body_in_use_is_shared_and_checked_against_every_spec(shape, cache):
     spec = BodySpec(shape=str(shape), unit="m", detail=DETAIL)
     body = load_body(spec, cache=cache)
     assert load_body(spec, cache=cache) is body
@@ -99,7 +99,7 @@ def test_formats_of_the_schema_are_those_of_the_readers():
     assert formats == {*READERS, "auto"} - {"pds-grid-west"}
 
 
-def test_a_shape_is_found_beside_the_scenario_then_under_the_data(tmp_path, shape, monkeypatch):
+def test_a_shape_is_searched_in_the_scenario_folder_then_in_the_data_folder(tmp_path, shape, monkeypatch):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
     spec = BodySpec(shape="ball.obj")
     assert load_body(spec, [tmp_path / "elsewhere", tmp_path]).source == str(shape)
@@ -121,7 +121,7 @@ def test_a_key_without_meaning_for_an_embedded_body_is_refused(options):
         load_body(BodySpec(shape="sphere", **options))
 
 
-def test_the_digest_follows_the_content_and_not_the_place(tmp_path, shape):
+def test_the_digest_depends_on_the_content_and_not_on_the_path(tmp_path, shape):
     spec = BodySpec(shape="ball.obj")
     digest = body_digest(spec, [tmp_path])
     copy = tmp_path / "copy.obj"
@@ -155,7 +155,7 @@ def test_a_detailed_body_comes_back_from_the_cache_unchanged(cache):
     np.testing.assert_array_equal(first.mesh.faces, third.mesh.faces)
 
 
-def test_notes_tell_what_the_mesh_is_too_coarse_for(cache):
+def test_notes_name_features_that_the_mesh_cannot_resolve(cache):
     detail = DetailSpec(facets=4, boulders=BoulderSpec(count=20, min_diameter_m=1.0, max_diameter_m=2.0))
     body = load_body(BodySpec(shape="sphere", detail=detail), cache=cache)
     (note,) = body.notes

@@ -1,4 +1,4 @@
-"""Craters of a known population: their profile, their relief, their crests and the truth of them in an image."""
+"""Cratered surfaces: profiles, relief, crests, and true craters of an image."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from renderers.mitsuba3.variant import load_mitsuba
 from scenarios.bodies import load_body
 from scenarios.bodies.topology import is_closed
 from scenarios.craters import Craters, Tiling, draw_craters
-from scenarios.craters.profile import REACH, Profiles, profile_height
-from scenarios.craters.relief import crater_relief
+from scenarios.craters.kernels import profile_height
+from scenarios.craters.relief import REACH, Profiles, crater_relief
 from scenarios.craters.rims import find_rims
-from scenarios.craters.size import check_size, expected_size
 from scenarios.craters.surface import smooth_tiles
+from scenarios.craters.tiles import check_size, expected_size
 from scenarios.craters.truth import CraterTruth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 
 def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:
@@ -101,10 +101,10 @@ def test_the_expected_size_is_that_of_the_tiling_but_for_a_third(times: float, e
         (40e3, 1.0, r"raise craters.edge_m \(1\), with min_diameter_m four times as much, or take a smaller body"),
     ],
 )
-def test_a_surface_without_room_is_refused_before_it_is_made(
+def test_a_surface_that_exceeds_the_memory_is_refused_before_it_is_built(
     monkeypatch: pytest.MonkeyPatch, radius_m: float, edge_m: float, words: str
 ) -> None:
-    monkeypatch.setattr("scenarios.craters.size.installed_memory_bytes", lambda: 24 * 10**9)
+    monkeypatch.setattr("scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
     body = load_body(BODY).mesh
     mesh = TriangleMesh(radius_m / body.radius_m * body.vertices_m, body.faces)
     said = rf"on a body {radius_m / 500:g} km across .*this machine has 24 GB: {words}"
@@ -119,7 +119,7 @@ def tiling() -> Tiling:
     return Tiling.of(*smooth_tiles(load_body(BODY), spec), 4.0)
 
 
-def test_cuts_leave_no_crack(tiling: Tiling) -> None:
+def test_subdivided_tiles_have_no_cracks(tiling: Tiling) -> None:
     points, up = tiling.places()
     facets = tiling.facets(np.arange(len(tiling.mesh.faces)))
     assert is_closed(facets)
@@ -139,7 +139,7 @@ def one_crater(radius_m: float, depth_ratio: float = 0.15, degradation: float = 
 
 
 def heights_by_mitsuba(mesh: TriangleMesh, xy_m: np.ndarray) -> np.ndarray:
-    """Where rays straight down at (n, 2) meet a mesh: its z, (n,)."""
+    """Heights z, (n,), of the intersections of vertical rays at (n, 2) with a mesh."""
     mi = load_mitsuba(choose_variant())
     scene = mi.load_dict({"type": "scene", "shape": build_shape(mi, mesh)})
     origins = np.column_stack([xy_m, np.full(len(xy_m), 400.0)]).T.astype(np.float32)
@@ -191,7 +191,7 @@ def test_younger_craters_cut_older_ones(tiling: Tiling) -> None:
     assert heights[ring].mean() - heights[middle] > 0.7 * 0.15 * 40.0
 
 
-def test_under_surface_lies_below_every_facet() -> None:
+def test_the_coarse_body_lies_below_every_facet() -> None:
     ground = small_ground()
     tiling, normals = ground.tiling, ground.under.normals
     for tile in range(0, len(tiling.mesh.faces), 37):
@@ -259,7 +259,7 @@ GOOD = {
     ],
 )  # fmt: skip
 def test_each_criterion_alone_keeps_a_crater_from_being_detectable(name, value):
-    """Two craters that are alike but for one thing, which is just beyond its limit in the second."""
+    """Two craters that differ in one property, which is just beyond its limit in the second."""
     numbers = {key: np.array([good, value if key == name else good]) for key, good in GOOD.items()}
     radius = numbers.pop("radius_px")
     ones = np.ones(2)

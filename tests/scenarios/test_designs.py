@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from scenarios.designs import cells, two_level_runs
+from scenarios.designs import grid_cells, two_level_runs
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
-from scenarios.spec.grid import GridSpec
+from scenarios.spec.campaign import GridSpec
 
 AXES = {
     "truth": {"levels": {"dull": {"brdf.albedo": 0.1}, "bright": {"brdf.albedo": 0.4}}},
@@ -21,7 +21,7 @@ def grid(design: str, axes=AXES) -> GridSpec:
 
 
 def test_full_runs_every_combination():
-    found = cells(grid("full"))
+    found = grid_cells(grid("full"))
     assert [cell.suffix for cell in found[:5]] == ["dull-0", "dull-0.001", "dull-1e06", "dull--0.5", "bright-0"]
     assert len({tuple(cell.levels.values()) for cell in found}) == 8
     assert found[5].levels == {"truth": "bright", "focal": "0.001"}
@@ -29,7 +29,7 @@ def test_full_runs_every_combination():
 
 
 def test_one_at_a_time_runs_the_reference_and_each_other_level_alone():
-    found = cells(grid("one-at-a-time"))
+    found = grid_cells(grid("one-at-a-time"))
     assert [cell.suffix for cell in found] == ["", "truth-bright", "focal-0.001", "focal-1e06", "focal--0.5"]
     assert found[0].levels == {"truth": "dull", "focal": "0"}
     changed = [sum(cell.levels[axis] != found[0].levels[axis] for axis in cell.levels) for cell in found]
@@ -37,7 +37,7 @@ def test_one_at_a_time_runs_the_reference_and_each_other_level_alone():
 
 
 def test_two_level_takes_the_first_and_the_last_level():
-    found = cells(grid("two-level"))
+    found = grid_cells(grid("two-level"))
     assert {cell.levels["focal"] for cell in found} == {"0", "-0.5"}
     assert found[0].levels == {"truth": "dull", "focal": "0"}
     assert found[0].suffix == "run01"

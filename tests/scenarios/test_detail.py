@@ -1,4 +1,4 @@
-"""The detail stage: smooth refinement, features, noise, and the whole of it."""
+"""Surface detail: subdivision, features, noise and their combination."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from scipy.stats import kstest
 
 from scenarios.bodies import EMBEDDED
 from scenarios.bodies.detail import add_detail
+from scenarios.bodies.detail.features import RefinedSurface, find_feature_vertices, power_law_diameters
 from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.placement import Ground, find_patches, power_law_diameters
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
 from scenarios.bodies.topology import vertex_normals
 from scenarios.errors import BoresightError
@@ -35,7 +35,7 @@ def ball(subdivisions=3, radius=100.0):
 def ground_of(mesh):
     edge_m = float(np.linalg.norm(np.diff(mesh.corners_m[:, :2], axis=1), axis=-1).mean())
     up = vertex_normals(mesh.vertices_m, mesh.faces)
-    return Ground(mesh.vertices_m, up, edge_m, mesh.vertices_m, mesh.faces)
+    return RefinedSurface(mesh.vertices_m, up, edge_m, mesh.vertices_m, mesh.faces)
 
 
 def relief(spec, mesh):
@@ -115,7 +115,7 @@ def test_patches_against_brute_force_and_without_the_far_side():
     ground = ground_of(thin)
     places = np.array([0, 17, 200])
     reach = np.array([20.0, 40.0, 30.0])
-    found = list(find_patches(ground, places, reach))
+    found = list(find_feature_vertices(ground, places, reach))
     pairs = {(int(f), int(v)) for patch in found for f, v in zip(patch.feature, patch.vertex, strict=True)}
     expected = {
         (k, v)
@@ -195,7 +195,7 @@ def test_roughness_of_a_body_has_the_stated_rms():
     assert (rough - smooth).std() == pytest.approx(0.7, rel=0.01)
 
 
-def test_hills_stay_when_the_mesh_gets_finer():
+def test_long_wavelengths_do_not_depend_on_the_number_of_facets():
     roughness = RoughnessSpec(rms_m=1.0, max_wavelength_m=80.0, min_wavelength_m=5.0)
     boulders = BoulderSpec(count=30, min_diameter_m=25.0, max_diameter_m=40.0)
     coarse, few = relief(DetailSpec(facets=20_000, roughness=roughness, boulders=boulders), ball(4))
@@ -299,7 +299,7 @@ def test_relief_that_is_large_enough_stays_and_small_relief_lies_elsewhere():
     assert others.std() == pytest.approx(known.std(), rel=0.2)
 
 
-def test_of_relief_of_all_sizes_only_the_small_part_is_another():
+def test_redrawing_small_relief_keeps_the_large_relief():
     large = DetailSpec(facets=80_000, seed=7, craters=CraterSpec(count=1, min_diameter_m=80.0, max_diameter_m=80.0))
     both = bumps(below_m=50.0).model_copy(update={"craters": large.craters, "boulders": None})
     crater = relief(large, ball(4))[0]
@@ -337,7 +337,7 @@ def test_three_million_facets_in_seconds():
     assert (np.einsum("fi,fi->f", mesh.normals, smooth.normals) > 0.0).mean() > 0.9999
 
 
-def test_what_the_mesh_cannot_carry_is_left_out_and_told():
+def test_features_below_the_resolution_are_left_out_with_a_note():
     spec = DetailSpec(
         facets=4,
         boulders=BoulderSpec(count=20, min_diameter_m=1.0, max_diameter_m=2.0),

@@ -1,4 +1,4 @@
-"""Draws against the laws that a scenario states.
+"""Random draws against the distributions of a scenario.
 
 Every statistical test has a false-alarm level of 1e-4 under the law; seeds are fixed, so that a pass repeats.
 """

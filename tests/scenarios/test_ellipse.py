@@ -63,7 +63,7 @@ def test_a_projected_circle_is_what_opencv_fits_to_its_projected_points():
             assert abs(np.sin(ellipses.angle_rad[i] - np.radians(angle + 90))) < 1e-2
 
 
-def test_what_is_no_ellipse_is_refused():
+def test_conics_that_are_not_ellipses_are_refused():
     with pytest.raises(BoresightError, match="conic 0 is not a real ellipse"):
         Ellipses.from_conics(np.diag([1.0, -1.0, -1.0])[None])
     with pytest.raises(BoresightError, match="conic 0 is not a real ellipse"):
@@ -72,8 +72,8 @@ def test_what_is_no_ellipse_is_refused():
         Ellipses(np.zeros((2, 2)), np.zeros((1, 2)), np.zeros(2))
 
 
-def test_ellipses_are_found_among_conics_that_rounding_has_left_without_a_point():
-    """Of a point its determinant has any sign: a rim that is mapped to nothing is none, and is no error."""
+def test_degenerate_conics_are_not_ellipses():
+    """The determinant of a degenerate conic has either sign; it must be excluded without an error."""
     some = Ellipses(np.array([[350.0, 120.0], [80.0, 60.0]]), np.array([[9.0, 4.0], [3.0, 3.0]]), np.array([0.4, 0.0]))
     rng = np.random.default_rng(3)
     shapes = rng.normal(size=(500, 2, 2))

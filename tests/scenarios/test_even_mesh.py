@@ -59,13 +59,13 @@ def test_albedo_is_interpolated_on_the_facet_that_is_met():
     np.testing.assert_allclose(even.albedo, 1.0 + even.vertices_m @ slope, rtol=1e-9)
 
 
-def test_a_shape_that_a_ray_leaves_twice_is_refused():
+def test_a_shape_that_is_not_star_shaped_is_refused():
     ring = trimesh.creation.torus(major_radius=3.0, minor_radius=1.0)
     with pytest.raises(BoresightError, match=r"ring\.obj: body\.even_facets: \d+ facets cannot be seen"):
         evenly_meshed(TriangleMesh(np.array(ring.vertices), np.array(ring.faces)), 500, "ring.obj")
 
 
-def test_a_body_without_the_key_has_the_digest_that_it_would_have_if_there_were_none():
+def test_the_digest_of_a_body_without_the_key_is_unchanged():
     plain = BodySpec(shape="sphere")
     assert "even_facets" not in plain.model_dump()
     even = plain.model_copy(update={"even_facets": 500})

@@ -1,4 +1,4 @@
-"""Numbers at the ends of what a computer holds, in every key: a value or a line, and no warning."""
+"""Extreme numbers in every key of a scenario give a valid value or a one-line error, without warnings."""
 
 from __future__ import annotations
 
@@ -48,6 +48,6 @@ def test_an_extreme_number_gives_a_value_or_a_line(name, extreme):
                 assert spec.camera.camera().matrix.shape == (3, 3)
 
 
-def test_frames_without_end_are_refused():
+def test_too_many_frames_are_refused():
     with pytest.raises(BoresightError, match="frames are more than 1000000"):
         load_scenario("apophis-sphere-sequence", ["sequence.orbit={step_deg: 0.01, revolutions: 1000}"])

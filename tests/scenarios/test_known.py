@@ -1,4 +1,4 @@
-"""What is said to be known exactly on board follows the scenario: nothing that is made wrong stays on that list."""
+"""Records of a priori knowledge follow the scenario: no part with an onboard error is listed as exact."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from pydantic import ValidationError
 from scenarios.errors import BoresightError
 from scenarios.known import Item, Known, known_on_board, merged
 from scenarios.load import load_scenario, scenario_names
-from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
-from scenarios.spec.scenario import ScenarioSpec
-from scenarios.spec.sequence import KnowledgeSpec, VisionSpec
+from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
+from scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.
 WRONG = {
@@ -44,14 +43,14 @@ def with_onboard(spec: ScenarioSpec, key: str) -> ScenarioSpec:
 
 
 def heard(spec: ScenarioSpec) -> frozenset[str]:
-    """Keys of ``onboard`` that the trials of a scenario hear."""
+    """Keys of ``onboard`` that apply to the trials of a scenario."""
     shape = LENT_SHAPE if spec.crater_pairs is not None else frozenset()
     keys = frozenset(WRONG) if spec.viewpoint is not None or spec.images is not None else shape
     return keys if spec.body.detail is not None else keys - OF_DETAIL
 
 
 def standing(known: Known, name: str) -> str:
-    """How a thing stands: of a cratered body the smooth shape, of real images the Sun as a pose has it."""
+    """Standing of an item, under its name for cratered bodies and real images."""
     named = {one.name.removeprefix("smooth ").split(" as the pose")[0]: one.standing for one in known.items}
     return named[name]
 
@@ -64,7 +63,7 @@ def test_every_key_of_onboard_is_here():
 
 
 @pytest.mark.parametrize(("name", "key"), CASES)
-def test_what_is_made_wrong_on_board_is_no_longer_known_exactly(name: str, key: str):
+def test_parts_with_onboard_errors_are_not_listed_as_exact(name: str, key: str):
     spec = load_scenario(name, [NEEDS[key]] if key in NEEDS else []).spec
     item = WRONG[key][1]
     before, after = (standing(known_on_board(one), item) for one in (spec, with_onboard(spec, key)))
@@ -76,8 +75,8 @@ def test_what_is_made_wrong_on_board_is_no_longer_known_exactly(name: str, key: 
 
 
 @pytest.mark.parametrize("name", scenario_names())
-def test_only_what_estimators_are_lent_can_be_wrong_on_board(name: str):
-    """A key of ``onboard`` that a kind of trial does not hear is refused, not taken and forgotten."""
+def test_onboard_keys_without_effect_are_refused(name: str):
+    """A key of ``onboard`` that does not apply to a kind of trial is an error, not ignored."""
     spec = load_scenario(name).spec
     for key in WRONG.keys() - heard(spec) - {"albedo"}:
         with pytest.raises(ValidationError, match="onboard"):
@@ -104,12 +103,14 @@ SEQUENCE = {
 SPINS = ("sequence.body_motion.kind=spin", "sequence.orbit.model=propagated")
 
 
-def test_every_key_of_what_is_known_in_a_sequence_is_here():
-    assert SEQUENCE.keys() | {"range_every"} == KnowledgeSpec.model_fields.keys()  # how often says nothing of how well
+def test_the_list_of_sequence_knowledge_keys_is_complete():
+    assert (
+        SEQUENCE.keys() | {"range_every"} == SequenceKnowledgeSpec.model_fields.keys()
+    )  # how often says nothing of how well
 
 
 @pytest.mark.parametrize("key", SEQUENCE)
-def test_every_key_of_what_is_known_in_a_sequence_is_told(key: str):
+def test_every_key_of_sequence_knowledge_changes_the_line(key: str):
     forces = ("sequence.knowledge.dynamics=true",) if key in list(SEQUENCE)[-4:] else ()
     name = "apophis-sphere-sequence"
     wrong = line_of(name, *SPINS, *forces, f"sequence.knowledge.{key}={SEQUENCE[key]}")
@@ -119,7 +120,7 @@ def test_every_key_of_what_is_known_in_a_sequence_is_told(key: str):
 @pytest.mark.parametrize(
     ("key", "value"), [("mismatch_share", 0.1), ("outlier_share", 0.1), ("noise_px", 0), ("mistaken", 0.1)]
 )
-def test_wrong_tracks_are_told(key: str, value: float):
+def test_wrong_tracks_are_stated(key: str, value: float):
     assert key in VisionSpec.model_fields
     base = line_of("apophis-sphere-sequence", "sequence.vision.field=fixed")
     assert line_of("apophis-sphere-sequence", "sequence.vision.field=fixed", f"sequence.vision.{key}={value}") != base
@@ -140,7 +141,7 @@ def test_wrong_tracks_are_told(key: str, value: float):
         ),
     ],
 )  # fmt: skip
-def test_every_key_of_what_is_known_of_an_orbit_is_told(section: str, model: type, silent: set[str]):
+def test_every_key_of_orbit_knowledge_changes_the_line(section: str, model: type, silent: set[str]):
     spec = load_scenario("eros-orbit").spec
     for key in model.model_fields.keys() - silent:
         value = getattr(getattr(spec.orbit, section), key)
@@ -148,7 +149,7 @@ def test_every_key_of_what_is_known_of_an_orbit_is_told(section: str, model: typ
         assert line_of("eros-orbit", f"orbit.{section}.{key}={other}") != line_of("eros-orbit"), key
 
 
-def test_nothing_is_exact_of_the_chain_but_what_is_said():
+def test_exact_items_of_the_crater_navigation_chain():
     known = known_on_board(load_scenario("eros-like-navigation").spec, "crater-navigation")
     assert {"spin", "centre of mass", "RMS error of the shape on board"} <= set(known.exactly)
     assert {"orbit", "shape", "gravity", "attitude", "which crater is which", "noise"} <= set(known.not_exactly)
@@ -173,13 +174,13 @@ def test_an_error_of_zero_is_none():
     assert line_of("quickstart", zero) == line_of("quickstart")
 
 
-def test_a_detector_brings_what_nothing_on_board_models():
+def test_a_detector_adds_blur_and_noise_as_not_known():
     assert "blur (0.8 px), noise" in line_of("quickstart", "detector={psf_sigma_px: 0.8}")
     sharp = line_of("quickstart", "detector={psf_sigma_px: 0}")
     assert "; no blur. Not known exactly: pose, noise." in sharp
 
 
-def test_kinds_of_trials_are_told_apart():
+def test_kinds_of_trials_have_different_knowledge():
     kinds = ("single-image", "crater-detection", "landmark-database", "pose-convergence")
     assert len({line_of("eros-like-msi", experiment=kind) for kind in kinds}) == len(kinds)
     assert line_of("eros-survey", experiment="image-survey") != line_of("eros-survey")
@@ -190,7 +191,7 @@ def test_a_pose_without_error_is_known():
     assert line_of("quickstart", *exact).endswith("Not known exactly: nothing.")
 
 
-def test_real_images_share_nothing_but_what_is_made_of_the_reference():
+def test_real_images_have_only_the_reference_pose_as_exact_knowledge():
     known = known_on_board(load_scenario("navcam67p-real").spec)
     assert known.exactly == ("Sun as the pose label has it", "law of the pose errors")
     assert known.line(short=True).endswith(
@@ -204,7 +205,7 @@ def test_only_poses_that_are_scored_can_be_called_aligned():
         load_scenario("navcam67p-real", ["images.aligned=[third]"])
 
 
-def test_lines_of_several_scenarios_join():
+def test_lines_of_several_scenarios_are_merged():
     one = Known((Item("a", "exactly"), Item("b", "exactly"), Item("c", "not", "1 m"), Item("d", "absent")), ("R",))
     other = Known(
         (Item("a", "exactly"), Item("b", "not"), Item("c", "not", "2 m"), Item("d", "not"), Item("e", "not")),

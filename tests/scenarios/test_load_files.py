@@ -77,7 +77,7 @@ def test_the_real_images_carry_their_credit():
     assert (images.truth, images.also_score, images.noise_realisations) == ("label", ("ref",), 10)
 
 
-def test_a_loaded_scenario_is_a_hashable_value_that_travels_to_workers():
+def test_a_loaded_scenario_is_hashable_and_can_be_pickled():
     loaded = load_scenario("quickstart")
     assert pickle.loads(pickle.dumps(loaded)) == loaded  # noqa: S301
     assert hash(load_scenario("quickstart")) == hash(loaded)
@@ -93,7 +93,7 @@ def test_names_take_hyphens_or_underscores(here):
     assert load_scenario("navcam67p_real").spec.name == "navcam67p-real"
 
 
-def test_a_name_is_looked_up_beside_the_file_that_uses_it(here):
+def test_a_name_is_looked_up_in_the_folder_of_the_extending_file(here):
     near = here("sub/own.yaml", MINIMAL).parent
     assert load_scenario("own", near=near).path == near / "own.yaml"
     assert load_scenario("own.yaml", near=near).path == near / "own.yaml"
@@ -334,7 +334,7 @@ def test_another_form_of_a_distribution_replaces_it(here):
     assert load_scenario("x.yaml").spec.pose_error.position_cam_m == Normal3(normal=(1, 2, 3))
 
 
-def test_a_key_displaces_its_alternative(here):
+def test_a_key_replaces_its_alternative(here):
     spec = load_scenario("quickstart", ["camera.focal_px=[800, 800]"]).spec
     assert (spec.camera.fov_deg, spec.camera.focal_px) == (None, (800, 800))
     spec = load_scenario("navcam67p-real", ["camera.fov_deg=5", "pose_error.position_cam_m.normal=[1, 1, 1]"]).spec

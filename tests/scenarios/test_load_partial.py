@@ -1,4 +1,4 @@
-"""A key that is set to the value that it has changes nothing, wherever it stands."""
+"""Setting a key to its present value changes nothing, at any depth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimators.options import parse_options
 from scenarios.load import load_scenario
 from scenarios.load.files import CATALOG
 from scenarios.load.find import names_in
-from scenarios.load.partial import on_defaults
+from scenarios.load.merge import on_defaults
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
 

@@ -13,7 +13,7 @@ from scenarios.load.files import CATALOG
 from scenarios.load.yaml_text import MAX_VALUES, parse_yaml, resolve_scalar
 
 
-def test_every_key_and_item_knows_its_line():
+def test_every_key_and_item_has_its_line_number():
     root = parse_yaml("a: 1\nb:\n  c: [1,\n    2]\n  d: {e: 5}\n", "x.yaml")
     section = root.section
     assert section["a"].place == "x.yaml:1"

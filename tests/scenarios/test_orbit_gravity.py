@@ -6,13 +6,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
-from scenarios.dynamics.field import HarmonicField, differentiate
+from scenarios.dynamics.field import HarmonicField, UniformRotation, differentiate
 from scenarios.dynamics.gravity import Polyhedron
-from scenarios.dynamics.harmonics import Harmonics, homogeneous
-from scenarios.dynamics.solid import index, outer_harmonics, terms
+from scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics, outer_harmonics, term_count, term_index
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.rotation import UniformRotation
 
 GM = 4.463e5
 SEMI_AXES = np.array([17_000.0, 8_500.0, 6_000.0])
@@ -36,7 +34,7 @@ def _directions(n=20):
 def test_outer_harmonics_are_those_of_scipy():
     degree, radius = 6, 16_000.0
     for place in 40_000.0 * _directions(5):
-        v, w = np.empty((2, terms(degree)))
+        v, w = np.empty((2, term_count(degree)))
         outer_harmonics(*place, radius, v, w)
         r, theta, phi = np.linalg.norm(place), np.arccos(place[2] / np.linalg.norm(place)), np.arctan2(*place[1::-1])
         for n in range(degree + 1):
@@ -44,30 +42,30 @@ def test_outer_harmonics_are_those_of_scipy():
                 # scipy's are normalised to 1 over the sphere and carry the phase (-1)^m of Condon and Shortley.
                 norm = np.sqrt((2 * n + 1) / (4 * np.pi) / np.prod(np.arange(n - m + 1, n + m + 1, dtype=float)))
                 expected = (radius / r) ** (n + 1) * (-1) ** m * sph_harm_y(n, m, theta, phi) / norm
-                assert v[index(n, m)] == pytest.approx(expected.real, rel=1e-10, abs=1e-14)
-                assert w[index(n, m)] == pytest.approx(expected.imag, rel=1e-10, abs=1e-14)
+                assert v[term_index(n, m)] == pytest.approx(expected.real, rel=1e-10, abs=1e-14)
+                assert w[term_index(n, m)] == pytest.approx(expected.imag, rel=1e-10, abs=1e-14)
 
 
 def test_an_ellipsoid_has_the_coefficients_of_the_closed_form():
     # Of a homogeneous ellipsoid: C20 = (2 c^2 - a^2 - b^2) / (10 R^2), C22 = (a^2 - b^2) / (20 R^2), not normalised.
     ball = trimesh.creation.icosphere(subdivisions=5)
     mesh = TriangleMesh(np.array(ball.vertices) * SEMI_AXES, np.array(ball.faces))
-    found = homogeneous(mesh, GM, 2, 16_000.0)
+    found = homogeneous_harmonics(mesh, GM, 2, 16_000.0)
     a, b, c = SEMI_AXES**2 / 16_000.0**2
     assert found.c[2, 0] * np.sqrt(5.0) == pytest.approx((2 * c - a - b) / 10, rel=3e-3)
     assert found.c[2, 2] * np.sqrt(5.0 / 12.0) == pytest.approx((a - b) / 20, rel=3e-3)
     assert abs(found.s).max() < 1e-9 > abs(found.c[1]).max()
 
 
-def test_harmonics_pull_as_the_polyhedron_at_200_km(lump):
-    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous(lump, GM, 10, 16_000.0), REST, np.zeros(3))
+def test_gravity_of_harmonics_agrees_with_the_polyhedron_at_200_km(lump):
+    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous_harmonics(lump, GM, 10, 16_000.0), REST, np.zeros(3))
     for place in 200_000.0 * _directions():
         pull = exact.acceleration(place)
         assert np.linalg.norm(field.acceleration(0.0, place) - pull) < 1e-10 * np.linalg.norm(pull)
 
 
 def test_a_truncated_expansion_falls_off_with_the_distance_as_its_degree_says(lump):
-    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous(lump, GM, 4, 16_000.0), REST, np.zeros(3))
+    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous_harmonics(lump, GM, 4, 16_000.0), REST, np.zeros(3))
     errors = []
     for distance in (150_000.0, 300_000.0):
         off = [field.acceleration(0.0, p) - exact.acceleration(p) for p in distance * _directions()]
@@ -76,7 +74,7 @@ def test_a_truncated_expansion_falls_off_with_the_distance_as_its_degree_says(lu
     assert 0.9 * 2.0**7 < errors[0] / errors[1] < 1.1 * 2.0**8
 
 
-def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
+def test_gravity_of_harmonics_agrees_with_polyhedral_gravity(lump):
     package = pytest.importorskip("polyhedral_gravity")
     # It tests orientation by rays and calls some closed, consistently outward meshes mis-oriented, that of Eros among
     # them; the check is therefore left out here, and the volume's sign tells that normals point outward.
@@ -88,7 +86,7 @@ def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
         integrity_check=package.PolyhedronIntegrity.DISABLE,
     )
     gm = 6.67430e-11 * lump.volume_m3
-    field = HarmonicField(homogeneous(lump, gm, 10, 16_000.0), REST, np.zeros(3))
+    field = HarmonicField(homogeneous_harmonics(lump, gm, 10, 16_000.0), REST, np.zeros(3))
     for place in 200_000.0 * _directions(5):
         _, pull, _ = package.evaluate(body, place, parallel=False)
         found = field.acceleration(0.0, place)
@@ -99,7 +97,9 @@ def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
 
 def test_derivatives_are_central_differences(lump):
     spin = UniformRotation(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix(), 3e-4)
-    field = HarmonicField(homogeneous(lump, GM, 4, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3)
+    field = HarmonicField(
+        homogeneous_harmonics(lump, GM, 4, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3
+    )
     place, time = np.array([50_000.0, -20_000.0, 10_000.0]), 5_000.0
     tide, by = np.empty((3, 3)), np.empty((3, field.parameters))
     differentiate(field.flat, time, place, field.work(), tide, by)
@@ -113,8 +113,8 @@ def test_derivatives_are_central_differences(lump):
         np.testing.assert_allclose(by[:, j], (ends[0] - ends[1]) / 2e-3, atol=1e-9 * np.abs(by[:, 0]).max())
 
 
-def test_a_turning_body_pulls_as_one_that_is_turned(lump):
-    harmonics = homogeneous(lump, GM, 6, 16_000.0)
+def test_gravity_of_a_rotating_body_is_that_of_the_rotated_body(lump):
+    harmonics = homogeneous_harmonics(lump, GM, 6, 16_000.0)
     spin = UniformRotation(np.eye(3), 2 * np.pi / 18_972.0)
     place = np.array([60_000.0, 10_000.0, -5_000.0])
     turn = spin.at(np.array([4_000.0]))[0]
@@ -123,7 +123,7 @@ def test_a_turning_body_pulls_as_one_that_is_turned(lump):
     assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
 
 
-def test_harmonics_refuse_what_is_none():
+def test_invalid_coefficients_are_refused():
     with pytest.raises(BoresightError, match="square tables"):
         Harmonics(GM, 1.0, np.ones((2, 1)), np.ones((2, 2)))
     with pytest.raises(BoresightError, match="finite"):

@@ -1,14 +1,13 @@
-"""Motion: Kepler's closed form, scipy's integration, energy, pushes, and derivatives by central differences."""
+"""Propagation against Kepler's closed form, scipy, the energy integral, and central differences of the partials."""
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.flight import flight, travelled
+from scenarios.dynamics.field import HarmonicField, UniformRotation
 from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import OrbitLostError, Pushes
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_partials, propagate_states
 
 GM, DAY = 4.463e5, 86_400.0
 REST = UniformRotation(np.eye(3), 0.0)
@@ -35,24 +34,31 @@ START = np.array([200_000.0, 0.0, 0.0, 0.0, 1.22, 0.857])
 
 
 @pytest.mark.parametrize("way", ["adaptive", "fixed"])
-def test_two_bodies_move_as_kepler_says(way):
+def test_two_body_motion_is_keplerian(way):
     times = np.linspace(0.0, 24 * DAY, 50)
     exact = _kepler(200_000.0, 0.1, times)
-    field, pushes = HarmonicField(Harmonics.point(GM, 16_000.0), REST, np.zeros(3)), Pushes.none(times[-1])
+    field, pushes = (
+        HarmonicField(Harmonics.point(GM, 16_000.0), REST, np.zeros(3)),
+        PiecewiseAcceleration.none(times[-1]),
+    )
     found = (
-        travelled(field, exact[0], times, pushes)
+        propagate_states(field, exact[0], times, pushes)
         if way == "adaptive"
-        else flight(field, exact[0], times, pushes).states
+        else propagate_partials(field, exact[0], times, pushes).states
     )
     assert np.abs(found - exact)[:, :3].max() < 1e-3  # of 200 km, after 2.5 revolutions
 
 
-def test_sunlight_alone_moves_as_a_constant_force():
+def test_solar_pressure_alone_is_a_constant_acceleration():
     far = np.array([1e9, 0.0, 0.0, 0.0, 0.5, 0.0])  # where gravity is 4e-13 m/s2
     light = np.array([0.0, 2e-8, -5e-8])
     field = HarmonicField(Harmonics.point(GM, 16_000.0), REST, light)
     times = np.array([0.0, 5 * DAY, 10 * DAY])
-    moved = flight(field, far, times, Pushes.none(times[-1])).states[:, :3] - far[:3] - np.outer(times, far[3:])
+    moved = (
+        propagate_partials(field, far, times, PiecewiseAcceleration.none(times[-1])).states[:, :3]
+        - far[:3]
+        - np.outer(times, far[3:])
+    )
     np.testing.assert_allclose(moved, 0.5 * np.outer(times**2, light), atol=1.0)
 
 
@@ -60,15 +66,15 @@ def test_fixed_steps_are_as_good_as_the_adaptive_ones_of_scipy():
     field = _lumpy(light=(3e-8, -1e-8, 2e-8))
     times = np.sort(np.random.default_rng(1).uniform(0.0, 23 * DAY, 300))
     rng = np.random.default_rng(2)
-    pushes = Pushes(np.linspace(0.0, 23 * DAY, 24), 1e-9 * rng.normal(size=(23, 3)))
-    apart = flight(field, START, times, pushes).states - travelled(field, START, times, pushes)
+    pushes = PiecewiseAcceleration(np.linspace(0.0, 23 * DAY, 24), 1e-9 * rng.normal(size=(23, 3)))
+    apart = propagate_partials(field, START, times, pushes).states - propagate_states(field, START, times, pushes)
     assert np.abs(apart[:, :3]).max() < 1e-3
 
 
-def test_the_energy_in_turning_axes_stays():
+def test_the_jacobi_integral_is_constant():
     # Jacobi's integral: v^2 / 2 - U - w . (r x v), of a field that is at rest in axes that turn with w.
     field = _lumpy()
-    states = flight(field, START, np.linspace(0, 10 * DAY, 30), Pushes.none(10 * DAY)).states
+    states = propagate_partials(field, START, np.linspace(0, 10 * DAY, 30), PiecewiseAcceleration.none(10 * DAY)).states
     h = np.cross(states[:, :3], states[:, 3:])[:, 2]
     potential = [_potential(field, t, state[:3]) for t, state in zip(np.linspace(0, 10 * DAY, 30), states, strict=True)]
     jacobi = 0.5 * np.sum(states[:, 3:] ** 2, axis=1) - potential - SPIN.rate_rad_s * h
@@ -93,11 +99,11 @@ def _potential(field, time, position):
 def test_derivatives_are_central_differences():
     field = _lumpy(light=(3e-8, -1e-8, 2e-8), by_degree=3)
     times = np.array([0.0, 0.3, 1.0, 2.5, 6.0, 12.0]) * DAY
-    pushes = Pushes(np.array([0.0, 1.0, 2.0, 4.0, 12.0]) * DAY, np.full((4, 3), 1e-10))
-    found = flight(field, START, times, pushes)
+    pushes = PiecewiseAcceleration(np.array([0.0, 1.0, 2.0, 4.0, 12.0]) * DAY, np.full((4, 3), 1e-10))
+    found = propagate_partials(field, START, times, pushes)
 
-    def states(state=START, changed=field, push=pushes.push_m_s2):
-        return flight(changed, state, times, Pushes(pushes.edges_s, push)).states
+    def states(state=START, changed=field, push=pushes.acceleration_m_s2):
+        return propagate_partials(changed, state, times, PiecewiseAcceleration(pushes.edges_s, push)).states
 
     steps = np.repeat([10.0, 1e-4], 3)
     for j in range(6):
@@ -111,15 +117,15 @@ def test_derivatives_are_central_differences():
         np.testing.assert_allclose(found.by_parameters[:, :, j], difference, atol=5e-5 * np.abs(difference).max())
     for j in range(12):
         step = 1e-9 * np.eye(12)[j].reshape(4, 3)
-        ends = [states(push=pushes.push_m_s2 + s) for s in (step, -step)]
+        ends = [states(push=pushes.acceleration_m_s2 + s) for s in (step, -step)]
         difference = (ends[0] - ends[1]) / 2e-9
         scale = np.abs(difference[:, :3]).max(), np.abs(difference[:, 3:]).max()
         np.testing.assert_allclose(found.by_pushes[:, :3, j], difference[:, :3], atol=1e-5 * scale[0])
         np.testing.assert_allclose(found.by_pushes[:, 3:, j], difference[:, 3:], atol=1e-5 * scale[1])
 
 
-@pytest.mark.parametrize("way", [travelled, flight])
-def test_an_orbit_that_leads_into_the_body_is_told(way):
+@pytest.mark.parametrize("way", [propagate_states, propagate_partials])
+def test_an_impact_raises_an_error(way):
     falling = np.array([100_000.0, 0.0, 0.0, -0.5, 0.05, 0.0])
     with pytest.raises(OrbitLostError, match="into the body"):
-        way(_lumpy(), falling, np.linspace(0, 5 * DAY, 10), Pushes.none(5 * DAY))
+        way(_lumpy(), falling, np.linspace(0, 5 * DAY, 10), PiecewiseAcceleration.none(5 * DAY))

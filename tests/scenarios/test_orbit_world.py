@@ -1,4 +1,4 @@
-"""The world of orbit determination: horizons against rays, shapes as harmonics, sightings as they are stated."""
+"""Orbit scenarios: horizons against rays, shapes as harmonics, statistics of the sightings."""
 
 import numpy as np
 import pytest
@@ -8,17 +8,15 @@ from orbit_worlds import lump, orbit_world
 from scenarios.bodies.embedded import contact_binary
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.horizon import Horizons
-from scenarios.orbits.known import draw_knowledge
-from scenarios.orbits.shape import fitted
-from scenarios.orbits.sightings import merged_numbers
+from scenarios.orbits.draw import draw_knowledge, draw_orbit
+from scenarios.orbits.shape import fit_star_shape
+from scenarios.orbits.sightings import Horizons, merged_numbers
+from scenarios.orbits.true_orbit import state_at_epoch
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import ArcSpec
 
 
-def test_horizons_hide_what_rays_do_not_reach():
+def test_horizons_agree_with_ray_tracing():
     mesh = contact_binary()
     ground = MeshGround(mesh)
     points, normals = ground.sample(300, np.random.default_rng(1))
@@ -36,10 +34,10 @@ def test_horizons_hide_what_rays_do_not_reach():
     assert np.mean(agree) > 0.95
 
 
-def test_an_ellipsoid_is_met_where_the_quadratic_says():
+def test_rays_intersect_an_ellipsoid_as_in_closed_form():
     ball = trimesh.creation.icosphere(subdivisions=4)
     axes = np.array([300.0, 220.0, 160.0])
-    shape = fitted(TriangleMesh(np.array(ball.vertices) * axes, np.array(ball.faces)), 16)
+    shape = fit_star_shape(TriangleMesh(np.array(ball.vertices) * axes, np.array(ball.faces)), 16)
     assert shape.rms_m < 0.5
     rng = np.random.default_rng(3)
     origins = rng.normal(size=(50, 3))
@@ -56,13 +54,13 @@ def test_an_ellipsoid_is_met_where_the_quadratic_says():
 
 def test_more_degrees_fit_a_shape_better_and_too_many_are_refused():
     mesh = lump()
-    errors = [fitted(mesh, degree).rms_m for degree in (2, 4, 8, 12)]
+    errors = [fit_star_shape(mesh, degree).rms_m for degree in (2, 4, 8, 12)]
     assert np.all(np.diff(errors) < 0.0)
     with pytest.raises(BoresightError, match="shape_degree: 34"):
-        fitted(mesh, 34)
+        fit_star_shape(mesh, 34)
 
 
-def test_elements_are_those_of_the_state():
+def test_the_initial_state_has_the_given_elements():
     arc = ArcSpec(eccentricity=0.3, inclination_deg=50, node_deg=70, pericentre_deg=20, anomaly_deg=130)
     state = state_at_epoch(arc, 4.463e5)
     r, v = state[:3], state[3:]
@@ -75,7 +73,7 @@ def test_elements_are_those_of_the_state():
     assert np.degrees(np.arcsin(e[2] / 0.3 / np.sin(np.radians(50.0)))) == pytest.approx(20.0)
 
 
-def test_right_sightings_are_where_the_craters_are_projected():
+def test_correct_sightings_are_the_projections_of_their_craters():
     world = orbit_world(pointing={"attitude_urad": 1e-3, "misalignment_urad": 0.0})
     truth, data = draw_orbit(world, 5, 0)
     pictures = data.pictures
@@ -89,7 +87,7 @@ def test_right_sightings_are_where_the_craters_are_projected():
     assert not truth.wrong.any()
 
 
-def test_stated_errors_are_drawn_as_stated():
+def test_errors_have_the_stated_standard_deviations():
     world = orbit_world(sightings={"wrong_share": 0.2, "images": 200}, knowledge={"position_m": 40.0})
     truth, data = draw_orbit(world, 5, 1)
     assert truth.wrong.mean() == pytest.approx(0.2, abs=0.05)
@@ -100,7 +98,7 @@ def test_stated_errors_are_drawn_as_stated():
     assert np.unique(numbers, return_counts=True)[1].max() == 2
 
 
-def test_the_believed_spin_is_off_by_what_is_stated_and_all_else_is_the_same():
+def test_only_the_onboard_spin_has_the_stated_errors():
     world = orbit_world(knowledge={"pole_sigma_deg": 2.0, "spin_sigma": 1e-3})
     (truth, exact), (same, wrong) = draw_orbit(orbit_world(), 5, 0), draw_orbit(world, 5, 0)
     np.testing.assert_array_equal(same.states, truth.states)

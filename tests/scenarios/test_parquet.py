@@ -1,4 +1,4 @@
-"""Tables that others may have written: what they hold is refused before it is unfolded."""
+"""Parquet files of any origin: invalid content is refused before it is expanded."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
-from scenarios.parquet import Layout, read_column, read_frame, read_where
+from scenarios.parquet import TableLayout, read_column, read_frame, read_where
 from scenarios.reading import read_json
 
-LAYOUT = Layout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
+LAYOUT = TableLayout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
 MANY = 40_000_000
 
 
@@ -45,7 +45,7 @@ def test_very_many_files_are_one_table_in_the_order_of_their_names(tmp_path):
     assert frame["later"].tolist()[1:] == [number / 2 for number in range(1, 1101)]
 
 
-def test_an_index_of_pandas_is_not_heeded(tmp_path):
+def test_an_index_of_pandas_is_ignored(tmp_path):
     pd.DataFrame(sound([5, 2, 3])).set_index("trial").to_parquet(tmp_path / "a.parquet")
     assert read_frame(tmp_path, LAYOUT)["trial"].tolist() == [5, 2, 3]
 
@@ -79,16 +79,16 @@ def test_a_small_file_does_not_fill_the_memory(tmp_path, bomb):
         (sound([0]) | {"value": [[1.0]]}, "holds neither numbers nor texts"),
     ],
 )
-def test_what_is_no_such_table_is_refused(tmp_path, columns, said):
+def test_invalid_tables_are_refused(tmp_path, columns, said):
     store(tmp_path, columns)
     with pytest.raises(BoresightError, match=said):
         read_frame(tmp_path, LAYOUT)
 
 
-def test_no_bit_of_a_footer_ends_the_process(tmp_path):
-    """What a footer says of single columns did, when pyarrow was asked for it: some of these bits abort it then."""
+def test_no_flipped_bit_of_a_footer_aborts_the_process(tmp_path):
+    """Reading the column metadata of a damaged footer aborts pyarrow, so that it is not read."""
     store(tmp_path, {"trial": [0]})
-    file, layout = tmp_path / "a.parquet", Layout(("trial",), LAYOUT.is_text)
+    file, layout = tmp_path / "a.parquet", TableLayout(("trial",), LAYOUT.is_text)
     content = file.read_bytes()
     footer = int.from_bytes(content[-8:-4], "little")
     refused = 0
@@ -103,8 +103,8 @@ def test_no_bit_of_a_footer_ends_the_process(tmp_path):
     assert refused > 2 * footer
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path):
-    """Nobody else notices them before they are printed."""
+def test_invalid_utf8_is_refused(tmp_path):
+    """pyarrow itself accepts them until they are decoded."""
     wrong = pa.Array.from_buffers(pa.string(), 1, pa.array([b"\xff"], pa.binary()).buffers())
     store(tmp_path, sound([0]) | {"name": wrong})
     for read in (lambda: read_frame(tmp_path, LAYOUT), lambda: read_where(tmp_path / "a.parquet", LAYOUT, {})):
@@ -112,8 +112,8 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
             read()
 
 
-def test_what_has_no_end_is_not_read(tmp_path):
-    """A pipe that nobody writes to would be waited for: each of these must return."""
+def test_pipes_and_devices_are_not_read(tmp_path):
+    """Opening a pipe without a writer blocks; each of these calls must return."""
     (tmp_path / "rows").mkdir()
     os.mkfifo(tmp_path / "rows" / "a.parquet")
     (tmp_path / "checksums").mkdir()

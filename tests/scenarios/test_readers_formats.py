@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenarios.bodies.cubegrid import lattice
 from scenarios.bodies.readers import read_shape
+from scenarios.bodies.readers.icq import cube_lattice
 from scenarios.errors import BoresightError
 
 TETRAHEDRON = "v 1 0 0\nv 0 1 0\nv 0 0 1\nv -1 -1 -1\n"
@@ -27,7 +27,7 @@ def grid_text(radius=2.0, step=30, latitudes=None):
 
 
 def icq_text(q=4, jitter=0.0):
-    directions = lattice(q) / (0.5 * q) - 1.0
+    directions = cube_lattice(q) / (0.5 * q) - 1.0
     points = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     points = points + jitter * np.random.default_rng(0).standard_normal(points.shape)
     return f"{q}\n" + "".join("{:.9f} {:.9f} {:.9f}\n".format(*point) for point in points)

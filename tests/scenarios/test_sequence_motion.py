@@ -15,10 +15,9 @@ from scenarios.dynamics.gravity import PointMass, Polyhedron
 from scenarios.dynamics.propagation import radiation_pressure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.sequences import MeshGround, SphereGround, draw_sequence, travel, unmodelled
-from scenarios.sequences.rotation import angular_velocity, attitude_law
-from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
-from scenarios.spec.sequence import SequenceSpec
+from scenarios.sequences import MeshGround, SphereGround, camera_trajectory, draw_sequence, draw_unmodelled_m_s2
+from scenarios.sequences.trajectory import angular_velocity, attitude_function
+from scenarios.spec.sequence import BodyMotionSpec, ForcesSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPHERE = SphereGround(190.0)
@@ -47,7 +46,7 @@ def calm(section):
     return np.zeros((section.orbit.frames - 1, 3))
 
 
-def test_a_polyhedron_pulls_like_a_point_from_afar_and_like_a_sphere_nearby():
+def test_gravity_of_a_polyhedron_is_that_of_a_point_far_away_and_of_a_sphere_nearby():
     cube = Polyhedron(mesh_of(CUBE), GM)
     for direction in ([1.0, 0.0, 0.0], [0.3, -0.5, 0.8]):
         far = 2e4 * np.array(direction) / np.linalg.norm(direction)
@@ -60,7 +59,7 @@ def test_a_polyhedron_pulls_like_a_point_from_afar_and_like_a_sphere_nearby():
 
 
 def test_a_polyhedron_agrees_with_the_sum_over_its_volume():
-    """A box outside of which it is looked at, cut into small cubes that pull like points."""
+    """A box seen from outside, divided into small cubes with the gravity of points."""
     size = np.array([300.0, 200.0, 100.0])
     axes = [np.arange(-s / 2 + 1.25, s / 2, 2.5) for s in size]
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -72,7 +71,7 @@ def test_a_polyhedron_agrees_with_the_sum_over_its_volume():
 
 
 @pytest.mark.parametrize("at", [(150.0, 20.0, 30.0), (40.0, -30.0, 20.0)], ids=["outside", "inside"])
-def test_the_divergence_of_the_pull_is_poissons(at):
+def test_the_divergence_of_gravity_obeys_poissons_equation(at):
     cube = Polyhedron(mesh_of(CUBE), GM)
     step = 1e-2
     divergence = sum(
@@ -85,7 +84,7 @@ def test_the_divergence_of_the_pull_is_poissons(at):
     assert divergence == pytest.approx(expected, abs=1e-11)
 
 
-def test_sunlight_presses_as_astropys_sun_would():
+def test_solar_pressure_agrees_with_astropy_constants():
     sun = astropy.constants.L_sun / (4 * np.pi * astropy.constants.au**2 * astropy.constants.c)
     expected = 1.4 * 0.02 * sun.to_value(astropy.units.Pa) / 0.9**2
     forces = ForcesSpec(area_to_mass_m2_kg=0.02, reflectivity=1.4, sun_distance_au=0.9)
@@ -95,8 +94,8 @@ def test_sunlight_presses_as_astropys_sun_would():
 
 def test_a_point_mass_alone_keeps_the_circle_and_its_attitude():
     section = spec({"model": "propagated", "normal_body": [1, 2, -0.5], "revolutions": 2})
-    free = travel(section, SPHERE, calm(section))
-    circle = travel(spec({"normal_body": [1, 2, -0.5], "revolutions": 2}), SPHERE, calm(section))
+    free = camera_trajectory(section, SPHERE, calm(section))
+    circle = camera_trajectory(spec({"normal_body": [1, 2, -0.5], "revolutions": 2}), SPHERE, calm(section))
     np.testing.assert_allclose(free.positions_m, circle.positions_m, atol=1e-6)
     np.testing.assert_allclose(free.velocities_m_s, circle.velocities_m_s, atol=1e-11)
     for one, two in zip(free.poses, circle.poses, strict=True):
@@ -123,8 +122,8 @@ def test_sunlight_and_noise_move_the_orbit_as_another_solver_says():
     """The pressure alone keeps r x v along its axis, and the energy with its own potential."""
     forces = {"area_to_mass_m2_kg": 0.02, "noise_m_s2": 1e-7}
     section = spec({"model": "propagated", "normal_body": [0, 1, 0], "forces": forces})
-    kicks = unmodelled(section.orbit, 3, 1)
-    path = travel(section, SPHERE, kicks)
+    kicks = draw_unmodelled_m_s2(section.orbit, 3, 1)
+    path = camera_trajectory(section, SPHERE, kicks)
     push = -4.5398e-6 * 1.3 * 0.02 * np.array([0.0, 1.0, 0.0])
     np.testing.assert_allclose(path.radiation_m_s2, push, rtol=1e-4)
 
@@ -132,7 +131,7 @@ def test_sunlight_and_noise_move_the_orbit_as_another_solver_says():
     for kick, interval in zip(kicks, np.diff(path.times_s), strict=True):
         state = runge_kutta(state, interval, path.radiation_m_s2 + kick)
     np.testing.assert_allclose(path.positions_m[-1], state[:3], atol=1e-3)
-    still = travel(section, SPHERE, calm(section))
+    still = camera_trajectory(section, SPHERE, calm(section))
     assert 1.0 < np.linalg.norm(path.positions_m[-1] - still.positions_m[-1]) < 2000.0
     energy = 0.5 * np.sum(still.velocities_m_s**2, axis=1) - GM / np.linalg.norm(still.positions_m, axis=1)
     energy -= still.positions_m @ still.radiation_m_s2
@@ -143,13 +142,13 @@ def test_sunlight_and_noise_move_the_orbit_as_another_solver_says():
 
 def test_unmodelled_acceleration_has_the_asked_deviation_and_its_own_draws():
     orbit = spec({"model": "propagated", "forces": {"noise_m_s2": 1e-7}, "step_deg": 0.1}).orbit
-    drawn = unmodelled(orbit, 1, 0)
+    drawn = draw_unmodelled_m_s2(orbit, 1, 0)
     assert drawn.shape == (3600, 3)
     assert np.std(drawn) == pytest.approx(1e-7, rel=0.04)
-    assert not np.array_equal(drawn, unmodelled(orbit, 1, 1))
+    assert not np.array_equal(drawn, draw_unmodelled_m_s2(orbit, 1, 1))
 
 
-def test_a_turning_polyhedron_keeps_the_jacobi_integral():
+def test_a_rotating_polyhedron_conserves_the_jacobi_integral():
     egg = trimesh.creation.icosphere(subdivisions=2, radius=150.0).apply_scale([1.3, 1.0, 0.8])
     section = SequenceSpec.model_validate(
         {
@@ -157,8 +156,8 @@ def test_a_turning_polyhedron_keeps_the_jacobi_integral():
             "body_motion": {"kind": "spin", "period_h": 5},
         }
     )
-    path = travel(section, MeshGround(mesh_of(egg)), calm(section))
-    ball = travel(spec({"model": "propagated", "revolutions": 0.5}), SPHERE, calm(section))
+    path = camera_trajectory(section, MeshGround(mesh_of(egg)), calm(section))
+    ball = camera_trajectory(spec({"model": "propagated", "revolutions": 0.5}), SPHERE, calm(section))
     assert np.linalg.norm(path.positions_m[-1] - ball.positions_m[-1]) > 1.0
     # E - Omega h is constant about a body that turns uniformly; its potential is integrated along x from far away.
     rate = 2 * np.pi / (5 * 3600)
@@ -172,7 +171,7 @@ def test_a_turning_polyhedron_keeps_the_jacobi_integral():
 
 
 def _potential(gravity, at):
-    """Work of the pull from 1000 times as far, on nodes of Gauss and Legendre in 1 / r; beyond, that of a point."""
+    """Potential by Gauss-Legendre quadrature of gravity in 1 / r from 1000 times the distance, a point mass beyond."""
     radius = np.linalg.norm(at)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     inverse = 0.5 * (nodes + 1) / radius
@@ -180,16 +179,16 @@ def _potential(gravity, at):
     return -0.5 / radius * float(weights @ np.array(pull))
 
 
-def test_an_orbit_that_comes_down_is_refused():
+def test_an_orbit_that_impacts_is_refused():
     section = spec({"model": "propagated"})
     with pytest.raises(BoresightError, match=r"the orbit leads into the body, which reaches .* after .* h"):
-        travel(section, SphereGround(780.0), calm(section) + np.array([1e-6, 0.0, 0.0]))
+        camera_trajectory(section, SphereGround(780.0), calm(section) + np.array([1e-6, 0.0, 0.0]))
 
 
 def test_a_spin_turns_the_body_once_a_period_and_is_that_of_opencv():
     motion = BodyMotionSpec(kind="spin", period_h=10, axis_body=(1.0, 2.0, 2.0))
     rate = angular_velocity(motion)
-    attitude = attitude_law(motion, rate, 1e5)
+    attitude = attitude_function(motion, rate, 1e5)
     np.testing.assert_allclose(attitude(np.array([0.0, 36000.0])), np.tile(np.eye(3), (2, 1, 1)), atol=1e-12)
     # A point of the body moves by + omega t in inertial space, so inertial points move by - omega t in the body's.
     expected = cv2.Rodrigues(-rate * 5000.0)[0]
@@ -199,11 +198,11 @@ def test_a_spin_turns_the_body_once_a_period_and_is_that_of_opencv():
 def test_tumbling_conserves_energy_and_angular_momentum():
     rate = angular_velocity(TUMBLING)
     times = np.linspace(0.0, 5e5, 2001)
-    turns = attitude_law(TUMBLING, rate, times[-1])(times)
+    turns = attitude_function(TUMBLING, rate, times[-1])(times)
     np.testing.assert_allclose(turns @ np.swapaxes(turns, 1, 2), np.tile(np.eye(3), (2001, 1, 1)), atol=1e-12)
     # The angular velocity from the attitudes alone: R(t + dt) R(t)^T = exp(-omega dt).
     small = 1.0
-    later = attitude_law(TUMBLING, rate, times[-1] + small)(times + small)
+    later = attitude_function(TUMBLING, rate, times[-1] + small)(times + small)
     omega = -Rotation.from_matrix(later @ np.swapaxes(turns, 1, 2)).as_rotvec() / small
     inertia = np.array(TUMBLING.inertia)
     energy = np.sum(inertia * omega**2, axis=1)
@@ -222,7 +221,7 @@ def test_a_symmetric_top_precesses_in_closed_form():
     about_momentum = Rotation.from_rotvec(momentum / 1.0 * time)
     about_figure = Rotation.from_rotvec([0.0, 0.0, (1.0 - 1.6) / 1.0 * rate[2] * time])
     expected = (about_momentum * about_figure).as_matrix().T
-    np.testing.assert_allclose(attitude_law(motion, rate, time)(np.array([time]))[0], expected, atol=1e-9)
+    np.testing.assert_allclose(attitude_function(motion, rate, time)(np.array([time]))[0], expected, atol=1e-9)
 
 
 def test_a_turning_body_is_seen_by_the_same_bearings_and_moves_its_landmarks():
@@ -251,17 +250,17 @@ def test_errors_of_pole_and_rate_grow_as_their_law_says():
     for trial in range(60):
         truth, sequence = draw_sequence(section, CAMERA, SPHERE, 5, trial)
         known = np.array([frame.R_body_inertial for frame in sequence.frames])
-        errors = Rotation.from_matrix(known @ np.swapaxes(truth.path.R_body_inertial, 1, 2)).as_rotvec()
+        errors = Rotation.from_matrix(known @ np.swapaxes(truth.trajectory.R_body_inertial, 1, 2)).as_rotvec()
         squares.append(np.sum(errors**2, axis=1) / 3)
         seen = sequence.frames[20].R_cam_body @ known[20]
-        np.testing.assert_allclose(seen, truth.poses[20].rotation @ truth.path.R_body_inertial[20], atol=1e-12)
+        np.testing.assert_allclose(seen, truth.poses[20].rotation @ truth.trajectory.R_body_inertial[20], atol=1e-12)
     sigmas = [frame.attitude_sigma_rad for frame in sequence.frames]
     assert sigmas[0] == 0.0
     assert np.sqrt(np.mean(squares, axis=0))[[10, 30, 45]] == pytest.approx(np.array(sigmas)[[10, 30, 45]], rel=0.25)
     assert sigmas[30] > 3 * sigmas[5]
 
 
-def test_forces_are_known_as_well_as_asked():
+def test_onboard_forces_have_the_stated_errors():
     forces = {"area_to_mass_m2_kg": 0.02, "noise_m_s2": 1e-7}
     knowledge = {"dynamics": True, "gm_sigma": 0.05, "radiation_sigma": 0.2, "velocity_sigma_m_s": 0.001}
     section = spec({"model": "propagated", "forces": forces, "revolutions": 0.1}, knowledge=knowledge)
@@ -269,19 +268,19 @@ def test_forces_are_known_as_well_as_asked():
     for trial in range(100):
         truth, sequence = draw_sequence(section, CAMERA, SPHERE, 5, trial)
         known = sequence.forces
-        true = truth.path.radiation_m_s2
+        true = truth.trajectory.radiation_m_s2
         scale = known.radiation_m_s2 @ true / (true @ true)
-        off.append([known.gm_m3_s2 / GM - 1, scale - 1, *(known.velocity_m_s - truth.path.velocities_m_s[0])])
+        off.append([known.gm_m3_s2 / GM - 1, scale - 1, *(known.velocity_m_s - truth.trajectory.velocities_m_s[0])])
     asked = [0.05, 0.2, 0.001, 0.001, 0.001]
     np.testing.assert_allclose(np.std(off, axis=0), asked, rtol=0.3)
     assert (np.abs(np.mean(off, axis=0)) < 4 * np.array(asked) / 10).all()
     assert (known.gm_sigma_m3_s2, known.noise_m_s2) == (pytest.approx(0.05 * GM), 1e-7)
-    assert known.radiation_sigma_m_s2 == pytest.approx(0.2 * np.linalg.norm(truth.path.radiation_m_s2))
+    assert known.radiation_sigma_m_s2 == pytest.approx(0.2 * np.linalg.norm(truth.trajectory.radiation_m_s2))
     np.testing.assert_array_equal(known.velocity_covariance_m2_s2, 1e-6 * np.eye(3))
     assert draw_sequence(spec(), CAMERA, SPHERE, 5, 0)[1].forces is None
 
 
-def test_ranges_come_again_every_so_many_frames():
+def test_ranges_are_repeated_at_the_given_interval():
     section = spec(knowledge={"range_every": 10, "ranges": 2, "range_sigma_m": 0.5})
     truth, sequence = draw_sequence(section, CAMERA, SPHERE, 5, 0)
     with_ranges = [i for i, frame in enumerate(sequence.frames) if frame.ranges]
@@ -311,6 +310,6 @@ def test_ranges_come_again_every_so_many_frames():
         ({"knowledge": {"gm_sigma": 0.1}}, "say dynamics: true"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_reason(section, said):
+def test_inconsistent_sections_are_refused_with_the_reason(section, said):
     with pytest.raises(ValidationError, match=said):
         SequenceSpec.model_validate({"sphere_radius_m": 190.0, **section})

@@ -27,7 +27,7 @@ def ground(name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_what_a_shape_hides_is_what_some_facet_stands_before(name):
+def test_occlusion_by_a_shape_agrees_with_brute_force(name):
     shape = ground(name)
     points, normals = shape.sample(60, np.random.default_rng(1))
     for direction in ([1.0, 0.3, 0.1], [-0.2, 1.0, -0.6], [0.1, 0.2, 1.0]):
@@ -56,7 +56,7 @@ def test_a_shape_has_its_n_landmarks_a_frame_and_all_of_them_lie_on_it(name):
     assert cKDTree(dense).query(truth.points_m)[0].max() < 0.02 * shape.reach_m
 
 
-def test_the_pull_of_itokawa_is_that_of_a_point_from_afar_and_not_from_near():
+def test_gravity_of_itokawa_is_that_of_a_point_only_far_away():
     mesh = ground("itokawa_gaskell_q16.obj").mesh
     gravity, point = Polyhedron(mesh, 2.36), PointMass(2.36)
     far, near = np.array([3e4, 1e4, -2e4]), np.array([350.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Sequences of tracks: held against OpenCV, ray tests of our own making, closed forms and the statistics asked for."""
+"""Sequences of tracks against OpenCV, brute-force ray tests, closed forms and the stated statistics."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import load_scenario
-from scenarios.sequences import MeshGround, Sighting, SphereGround, draw_sequence, measured_ranges
-from scenarios.sequences.orbit import poses, times_s
-from scenarios.sequences.sightline import Sightline, sphere_share
-from scenarios.spec.sequence import KnowledgeSpec, OrbitSpec, SequenceSpec
+from scenarios.sequences import FrameTracks, MeshGround, SphereGround, draw_sequence, measured_ranges
+from scenarios.sequences.trajectory import circular_poses, frame_times_s
+from scenarios.sequences.visibility import Visibility, sphere_share
+from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceOrbitSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 RADIUS_M = 190.0
@@ -44,8 +44,8 @@ def positions(truth):
 
 
 def test_the_orbit_is_a_circle_about_its_normal_and_the_boresight_meets_the_centre():
-    orbit = OrbitSpec(normal_body=(1.0, 2.0, -0.5), start_deg=30.0, revolutions=1.0)
-    path = poses(orbit)
+    orbit = SequenceOrbitSpec(normal_body=(1.0, 2.0, -0.5), start_deg=30.0, revolutions=1.0)
+    path = circular_poses(orbit)
     at = np.array([pose.camera_position_m for pose in path])
     np.testing.assert_allclose(np.linalg.norm(at, axis=1), 790.0, rtol=1e-12)
     np.testing.assert_allclose(at @ np.array(orbit.normal_body), 0.0, atol=1e-9)
@@ -56,7 +56,7 @@ def test_the_orbit_is_a_circle_about_its_normal_and_the_boresight_meets_the_cent
     velocity = at[2] - at[0]
     np.testing.assert_allclose(path[1].rotation[0], velocity / np.linalg.norm(velocity), atol=1e-12)
     # Kepler: 790 m about 3.54 m^3/s^2.
-    assert times_s(orbit)[-1] == pytest.approx(2 * np.pi * np.sqrt(790.0**3 / 3.54))
+    assert frame_times_s(orbit)[-1] == pytest.approx(2 * np.pi * np.sqrt(790.0**3 / 3.54))
 
 
 def test_bearings_are_those_of_opencv_but_for_the_noise():
@@ -78,10 +78,10 @@ def test_the_noise_has_the_asked_deviation_and_changes_nothing_else():
     assert all(np.array_equal(a.motion_m, b.motion_m) for a, b in zip(clean.frames, noisy.frames, strict=True))
 
 
-def test_a_sphere_is_seen_where_the_ray_meets_it_first():
+def test_visible_points_of_a_sphere_are_first_ray_intersections():
     rng = np.random.default_rng(3)
     points, normals = SPHERE.sample(3000, rng)
-    pose = poses(OrbitSpec())[17]
+    pose = circular_poses(SequenceOrbitSpec())[17]
     camera_m = pose.camera_position_m
     ray = points - camera_m
     # |c + t ray| = R: the smaller root is the first meeting; the landmark itself stands at t = 1.
@@ -89,14 +89,14 @@ def test_a_sphere_is_seen_where_the_ray_meets_it_first():
     first = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
     expected = first > 1.0 - 1e-9
     assert 0.3 < expected.mean() < 0.45
-    np.testing.assert_array_equal(Sightline(SPHERE).visible(points, normals, look(CAMERA, pose)), expected)
+    np.testing.assert_array_equal(Visibility(SPHERE).visible(points, normals, look(CAMERA, pose)), expected)
     narrow = Camera.from_fov(1024, 1024, np.radians(10.0))
     slope = np.abs(pose.transform(points)[:, :2] / pose.transform(points)[:, 2:]).max(axis=1)
     expected &= slope <= np.tan(np.radians(5.0))
-    np.testing.assert_array_equal(Sightline(SPHERE).visible(points, normals, look(narrow, pose)), expected)
+    np.testing.assert_array_equal(Visibility(SPHERE).visible(points, normals, look(narrow, pose)), expected)
 
 
-def test_a_mesh_hides_what_stands_before_it_and_is_sampled_by_area():
+def test_a_mesh_occludes_points_and_is_sampled_by_area():
     torus = trimesh.creation.torus(150.0, 60.0, major_sections=24, minor_sections=12)
     ground = MeshGround(TriangleMesh(torus.vertices, torus.faces))
     points, normals = ground.sample(400, np.random.default_rng(1))
@@ -116,7 +116,7 @@ def test_a_mesh_hides_what_stands_before_it_and_is_sampled_by_area():
 
 
 def _stands_before(triangles, camera_m, point):
-    """Solve camera + t ray = a + u e1 + v e2 for every triangle; trimesh's own rays need a package more."""
+    """Solve camera + t ray = a + u e1 + v e2 for every triangle; trimesh needs another package for rays."""
     ray = point - camera_m
     edges = triangles[:, 1:] - triangles[:, :1]
     columns = np.stack([edges[:, 0], edges[:, 1], np.broadcast_to(-ray, (len(triangles), 3))], axis=2)
@@ -125,11 +125,11 @@ def _stands_before(triangles, camera_m, point):
 
 
 @pytest.mark.parametrize(("step_deg", "k"), [(2.0, 0.9), (4.0, 0.81)])
-def test_the_tracks_that_stay_visible_live_on_with_the_repeatability(step_deg, k):
+def test_visible_tracks_survive_with_the_repeatability(step_deg, k):
     lived = could = 0
     for trial in range(6):
         truth, sequence = drawn(trial, vision={"landmarks_per_frame": 60}, step_deg=step_deg)
-        sight = Sightline(SPHERE)
+        sight = Visibility(SPHERE)
         for before, after, pose in zip(sequence.frames, sequence.frames[1:], truth.poses[1:], strict=False):
             points = truth.points_m[before.tracks]
             visible = sight.visible(points, points / RADIUS_M, look(CAMERA, pose))
@@ -139,7 +139,7 @@ def test_the_tracks_that_stay_visible_live_on_with_the_repeatability(step_deg, k
     assert lived / could == pytest.approx(k, abs=4 * np.sqrt(k * (1 - k) / could))
 
 
-def test_a_dead_track_never_returns_and_each_is_seen_once_a_frame():
+def test_a_lost_track_never_returns_and_each_is_observed_once_a_frame():
     _, sequence = drawn(revolutions=2.0)
     last: dict[int, int] = {}
     for i, frame in enumerate(sequence.frames):
@@ -175,10 +175,10 @@ def test_the_density_gives_n_landmarks_on_average_and_a_uniform_field():
 )
 @pytest.mark.parametrize("sun", [(0.0, 0.0, 1.0), (0.3, -0.2, 0.6)], ids=["terminator", "oblique"])
 def test_the_visible_share_of_a_sphere_is_that_of_a_million_points(camera, sun):
-    view = View(camera, poses(OrbitSpec())[17], np.array(sun))
+    view = View(camera, circular_poses(SequenceOrbitSpec())[17], np.array(sun))
     points, normals = SPHERE.spread(1_000_000)
     for lit_only in (False, True):
-        counted = Sightline(SPHERE, lit_only).visible(points, normals, view).mean()
+        counted = Visibility(SPHERE, lit_only).visible(points, normals, view).mean()
         assert sphere_share(RADIUS_M, view, lit_only) == pytest.approx(counted, abs=3e-5)
     if camera is CAMERA:
         assert sphere_share(RADIUS_M, view, False) == pytest.approx(0.5 * (1 - RADIUS_M / 790.0), abs=1e-9)
@@ -208,7 +208,7 @@ FIXED = {"field": "fixed", "landmarks_per_frame": 30, "recognised": 0.7, "mistak
 
 def test_a_fixed_field_keeps_n_in_a_frame_and_its_repeatability():
     counts, lived, could = [], 0, 0
-    sight = Sightline(SPHERE)
+    sight = Visibility(SPHERE)
     for trial in range(40):
         truth, sequence = drawn(trial, vision={**FIXED, "tracked_share": 0.6})
         counts.append([len(sequence.frames[i].tracks) for i in (0, 30, -1)])
@@ -291,13 +291,13 @@ def test_one_range_to_the_landmark_nearest_the_boresight_fixes_the_scale():
 
 
 def test_the_ranged_landmark_is_chosen_by_the_first_frame_alone():
-    """Only the bound for studies, ``lasting``, asks the frames to come."""
+    """Only ``lasting``, a bound for studies, uses the later frames."""
     chosen = {"central": [], "lasting": []}
     for trial in range(10):
         truth, sequence = drawn(trial)
-        seen = [Sighting(f.tracks, f.uv_px, truth.points_m[f.tracks]) for f in sequence.frames]
+        seen = [FrameTracks(f.tracks, f.uv_px, truth.points_m[f.tracks]) for f in sequence.frames]
         for range_to, same in chosen.items():
-            knowledge = KnowledgeSpec(range_to=range_to)
+            knowledge = SequenceKnowledgeSpec(range_to=range_to)
             one, all_of_them = (
                 measured_ranges(some, truth.poses[0], CAMERA, knowledge, np.random.default_rng(1))[0].track
                 for some in (seen[:1], seen)
@@ -308,7 +308,7 @@ def test_the_ranged_landmark_is_chosen_by_the_first_frame_alone():
     assert load_scenario("apophis-sphere-sequence").spec.sequence.knowledge.range_to == "central"
 
 
-def test_wrong_points_come_in_the_asked_share_and_lie_wrong():
+def test_outliers_have_the_given_share_and_are_displaced():
     vision = {"noise_px": 0.0, "landmarks_per_frame": 80, "mismatch_share": 0.05, "outlier_share": 0.03}
     truth, sequence = drawn(vision=vision)
     wrong = np.concatenate(truth.wrong)
@@ -333,7 +333,7 @@ def test_the_same_address_gives_the_same_bits_and_another_trial_another_field():
     assert all(f.uv_px.tobytes() == g.uv_px.tobytes() for f, g in zip(one.frames, two.frames, strict=True))
 
 
-def test_attitude_and_first_position_are_as_wrong_as_asked():
+def test_attitude_and_first_position_have_the_stated_errors():
     truth, sequence = drawn(knowledge={"attitude_sigma_deg": 0.1, "position_sigma_m": 2.0})
     angle = [
         np.linalg.norm(cv2.Rodrigues(frame.R_cam_body @ pose.rotation.T)[0])
@@ -342,10 +342,10 @@ def test_attitude_and_first_position_are_as_wrong_as_asked():
     assert np.degrees(np.sqrt(np.mean(np.square(angle)) / 3)) == pytest.approx(0.1, rel=0.2)
     assert 0.0 < np.linalg.norm(sequence.position_m - truth.poses[0].camera_position_m) < 12.0
     np.testing.assert_array_equal(sequence.position_covariance_m2, 4.0 * np.eye(3))
-    assert not any(frame.attitude_lasting_rad for frame in sequence.frames)
+    assert not any(frame.attitude_bias_sigma_rad for frame in sequence.frames)
 
 
-def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
+def test_misalignment_is_the_same_rotation_in_all_frames():
     errors = []
     for trial in range(60):
         truth, sequence = drawn(trial, knowledge={"misalignment_sigma_deg": 0.2}, revolutions=0.05)
@@ -354,7 +354,7 @@ def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
         errors.append(cv2.Rodrigues(turns[0])[0][:, 0])
     assert np.degrees(np.std(errors)) == pytest.approx(0.2, rel=0.25)
     assert [frame.attitude_sigma_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
-    assert [frame.attitude_lasting_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
+    assert [frame.attitude_bias_sigma_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Detections drawn by geometry, and the lines of sight that meet a mesh, against linear equations and closed forms."""
+"""Simulated crater detections, and ray intersections with a mesh, against linear equations and closed forms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, population
 
-from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, draw_craters, in_view
+from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, in_view, sample_plane_craters
 from scenarios.geometry import Pose, View, look_at
 
 
@@ -15,7 +15,7 @@ def ground():
     return ellipsoid(3)
 
 
-def test_lines_of_sight_meet_a_mesh_where_linear_equations_say(ground) -> None:
+def test_ray_intersections_with_a_mesh_solve_the_linear_equations(ground) -> None:
     rng = np.random.default_rng(1)
     origins = rng.normal(size=(60, 3))
     origins *= 40e3 / np.linalg.norm(origins, axis=1, keepdims=True)
@@ -40,7 +40,7 @@ def test_lines_of_sight_meet_a_mesh_where_linear_equations_say(ground) -> None:
 
 
 def test_sizes_follow_the_power_law(ground) -> None:
-    craters = draw_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
+    craters = sample_plane_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
     above = [(craters.radius_m > radius).mean() for radius in (100.0, 200.0, 400.0)]
     closed = [(radius**-2 - 1e-6) / (1e-4 - 1e-6) for radius in (100.0, 200.0, 400.0)]
     np.testing.assert_allclose(above, closed, atol=4 * np.sqrt(0.25 / 20_000))
@@ -52,7 +52,7 @@ def _view() -> View:
     return View(CAMERA, Pose(pose.rotation, pose.translation_m), np.array([0.5, 0.4, 0.9]))
 
 
-def test_detections_have_the_errors_the_misses_and_the_false_ones_that_were_asked_for(ground) -> None:
+def test_detections_have_the_given_errors_misses_and_false_detections(ground) -> None:
     rng = np.random.default_rng(3)
     craters, view = population(ground, 4, 4000), _view()
     visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))

@@ -19,9 +19,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import estimators.craters.learned as learned
-from estimators.craters.detection.picture import noise_level, prepare
+from estimators.craters.detection.preparation import noise_level, prepare_image
 from estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
-from estimators.craters.learned.patches import NAMES, Network, Source
+from estimators.craters.learned.network import NAMES, Network, PatchSource
 from estimators.craters.learned.proposals import propose
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
@@ -60,7 +60,7 @@ class Seen:
     """A picture, and what the templates propose in it."""
 
     lesson: Lesson
-    source: Source
+    source: PatchSource
     proposals: Ellipses
 
 
@@ -68,11 +68,11 @@ def see(seed: int, number: int, options: LearnedOptions) -> Seen | None:
     """Draw a picture by its own stream; None where its ground lies in the dark."""
     lesson = draw_lesson(np.random.default_rng([seed, number]))
     try:
-        picture = prepare(lesson.frame, CAMERA, options.window_px)
+        picture = prepare_image(lesson.frame, CAMERA, options.window_px)
     except BoresightError:
         return None
     noise = noise_level(lesson.frame.image, picture.ground)
-    source = Source.of(lesson.frame.image, picture, lesson.frame.sun_dir_cam, noise)
+    source = PatchSource.of(lesson.frame.image, picture, lesson.frame.sun_dir_cam, noise)
     proposals = propose(picture, options.levels, options.merit_min, options.proposals).ellipses
     return Seen(lesson, source, proposals)
 
@@ -86,7 +86,7 @@ def lessons_from(seen: list[Seen], course: Course, rng: np.random.Generator, net
         looks = [one.proposals, *(displaced(plain, one.source.sun_px, s, rng) for s in course.spreads)]
         if network is not None:
             detector = CraterLearned(LearnedOptions(rounds=1, mirror=False), network)
-            looks.append(detector.settled(one.source, one.proposals)[0])
+            looks.append(detector.refine_proposals(one.source, one.proposals)[0])
         parts += [lessons_of(one.source, look, rims, weight) for look in looks if len(look)]
     return joined(parts)
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.patches import Source, cut
-from estimators.craters.learned.placing import ellipses_of, shape_of, targets
+from estimators.craters.learned.network import PatchSource, cut_patches, ellipses_of, shape_of, target_outputs
 from scenarios.geometry import Ellipses
 from training.network_training import Lessons
 
@@ -30,7 +29,7 @@ def nearest(seen: Ellipses, rims: Ellipses) -> tuple[NDArray[np.int64], FloatArr
     return best, apart[rows, best], ratio[rows, best]
 
 
-def lessons_of(source: Source, seen: Ellipses, rims: Ellipses, weight: FloatArray) -> Lessons:
+def lessons_of(source: PatchSource, seen: Ellipses, rims: Ellipses, weight: FloatArray) -> Lessons:
     """Say what is true of seen rims.
 
     Parameters
@@ -40,7 +39,7 @@ def lessons_of(source: Source, seen: Ellipses, rims: Ellipses, weight: FloatArra
     weight
         (k,) of each: 0 for one that nobody could be blamed for finding or missing.
     """
-    patches = cut(source, seen)
+    patches = cut_patches(source, seen)
     if len(rims) == 0:
         none = np.zeros(len(seen), dtype=np.float32)
         return Lessons(patches.pixels, patches.scalars, none, none + 1, np.zeros((len(seen), 5), np.float32), none)
@@ -55,7 +54,7 @@ def lessons_of(source: Source, seen: Ellipses, rims: Ellipses, weight: FloatArra
         patches.scalars,
         right.astype(np.float32),
         verdict.astype(np.float32),
-        targets(seen, rims[best], source.sun_px).astype(np.float32),
+        target_outputs(seen, rims[best], source.sun_px).astype(np.float32),
         np.where(reach, of_rim, 0.0).astype(np.float32),
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.patches import NAMES, OUTPUTS, SCALARS, SIDE, STRIDE, Network, windows
+from estimators.craters.learned.network import NAMES, OUTPUTS, SCALARS, SIDE, STRIDE, Network, windows
 
 FloatImage = NDArray[np.float32]
 AnyFloats = NDArray[np.floating[Any]]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.fitting import fit_reweighted
+from estimators.craters.detection.candidates import fit_reweighted
 from scenarios.geometry import Camera, Ellipses, Pose
 from scenarios.observation import Frame
 from training.ground import STEP_PX, Ground, make_ground

@@ -68,7 +68,7 @@ def judge(detector: CraterDetector, world: World, images: int) -> Judged:
         raise BoresightError(f"{world.scenario.path}: craters: missing, so there is no crater to detect")
     confidence, false, detectable, there = [np.zeros(0)], [np.zeros(0, bool)], [np.zeros(0, bool)], 0
     for trial in range(images):
-        sight = world.source.sight(SEED, trial)
+        sight = world.source.trial_image(SEED, trial)
         observation = observe(world, sight, SEED, trial)
         truth = crater_truth(world.ground.rims, sight.view, world.renderer)
         there += int(truth.detectable.sum())

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
-from campaign.inspection.ranking import crater_faults
+from campaign.inspection.case import crater_faults
+from campaign.inspection.look import crater_look, outcome_marks, places_of
 from campaign.inspection.recompute import Recomputed
-from campaign.inspection.show import Drawn, Kept, Scene, Show
+from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from campaign.kinds.crater_detection.examples import crater_examples
 from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
 from reports.kinds.crater_detection.figures import draw_example, ellipses_of
@@ -18,7 +18,7 @@ from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 
 
-def look_at_detections(scene: Scene) -> View3D:
+def look_at_detections(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are detected when they could be, and the cameras of all images.
 
     Of several worlds the first is shown.
@@ -50,7 +50,7 @@ def look_at_detections(scene: Scene) -> View3D:
     )
 
 
-def draw_detection(again: Recomputed) -> Drawn | None:
+def draw_detection(again: Recomputed) -> CaseFigures | None:
     """Draw an image with the craters that are there and those that were found."""
     shown, what = again.shown, str(again.case)
     if not isinstance(shown, DetectedImage):
@@ -63,12 +63,14 @@ def draw_detection(again: Recomputed) -> Drawn | None:
     )
     missed = int(truth.detectable.sum()) - sum(bool(record["detectable"]) for record in detections)
     note = f"{int(truth.detectable.sum())} detectable craters, {missed} of them missed; {int((~matched).sum())} of"
-    return Drawn([figure], notes=[f"{note} {len(detections)} detections are of no crater, or of one found before."])
+    return CaseFigures(
+        [figure], notes=[f"{note} {len(detections)} detections are of no crater, or of one found before."]
+    )
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return the image that a detector saw."""
-    return Kept({"image": shown.frame.image}) if isinstance(shown, DetectedImage) else Kept()
+    return CaseFiles({"image": shown.frame.image}) if isinstance(shown, DetectedImage) else CaseFiles()
 
 
 SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples)

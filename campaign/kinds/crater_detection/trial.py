@@ -11,10 +11,10 @@ from typing import Self
 import numpy as np
 
 from campaign.imaging.observe import observe
-from campaign.imaging.world import Sight, World, open_world
+from campaign.imaging.world import TrialImage, World, open_world
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
-from campaign.products.databases import of_database, with_world
+from campaign.products import BuiltAssets, MissingProduct
+from campaign.products.databases import with_database_craters, with_database_seed
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from campaign.trial.in_turn import InTurn
@@ -37,7 +37,7 @@ from scenarios.observation import Frame
 class DetectedImage:
     """A trial as a witness is shown it: what a detector sees, and what is true of it."""
 
-    sight: Sight
+    sight: TrialImage
     frame: Frame
     camera: Camera
     truth: CraterTruth
@@ -76,9 +76,9 @@ class CraterDetection:
         return crater_detector_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options and a scenario without craters, and build the surfaces, which workers then only read."""
-        del shelf
+        del assets
         detectors = _detectors(campaign, scenario)
         if scenario.spec.craters is None or scenario.spec.viewpoint is None:
             raise BoresightError(
@@ -86,7 +86,7 @@ class CraterDetection:
                 " sections"
             )
         for number in range(campaign.spec.databases):
-            craters = of_database(scenario.spec.craters, number)
+            craters = with_database_seed(scenario.spec.craters, number)
             cratered_surface(scenario.spec.body, craters, scenario.search_dirs)
         return missing(scenario, detectors)
 
@@ -95,7 +95,9 @@ class CraterDetection:
         """Open the worlds and build the detectors."""
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         detectors, several = _detectors(campaign, scenario), campaign.spec.databases > 1
-        worlds = [open_world(with_world(scenario, i), campaign.variant) for i in range(campaign.spec.databases)]
+        worlds = [
+            open_world(with_database_craters(scenario, i), campaign.variant) for i in range(campaign.spec.databases)
+        ]
         return InTurn(
             tuple(
                 cls(world, detectors, campaign.seed, sink, database=i if several else None)
@@ -114,7 +116,7 @@ class CraterDetection:
     def trial(self, trial: int) -> Records:
         """Run one trial: the records that it adds to each stored table."""
         started = time.perf_counter()
-        sight = self.world.source.sight(self.seed, trial)
+        sight = self.world.source.trial_image(self.seed, trial)
         observation = observe(self.world, sight, self.seed, trial)
         frame, camera = observation.frame, observation.camera
         image_seconds = time.perf_counter() - started
@@ -139,7 +141,7 @@ class CraterDetection:
             add_records(records, judged, {**image_key, "estimator": label})
         return records
 
-    def truth(self, sight: Sight) -> CraterTruth:
+    def truth(self, sight: TrialImage) -> CraterTruth:
         """Find what is true of an image."""
         ground, renderer = self.world.ground, self.world.renderer
         if ground is None or not isinstance(renderer, TiledRenderer):
@@ -232,7 +234,7 @@ def _truth_rows(truth: CraterTruth) -> list[Record]:
     ]
 
 
-def _image_facts(sight: Sight, truth: CraterTruth) -> Record:
+def _image_facts(sight: TrialImage, truth: CraterTruth) -> Record:
     """Describe an image and how many craters it shows."""
     lit = sight.image > sight.image.min() + 0.05 * float(np.ptp(sight.image))
     return {
@@ -244,7 +246,7 @@ def _image_facts(sight: Sight, truth: CraterTruth) -> Record:
     }
 
 
-def _circumstances(sight: Sight) -> Record:
+def _circumstances(sight: TrialImage) -> Record:
     """Fill the columns of a row that no detector can change, or that detection has no number for."""
     return {
         "image": sight.image_name,

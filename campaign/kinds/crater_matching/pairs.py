@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from campaign.imaging.imager import Imager
+from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import check_detections, match_detections
 from campaign.trial.methods import Unbuilt, able, built
 from estimators.craters.contract import CraterDetector
@@ -17,7 +17,7 @@ from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer, choose_variant
 from scenarios.bodies import load_body
 from scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
-from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, draw_views, known_frame, population
+from scenarios.craters.pairs import CraterPair, CraterView, draw_pair, draw_plane_craters, draw_views, observed_frame
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
@@ -26,7 +26,7 @@ from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec, RenderedLooksSpec
+from scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
 from scenarios.spec.world import PoseErrorSpec
 
 BY_GEOMETRY = ""
@@ -101,7 +101,7 @@ class RenderedPairs:
         seen = []
         for number, view in enumerate(views):
             image, _ = self.imager.image(view, seed, 2 * trial + number, noise)
-            frame = known_frame(view, image, self.pose_error, priors, float(number))
+            frame = observed_frame(view, image, self.pose_error, priors, float(number))
             seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
 
         def seen_by(detector: str) -> CraterPair:
@@ -111,12 +111,12 @@ class RenderedPairs:
         # Matchers that share a detector see the same craters, which are looked for once.
         return Looks(views[0], cache(seen_by))
 
-    def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterLook:
+    def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterView:
         rims = _found(finder, frame, self.camera)[: self.images.most_detections]
         # The last of the numbers is that of no crater, which is row -1 as well.
         numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
         which = match_detections(rims, truth.ellipses).crater
-        return CraterLook(view, LabelledDetections(rims, numbers[which]), frame)
+        return CraterView(view, LabelledDetections(rims, numbers[which]), frame)
 
     def flush(self) -> None:
         """Keep what was rendered."""
@@ -166,7 +166,7 @@ def open_pairs(
     camera = spec.camera.camera().pinhole
     ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
     if section.craters is not None:
-        return SimulatedPairs(section, spec.pose_error, camera, ground, population(ground, section.craters))
+        return SimulatedPairs(section, spec.pose_error, camera, ground, draw_plane_craters(ground, section.craters))
     if spec.craters is None or section.images is None:
         raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
     surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)

@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
-from campaign.inspection.ranking import crater_faults
+from campaign.inspection.case import Case, crater_faults
+from campaign.inspection.look import crater_look, outcome_marks, places_of
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Drawn, Kept, Scene, Show
+from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
 from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches
 from campaign.resolved import ResolvedCampaign
@@ -34,7 +33,7 @@ _MOST_PAIRS = 60
 """Trials of matching that are recomputed: which crater each match is of is not stored."""
 
 
-def look_at_matches(scene: Scene) -> View3D:
+def look_at_matches(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are matched when both looks show them, and both cameras of each trial."""
     experiment, run = scene.opened(CraterMatching), scene.run
     rows = select(run.rows, scene.scenario, scene.label).head(_MOST_PAIRS)
@@ -77,7 +76,7 @@ def _craters_of(source: PairSource) -> tuple[FloatArray, IndexArray]:
     raise TypeError(f"{type(source).__name__} has no craters that could be looked at")
 
 
-def draw_pair_case(again: Recomputed) -> Drawn | None:
+def draw_pair_case(again: Recomputed) -> CaseFigures | None:
     """Draw both looks with the matches that are right, those that are wrong, and common craters that were missed."""
     shown, what = again.shown, str(again.case)
     if not isinstance(shown, MatchedPair):
@@ -99,7 +98,7 @@ def draw_pair_case(again: Recomputed) -> Drawn | None:
         "pair", draw_matched_pair(images, rims, what), caption, "Two looks at craters with their rims."
     )
     drawn = "" if images[0].size else " Rims are drawn by geometry in this scenario: there are no images."
-    return Drawn([figure], notes=[f"{len(pairs)} matches, {int(right.sum())} of them right.{drawn}"])
+    return CaseFigures([figure], notes=[f"{len(pairs)} matches, {int(right.sum())} of them right.{drawn}"])
 
 
 def _missed(one: NDArray[np.int64], other: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -142,16 +141,18 @@ def _typical(table: pd.DataFrame) -> int | None:
     return int(ordered.iloc[len(ordered) // 2]) if len(ordered) else None
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return both images, where there are some, and the matches; none of a matcher that raised."""
     if not isinstance(shown, MatchedPair):
-        return Kept()
+        return CaseFiles()
     looks = {"first": shown.pair.first.frame.image, "second": shown.pair.second.frame.image}
     images = {name: image for name, image in looks.items() if image.size}
     if shown.matches is None:
-        return Kept(images)
+        return CaseFiles(images)
     matches = shown.matches
-    return Kept(images, {"reason": matches.reason, "pairs": matches.pairs.tolist(), "score": matches.score.tolist()})
+    return CaseFiles(
+        images, {"reason": matches.reason, "pairs": matches.pairs.tolist(), "score": matches.score.tolist()}
+    )
 
 
 SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples)

@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 
 from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
-from estimators.craters.matching.epipolar import epipolar_offsets
+from estimators.craters.matching.context import epipolar_offsets
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
-from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec
+from scenarios.spec.craters import CraterPairsSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +82,9 @@ class CraterMatching:
         return known(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options and a missing section; there is nothing to build."""
-        del shelf
+        del assets
         check_detectors(scenario, _section(scenario), _detectors(campaign))
         return missing(scenario, _matchers(campaign, scenario))
 
@@ -93,7 +93,7 @@ class CraterMatching:
         """Load the shapes, draw the craters and build the matchers."""
         del bench
         spec = scenario.spec
-        known = MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh)
+        known = MeshGround(load_body(onboard_spec(spec).body, scenario.search_dirs).mesh)
         detectors = _detectors(campaign)
         source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
         camera = spec.camera.camera().pinhole
@@ -154,7 +154,7 @@ class CraterMatching:
         """Return what a matcher may see of a pair."""
         return self._image(0, pair.first), self._image(1, pair.second)
 
-    def _image(self, number: int, look: CraterLook) -> CraterImage:
+    def _image(self, number: int, look: CraterView) -> CraterImage:
         rims = look.detections.ellipses
         return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.kinds.crater_navigation.taken import NavigationTrial, SearchedImage
-from estimators.craters.navigation.rounds import Navigation, Round
+from estimators.craters.navigation.rounds import NavigationResult, NavigationRound
 from estimators.orbit.contract import OrbitEstimate
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
+from scenarios.orbits.true_orbit import DAY_S
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +34,7 @@ def told_apart(crater: Sequence[IndexArray]) -> list[IndexArray]:
     return told
 
 
-def match_counts(done: Round, crater: Sequence[IndexArray]) -> tuple[int, int, int]:
+def match_counts(done: NavigationRound, crater: Sequence[IndexArray]) -> tuple[int, int, int]:
     """Count correct and wrong matches, and craters that two matched images have in common."""
     told, correct, wrong, common = told_apart(crater), 0, 0, 0
     for pair in done.found:
@@ -45,7 +45,7 @@ def match_counts(done: Round, crater: Sequence[IndexArray]) -> tuple[int, int, i
     return correct, wrong, common
 
 
-def sighted_craters(done: Round, crater: Sequence[IndexArray]) -> IndexArray:
+def sighted_craters(done: NavigationRound, crater: Sequence[IndexArray]) -> IndexArray:
     """(K,) true crater of each sighting of the data base, by its image and its number."""
     told = told_apart(crater)
     of = {
@@ -59,7 +59,7 @@ def sighted_craters(done: Round, crater: Sequence[IndexArray]) -> IndexArray:
 
 
 def truth_of_sightings(
-    world: OrbitWorld, trial: NavigationTrial, done: Round, crater: Sequence[IndexArray]
+    world: OrbitWorld, trial: NavigationTrial, done: NavigationRound, crater: Sequence[IndexArray]
 ) -> OrbitTruth:
     """Put together what the score of an orbit asks for."""
     true = sighted_craters(done, crater)
@@ -88,7 +88,7 @@ def at_times(estimate: OrbitEstimate, data: OrbitData, wanted_s: FloatArray) -> 
     return replace(estimate, orbit=orbit), replace(data, wanted_s=wanted_s)
 
 
-def navigation_summary(navigation: Navigation, searched: Sequence[SearchedImage], epochs: int) -> Record:
+def navigation_summary(navigation: NavigationResult, searched: Sequence[SearchedImage], epochs: int) -> Record:
     """Sum the chain up: the columns of the table ``navigation`` without its key."""
     crater, last = [image.crater for image in searched], navigation.rounds[-1]
     correct, wrong, common = match_counts(last, crater)
@@ -110,7 +110,7 @@ def navigation_summary(navigation: Navigation, searched: Sequence[SearchedImage]
     }
 
 
-def image_records(trial: NavigationTrial, searched: Sequence[SearchedImage], last: Round) -> list[Record]:
+def image_records(trial: NavigationTrial, searched: Sequence[SearchedImage], last: NavigationRound) -> list[Record]:
     """List the images: the columns of the table ``navigated_images`` without its key."""
     records: list[Record] = []
     for planned, view, image, numbers in zip(trial.plan, trial.views, searched, last.numbering.numbers, strict=True):

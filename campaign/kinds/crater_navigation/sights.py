@@ -8,14 +8,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.imager import Imager
+from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import match_detections
 from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import TiledRenderer, choose_variant
 from scenarios.bodies import load_body
 from scenarios.craters import Rims, crater_truth, cratered_surface
-from scenarios.craters.pairs import LIMITS_DEG, population
-from scenarios.craters.simulated import NO_CRATER, DetectionErrors, PlaneCraters, detect_simulated, in_view, raised
+from scenarios.craters.pairs import LIMITS_DEG, draw_plane_craters
+from scenarios.craters.simulated import (
+    NO_CRATER,
+    DetectionErrors,
+    PlaneCraters,
+    detect_simulated,
+    in_view,
+    raise_craters,
+)
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, View
@@ -75,7 +82,7 @@ class DrawnSights:
     def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
         """Project the craters in view and let a simulated detector err; heights are the same in all images."""
         errors = DetectionErrors(**self.spec.errors.model_dump())
-        real = raised(self.craters, errors.height_m, generator(address.seed, Stream.LANDMARKS, address.trial))
+        real = raise_craters(self.craters, errors.height_m, generator(address.seed, Stream.LANDMARKS, address.trial))
         rng = address.stream(Stream.ORBIT_DETECTIONS, self.spec.epochs)
         found = detect_simulated(real, in_view(self.craters, self.ground, view, LIMITS_DEG), view, errors, rng)
         return CraterDetections(found.ellipses, np.ones(len(found.crater))), found.crater
@@ -130,7 +137,7 @@ def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> Cr
     whole = scenario.spec
     if spec.detections == "drawn":
         ground = MeshGround(load_body(whole.body, scenario.search_dirs).mesh)
-        return DrawnSights(spec, ground, population(ground, spec.craters))
+        return DrawnSights(spec, ground, draw_plane_craters(ground, spec.craters))
     if whole.craters is None or whole.orbit is None:
         raise BoresightError(
             f"{scenario.path}: craters: missing, but orbit.imaging.detections is rendered: add the section, or choose"

@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 
 from campaign.kinds.crater_navigation.sights import Address, CraterSights, Image
 from campaign.trial.crater_score import check_detections
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
+from estimators.craters.database.files import ImageDetections, read_detections, write_detections
 from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import PlannedImage, plan_arc, with_telemetry
+from estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
 from scenarios.atomic import write_atomically
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh, View
 from scenarios.observation import Frame
-from scenarios.orbits.flown import Flown, fly
+from scenarios.orbits.draw import draw_knowledge, draw_radiometry
 from scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
-from scenarios.orbits.known import draw_knowledge, draw_radiometry
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
 from scenarios.orbits.world import OrbitWorld
 from scenarios.sequences.ground import MeshGround
 
@@ -62,7 +61,7 @@ class NavigationTrial:
 
     task: NavigationTask
     plan: tuple[PlannedImage, ...]
-    flown: Flown
+    flown: TrueOrbit
     views: tuple[View, ...]
     rotation: UniformRotation
     sights: CraterSights
@@ -70,7 +69,9 @@ class NavigationTrial:
     _images: dict[int, Image] = field(default_factory=dict)
 
     @classmethod
-    def take(cls, world: OrbitWorld, sights: CraterSights, seed: int, trial: int, stages: Stages) -> NavigationTrial:
+    def take(
+        cls, world: OrbitWorld, sights: CraterSights, seed: int, trial: int, stages: StageFiles
+    ) -> NavigationTrial:
         """Plan the images by the a priori orbit, and fly the true one.
 
         Raises
@@ -80,7 +81,7 @@ class NavigationTrial:
         BoresightError
             If no ground is lit and in sight at any epoch.
         """
-        start = fly(world, np.zeros(0), seed, trial)
+        start = propagate_truth(world, np.zeros(0), seed, trial)
         knowledge, shape = draw_knowledge(world, start.wanted_states[0], seed, trial), apriori_shape(world)
         sun, times = sun_dir_inertial(world), epochs_s(world)
 
@@ -88,25 +89,25 @@ class NavigationTrial:
             planned = plan_arc(knowledge, sun, times, shape.ground, shape.centre_of_mass_m)
             write_plan(path, with_telemetry(planned, control_errors(world, len(planned), seed, trial)))
 
-        plan = stages.kept("plan.txt", "planning", write, read_plan)
+        plan = stages.cached("plan.txt", "planning", write, read_plan)
         if len(plan) < 2:
             raise BoresightError(
                 f"{len(plan)} of {len(times)} epochs have lit ground in sight: there is nothing to plan"
             )
-        flown = fly(world, np.array([image.time_s for image in plan]), seed, trial)
+        flown = propagate_truth(world, np.array([image.time_s for image in plan]), seed, trial)
         reported = np.stack([image.actual_R_cam_inertial for image in plan])
         views = true_views(world, flown, reported, seed, trial)
         task = NavigationTask(knowledge, shape, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
         return cls(task, plan, flown, views, world.rotation, sights, Address(seed, trial, 0))
 
-    def search(self, navigator: CraterNavigation, stages: Stages) -> list[SearchedImage]:
+    def search(self, navigator: CraterNavigation, stages: StageFiles) -> list[SearchedImage]:
         """Look for craters in all images, or read what was found before."""
         own = searched_in(navigator, stages)
         found = [self._searched(number, navigator, stages, own) for number in range(len(self.plan))]
         self.sights.flush()
         return found
 
-    def _searched(self, number: int, navigator: CraterNavigation, stages: Stages, own: Stages) -> SearchedImage:
+    def _searched(self, number: int, navigator: CraterNavigation, stages: StageFiles, own: StageFiles) -> SearchedImage:
         planned, view = self.plan[number], self.views[number]
         address = Address(self.address.seed, self.address.trial, number)
         if number not in self._images:
@@ -123,11 +124,11 @@ class NavigationTrial:
                 detections, reason = navigator.detect(frame, self.task)
                 check_detections(detections)
             else:
-                detections, reason = navigator.chosen(drawn[0]), ""
-            write_detections(path, DetectedImage(planned.number, planned.time_s, detections, reason))
+                detections, reason = navigator.most_confident(drawn[0]), ""
+            write_detections(path, ImageDetections(planned.number, planned.time_s, detections, reason))
 
         name = f"{planned.number:05d}"
-        found = own.kept(f"{name}.txt", "detection", detect, read_detections)
+        found = own.cached(f"{name}.txt", "detection", detect, read_detections)
         exposure = Exposure(planned.number, planned.time_s, attitude, sun_dir_cam, pixels, found.detections)
         if drawn is not None:
             return SearchedImage(exposure, found.reason, drawn[1][: len(found.detections.ellipses)])
@@ -136,17 +137,17 @@ class NavigationTrial:
             which = self.sights.which(found.detections.ellipses, view)
             write_atomically(path, lambda place: _save(place, which))
 
-        return SearchedImage(exposure, found.reason, own.kept(f"{name}-truth.npy", "scoring", tell, np.load))
+        return SearchedImage(exposure, found.reason, own.cached(f"{name}-truth.npy", "scoring", tell, np.load))
 
 
-def searched_in(navigator: CraterNavigation, stages: Stages) -> Stages:
+def searched_in(navigator: CraterNavigation, stages: StageFiles) -> StageFiles:
     """Return the folder of what a chain's detector finds: chains with the same one share it."""
-    return stages.below(f"detections-{navigator.options.detector}-{navigator.options.most_detections}")
+    return stages.subfolder(f"detections-{navigator.options.detector}-{navigator.options.most_detections}")
 
 
 def apriori_shape(world: OrbitWorld) -> AprioriShape:
     """Return the believed shape, in the axes that the true one came with."""
-    believed, centre = world.believed.shape, world.asteroid.centre_m
+    believed, centre = world.onboard.shape, world.asteroid.centre_m
     mesh = believed.mesh()
     ground = MeshGround(TriangleMesh(mesh.vertices_m + centre, mesh.faces))
     return AprioriShape(ground, centre, believed.rms_m)

@@ -31,13 +31,13 @@ from campaign.kinds.orbit_determination.trial import (
     scored_orbit,
 )
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import GaveUpError, Work
-from estimators.craters.navigation.rounds import CraterNavigation, Navigation
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
+from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.registry import (
     crater_detector_class,
     crater_detector_names,
@@ -60,7 +60,7 @@ class _Answer:
     """What a chain comes to: its images, all rounds, and the orbit of the last at the times that are scored."""
 
     searched: Sequence[SearchedImage]
-    navigation: Navigation
+    navigation: NavigationResult
     estimate: OrbitEstimate
     data: OrbitData
 
@@ -105,9 +105,9 @@ class CraterNavigationTrials:
         return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options and missing sections; there is nothing to build."""
-        del shelf
+        del assets
         navigators = _navigators(campaign, scenario)
         section = checked_orbit_section(scenario)
         if section.imaging is None:
@@ -134,7 +134,7 @@ class CraterNavigationTrials:
 
     def _trial(self, trial: int) -> dict[str, Records]:
         """Take the images of a trial and let each chain work; where there is no arc, none has images."""
-        stages = Stages(self.folder / f"{trial:07d}")
+        stages = StageFiles(self.folder / f"{trial:07d}")
         try:
             taken = NavigationTrial.take(self.world, self.sights, self.seed, trial, stages)
         except BoresightError as error:
@@ -145,7 +145,9 @@ class CraterNavigationTrials:
             for label, one in self.navigators.items()
         }
 
-    def _judged(self, call: Call, one: CraterNavigation | Unbuilt, taken: NavigationTrial, stages: Stages) -> Records:
+    def _judged(
+        self, call: Call, one: CraterNavigation | Unbuilt, taken: NavigationTrial, stages: StageFiles
+    ) -> Records:
         """Let a chain work and score what it comes to: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
 
@@ -182,7 +184,7 @@ class CraterNavigationTrials:
         return records | scored
 
 
-def _timings(navigation: Navigation, stages: Stages, searched: Stages) -> list[Record]:
+def _timings(navigation: NavigationResult, stages: StageFiles, searched: StageFiles) -> list[Record]:
     """List the time of each stage over all starts of the trial."""
     spent = {**stages.seconds(), **searched.seconds(), **navigation.seconds}
     return [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()]

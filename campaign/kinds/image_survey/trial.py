@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from campaign.kinds.crater_navigation.sights import Address, DrawnSights, open_sights
 from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from estimators.craters.contract import Ground
+from estimators.craters.contract import GroundModel
 from estimators.craters.matching.preliminary import lit_points
-from estimators.craters.navigation.stages import Stages
-from estimators.craters.planning.plan import PLANNER, PLANNER_VERSION
+from estimators.craters.navigation.stages import StageFiles
+from estimators.craters.planning import PLANNER, PLANNER_VERSION
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario
-from scenarios.orbits.flown import DAY_S
 from scenarios.orbits.imaging import imaging_of
+from scenarios.orbits.true_orbit import DAY_S
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ImagingSpec
 
@@ -54,7 +54,7 @@ class Coverage:
     similar: NDArray[np.int64]
 
 
-def coverage(views: Sequence[View], ground: Ground) -> Coverage:
+def coverage(views: Sequence[View], ground: GroundModel) -> Coverage:
     """Count, for each of n views of one camera, the others that show the same lit ground.
 
     A point of an image's grid is shown by another where that faces it and has it in the frame; what stands between and
@@ -113,9 +113,9 @@ class ImageSurvey:
         return PLANNER_VERSION
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Refuse options, and scenarios without planned images of drawn craters; there is nothing to build."""
-        del shelf
+        del assets
         for entry in campaign.spec.estimators:
             if entry.options:
                 raise BoresightError(f"estimators: {entry.label}: {next(iter(entry.options))}: there are no options")
@@ -145,7 +145,7 @@ class ImageSurvey:
         """Plan the images of an arc, take them and count: records without their key."""
         try:
             taken = NavigationTrial.take(
-                self.world, self.sights, self.seed, trial, Stages(self.folder / f"{trial:07d}")
+                self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}")
             )
         except BoresightError as error:
             return {"rows": [{**empty_row(), "status": "failed", "reason": f"there is no such arc: {error}"}]}

@@ -10,13 +10,13 @@ from typing import Self
 from campaign.draft import drafted
 from campaign.imaging.image_store import store_switched
 from campaign.imaging.world import believed
-from campaign.products import BuiltProduct, Shelf, landmark_database
-from campaign.products.landmark_candidates import candidates_of
-from campaign.products.spread import IN_THIS_PROCESS
+from campaign.products import BuiltAssets, BuiltProduct, landmark_database
+from campaign.products.database_images import IN_THIS_PROCESS
+from campaign.products.landmark_database import landmark_candidates
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
 from estimators.contract import NoProductError
-from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, build_database
+from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -50,16 +50,16 @@ class DatabaseTrials:
         return METHOD_VERSION
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the data bases of trial 0, which stay with the run."""
         del scenario
         products: list[BuiltProduct] = []
         for label, options in _makers(campaign).items():
-            asked = shelf.empty()
+            asked = assets.for_database()
             # One that does not come out is a failed trial, not the end of the run.
             with suppress(NoProductError):
                 asked.product(landmark_database.KIND, at_trial(options, campaign.seed, 0).model_dump(mode="json"))
-            products += asked.lent_to(label)
+            products += asked.products_of(label)
         return products
 
     @classmethod
@@ -88,7 +88,7 @@ class DatabaseTrials:
     def _made(self, options: DatabaseOptions) -> tuple[Record, dict[str, float]]:
         # Images of a hundred data bases would drive all others out of the store, and their candidates are kept.
         with store_switched(False):
-            candidates = candidates_of(self.scenario, options, IN_THIS_PROCESS, self.variant)
+            candidates = landmark_candidates(self.scenario, options, IN_THIS_PROCESS, self.variant)
         row: Record = {**_nothing(), "status": "ok", "reason": ""}
         try:
             return row, counts(build_database(candidates.by_image, options), options)
@@ -101,7 +101,7 @@ def at_trial(options: DatabaseOptions, seed: int, trial: int) -> DatabaseOptions
     return options.model_copy(update={"seed": options.seed + seed + trial})
 
 
-def counts(built: BuiltDatabase, options: DatabaseOptions) -> dict[str, float]:
+def counts(built: LandmarkDatabaseBuild, options: DatabaseOptions) -> dict[str, float]:
     """Count what a data base was made of, and what it is."""
     clusters, database = built.clusters, built.database
     return {

@@ -25,7 +25,7 @@ from campaign.trial.nees import nees
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
+from scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 Record = dict[str, object]

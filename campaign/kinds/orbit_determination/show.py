@@ -7,20 +7,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, finite_or_dash, middle_and_worst, nearer
+from campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Drawn, Kept, Scene, Show
+from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.orbit.contract import Orbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
 from reports.schema.named_figure import NamedFigure
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ _NOTE = (
 )
 
 
-def look_at_orbits(scene: Scene) -> View3D:
+def look_at_orbits(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one; also solutions that were rejected.
 
     Raises
@@ -54,7 +53,7 @@ def look_at_orbits(scene: Scene) -> View3D:
             " choose another --scenario or --estimator, or see why with --worst 1"
         )
     body = coarsened(world.asteroid.mesh, MOST_FACES)
-    factor, told = nearer(np.concatenate([cameras.points_m for cameras in seen]), body.radius_m)
+    factor, told = camera_scale(np.concatenate([cameras.points_m for cameras in seen]), body.radius_m)
     drawn = [CameraSet(cameras.name, cameras.colour, cameras.points_m / factor, cameras.texts) for cameras in seen]
     return View3D(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)
 
@@ -132,14 +131,14 @@ def image_sets(
     return [CameraSet(what, shade, places[own], list(texts[own])) for what, shade, own in sets if own.any()]
 
 
-def draw_orbit_case(again: Recomputed) -> Drawn | None:
+def draw_orbit_case(again: Recomputed) -> CaseFigures | None:
     """Draw a solution, also one that was rejected; without any there is nothing to draw."""
     shown, what = again.shown, str(again.case)
     if not isinstance(shown, DeterminedOrbit):
         return None
     orbit = None if shown.estimate is None else shown.estimate.orbit
     if shown.estimate is None or orbit is None:
-        return Drawn([], notes=["There is nothing to draw: no solution came out."])
+        return CaseFigures([], notes=["There is nothing to draw: no solution came out."])
     errors = pd.DataFrame(list(orbit_errors(orbit, shown.truth, shown.data)))
     residuals = pd.DataFrame(list(residual_records(orbit, shown.data)))
     placed = np.isfinite(orbit.residuals_px[:, 0])
@@ -167,13 +166,13 @@ def draw_orbit_case(again: Recomputed) -> Drawn | None:
         ),
     ]
     rejected = shown.estimate.status == "failed"
-    return Drawn(figures, notes=[f"The solution was rejected: {shown.estimate.reason}."] if rejected else [])
+    return CaseFigures(figures, notes=[f"The solution was rejected: {shown.estimate.reason}."] if rejected else [])
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return the orbit of a solution; nothing where none came out."""
     if not isinstance(shown, DeterminedOrbit) or shown.estimate is None or shown.estimate.orbit is None:
-        return Kept()
+        return CaseFiles()
     orbit = shown.estimate.orbit
     solution = {
         "status": shown.estimate.status,
@@ -183,7 +182,7 @@ def kept(shown: object) -> Kept:
         "times_s": shown.data.wanted_s.tolist(),
         "positions_inertial_m": orbit.positions_m.tolist(),
     }
-    return Kept({}, solution)
+    return CaseFiles({}, solution)
 
 
 SHOW = Show(draw=draw_orbit_case, kept=kept, look=look_at_orbits)

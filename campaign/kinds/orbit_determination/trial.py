@@ -17,7 +17,7 @@ from campaign.kinds.orbit_determination.score import (
     residual_records,
 )
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -30,7 +30,7 @@ from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth, draw_orbit
-from scenarios.orbits.world import Asteroid, BelievedShape, OrbitWorld
+from scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
 from scenarios.spec.orbit import OrbitSpec
 
 _STATE = 6
@@ -65,9 +65,9 @@ class OrbitTrials:
         return orbit_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
-        del shelf
+        del assets
         estimators = _estimators(campaign, scenario)
         checked_orbit_section(scenario)
         return missing(scenario, estimators)
@@ -194,8 +194,8 @@ def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
 
 
 @lru_cache(maxsize=16)
-def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> BelievedShape:
-    return BelievedShape.of(asteroid, spec, degree)
+def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> OnboardShape:
+    return OnboardShape.of(asteroid, spec, degree)
 
 
 def _section(scenario: LoadedScenario) -> OrbitSpec:

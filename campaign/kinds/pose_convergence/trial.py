@@ -9,18 +9,24 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
 from campaign.trial.pose_score import FloatArray, pose_errors
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import inverse_2x2
-from estimators.landmark.pose.batch import refine_poses
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
-from estimators.landmark.pose.solver import NAME, VERSION, PoseSolverOptions, closed_forms, solve_stack
-from estimators.landmark.pose.stack import PoseStack, ProblemStack
-from estimators.landmark.projection import image_covariances
-from estimators.landmark.visibility import faces_camera, is_occluded
+from estimators.landmark.pose.stack import (
+    NAME,
+    VERSION,
+    PoseSolverOptions,
+    PoseStack,
+    ProblemStack,
+    closed_forms,
+    refine_poses,
+    solve_stack,
+)
+from estimators.landmark.projection import faces_camera, image_covariances, is_occluded
 from estimators.options import parse_options
 from scenarios.draw import Stream, degrade, draw_view, generator
 from scenarios.errors import BoresightError
@@ -142,18 +148,18 @@ class PoseConvergence:
         return VERSION
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the data base, which all solvers share."""
         del scenario
-        _database(_solvers(campaign), shelf)
-        return shelf.lent_to(NAME)
+        _database(_solvers(campaign), assets)
+        return assets.products_of(NAME)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> PoseConvergence:
         """Read the data base."""
         solvers = _solvers(campaign)
-        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
-        return cls(scenario, _database(solvers, shelf), solvers, campaign.seed)
+        assets = BuiltAssets(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
+        return cls(scenario, _database(solvers, assets), solvers, campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one solver; there is nothing to show of them."""
@@ -202,12 +208,12 @@ def _solvers(campaign: ResolvedCampaign) -> dict[str, PoseSolverOptions]:
     }
 
 
-def _database(solvers: Mapping[str, PoseSolverOptions], shelf: Shelf) -> LandmarkDatabase:
+def _database(solvers: Mapping[str, PoseSolverOptions], assets: BuiltAssets) -> LandmarkDatabase:
     """Return the one data base of all solvers, so that they are compared on the same trials."""
     first, *others = (options.database for options in solvers.values())
     if any(other != first for other in others):
         raise BoresightError(f"estimators: the options database of {', '.join(solvers)} differ: give all the same")
-    database = shelf.product("landmark-database", first.model_dump(mode="json"))
+    database = assets.product("landmark-database", first.model_dump(mode="json"))
     if not isinstance(database, LandmarkDatabase):
         raise BoresightError(f"{NAME}: the product is a {type(database).__name__}, not a landmark data base")
     return database

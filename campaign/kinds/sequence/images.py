@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from campaign.imaging.imager import Imager, open_renderer
-from estimators.slam.vision.features import Features, find_features
-from estimators.slam.vision.matching import matched
+from campaign.imaging.image_store import Imager, open_renderer
+from estimators.slam.vision.features import ImageFeatures, find_features
+from estimators.slam.vision.matching import match_descriptors
 from renderers.rectify import rectify
 from scenarios.bodies import load_body
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
-from scenarios.sequences import MeshGround, travel
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.sequences import MeshGround, camera_trajectory
+from scenarios.spec.sequence import ImageVisionSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -37,7 +37,7 @@ _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is 
 class Found:
     """The features of an image, the true surface point (M, 3) of each (NaN beside the body), and the time it took."""
 
-    features: Features
+    features: ImageFeatures
     points_m: FloatArray
     seconds: float
 
@@ -87,7 +87,9 @@ class OrbitImages:
         mesh = load_body(spec.body, scenario.search_dirs).mesh
         camera = spec.camera.camera()
         circle = section.orbit.model_copy(update={"revolutions": 1.0})
-        path = travel(section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3)))
+        path = camera_trajectory(
+            section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3))
+        )
         imager = Imager.open(scenario, variant, open_renderer(scenario, variant), Stream.TRUTH, circle)
         return cls(section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
 
@@ -117,7 +119,7 @@ class OrbitImages:
         first, second = self.found(realisation, before), self.found(realisation, after)
         if (before, after) not in self._pairs:
             started = time.perf_counter()
-            rows = matched(first.features, second.features, self.spec.ratio_max)
+            rows = match_descriptors(first.features, second.features, self.spec.ratio_max)
             seconds = time.perf_counter() - started
             places = self.places_px(after, first.points_m[rows[:, 0]])
             right = np.linalg.norm(places - second.features.uv_px[rows[:, 1]], axis=1) <= WRONG_PX

@@ -21,7 +21,7 @@ from campaign.trial.checks import (
 from campaign.trial.nees import nees
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
-from scenarios.sequences.rotation import inertial_from_body
+from scenarios.sequences.trajectory import inertial_from_body
 from scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -80,14 +80,14 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
     older = np.empty(0, dtype=np.int64)
     epochs = []
     for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
-        turn = known_from_true(truth.path.R_body_inertial[index], seen.R_body_inertial)
+        turn = known_from_true(truth.trajectory.R_body_inertial[index], seen.R_body_inertial)
         epochs.append(
             {
                 "frame": index,
                 "anomaly_deg": float(truth.anomaly_deg[index]),
-                "time_s": float(truth.path.times_s[index]),
+                "time_s": float(truth.trajectory.times_s[index]),
                 **_inertial(frame.position_m, seen.R_body_inertial, ""),
-                **_inertial(truth.poses[index].camera_position_m, truth.path.R_body_inertial[index], "true_"),
+                **_inertial(truth.poses[index].camera_position_m, truth.trajectory.R_body_inertial[index], "true_"),
                 **_position(frame, index, truth, turn),
                 **_landmarks(frame, seen.tracks, older, _squares(frame, truth, turn)),
                 "n_tracks": len(seen.tracks),
@@ -128,9 +128,9 @@ def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
 
     The plane of motion in inertial space is taken from the frames on both sides.
     """
-    at, positions = truth.poses[index].camera_position_m, truth.path.positions_m
+    at, positions = truth.poses[index].camera_position_m, truth.trajectory.positions_m
     after, before = positions[min(index + 1, len(positions) - 1)], positions[max(index - 1, 0)]
-    moved = truth.path.R_body_inertial[index] @ (after - before)
+    moved = truth.trajectory.R_body_inertial[index] @ (after - before)
     radial = at / np.linalg.norm(at)
     cross = np.cross(radial, moved)
     cross /= np.linalg.norm(cross)
@@ -163,7 +163,7 @@ def final_landmark_rmse(estimate: SequenceEstimate, sequence: TrackSequence, tru
     """RMS error of all landmarks that were seen twice or more, m, each as it was estimated when it was seen last."""
     times_seen: Counter[int] = Counter()
     squares: dict[int, float] = {}
-    for frame, seen, true in zip(estimate.frames, sequence.frames, truth.path.R_body_inertial, strict=False):
+    for frame, seen, true in zip(estimate.frames, sequence.frames, truth.trajectory.R_body_inertial, strict=False):
         turn = known_from_true(true, seen.R_body_inertial)
         times_seen.update(seen.tracks.tolist())
         current = np.isin(frame.tracks, seen.tracks)
@@ -214,7 +214,10 @@ def parameter_errors(estimate: SequenceEstimate, truth: SequenceTruth) -> dict[s
     ``gm_m3_s2`` with ``gm_sigma_m3_s2``, or ``radiation_m_s2`` with ``radiation_sigma_m_s2``, give the size of the
     relative error in per cent, and the squared error over the variance (``nees``, 1 is expected).
     """
-    true = {"gm": ("m3_s2", truth.gm_m3_s2), "radiation": ("m_s2", float(np.linalg.norm(truth.path.radiation_m_s2)))}
+    true = {
+        "gm": ("m3_s2", truth.gm_m3_s2),
+        "radiation": ("m_s2", float(np.linalg.norm(truth.trajectory.radiation_m_s2))),
+    }
     scores = {}
     for name, (unit, value) in true.items():
         told, sigma = (estimate.diagnostics.get(f"{name}{kind}_{unit}") for kind in ("", "_sigma"))

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, middle_and_worst
-from campaign.inspection.posed import PosedFrame, PosedFrames
+from campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Drawn, Kept, Scene, Show, listed
+from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, PosedFrame, PosedFrames, Show, listed
 from campaign.kinds.sequence.score import known_from_true, orbit_frame
 from campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from campaign.resolved import ResolvedCampaign
@@ -40,7 +38,7 @@ from scenarios.tracks import TrackSequence
 FloatArray = NDArray[np.float64]
 
 
-def draw_sequence_case(again: Recomputed) -> Drawn | None:
+def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
     """Draw the trial of an estimator of sequences up to its last frame."""
     shown, records, what = again.shown, again.records, str(again.case)
     if not isinstance(shown, FollowedSequence) or not isinstance(again.trials, SequenceTrials):
@@ -61,7 +59,7 @@ def draw_sequence_case(again: Recomputed) -> Drawn | None:
         "Estimators of sequences tell the covariance of the camera's position, and none of landmarks: those are drawn"
         " with their true errors.",
     ]
-    return Drawn(figures, notes=notes)
+    return CaseFigures(figures, notes=notes)
 
 
 def followed_of(
@@ -74,7 +72,7 @@ def followed_of(
     sigma = np.full((n, 3), np.nan)
     for index, frame in enumerate(estimate.frames):
         if frame.covariance_m2 is not None:
-            turn = known_from_true(truth.path.R_body_inertial[index], sequence.frames[index].R_body_inertial)
+            turn = known_from_true(truth.trajectory.R_body_inertial[index], sequence.frames[index].R_body_inertial)
             own = orbit_frame(truth, index) @ turn.T
             sigma[index] = np.sqrt(np.maximum(np.diag(own @ frame.covariance_m2 @ own.T), 0.0))
     return TrajectoryErrors(
@@ -89,7 +87,7 @@ def followed_of(
 
 def _orbit_axes(truth: SequenceTruth) -> FloatArray:
     """(3, 3) rows, inertial: towards the first position, along the motion there, and across both."""
-    at, velocity = truth.path.positions_m[0], truth.path.velocities_m_s[0]
+    at, velocity = truth.trajectory.positions_m[0], truth.trajectory.velocities_m_s[0]
     radial = at / np.linalg.norm(at)
     cross = np.cross(radial, velocity)
     cross /= np.linalg.norm(cross)
@@ -103,7 +101,7 @@ def last_seen(
     errors: dict[int, FloatArray] = {}
     times: Counter[int] = Counter()
     for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
-        turn = known_from_true(truth.path.R_body_inertial[index], seen.R_body_inertial)
+        turn = known_from_true(truth.trajectory.R_body_inertial[index], seen.R_body_inertial)
         held = dict(zip(frame.tracks.tolist(), frame.points_m, strict=True))
         times.update(seen.tracks.tolist())
         errors |= {t: turn.T @ held[t] - truth.points_m[t] for t in seen.tracks.tolist() if t in held}
@@ -178,7 +176,7 @@ def _landmarks(truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], wh
     )
 
 
-def look_at_sequences(scene: Scene) -> View3D:
+def look_at_sequences(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one, in the axes that the body has at each frame."""
     marks, cameras, ground = [], [], None
     for name, colour, case in middle_and_worst(scene):
@@ -228,10 +226,10 @@ def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[
     return [truth, CameraSet(f"estimate, {name} trial", colour, estimated, texts, joined=True)]
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return the frames of an estimate; nothing of an estimator that raised."""
     if not isinstance(shown, FollowedSequence) or shown.estimate is None:
-        return Kept()
+        return CaseFiles()
     frames = [
         {
             "position_body_m": frame.position_m.tolist(),
@@ -241,7 +239,7 @@ def kept(shown: object) -> Kept:
         }
         for frame in shown.estimate.frames
     ]
-    return Kept({}, {"status": shown.estimate.status, "reason": shown.estimate.reason, "frames": frames})
+    return CaseFiles({}, {"status": shown.estimate.status, "reason": shown.estimate.reason, "frames": frames})
 
 
 def posed(shown: object, case: Case) -> PosedFrames | None:

@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 
 from campaign.kinds.sequence.images import WRONG_PX, OrbitImages
 from campaign.trial.kind import Record
-from estimators.slam.vision.carriers import Look
-from estimators.slam.vision.tracker import Tracked, Tracker
+from estimators.slam.vision.point_trackers import MatchedImage
+from estimators.slam.vision.tracker import TrackedFrame, Tracker
 from scenarios.draw import Stream, estimator_generator, generator
 from scenarios.sequences import (
-    Ground,
-    Path,
+    CameraTrajectory,
+    FrameTracks,
+    LandmarkGround,
     SequenceTruth,
-    Sighting,
-    known_sequence,
+    camera_trajectory,
     measured_ranges,
-    travel,
+    onboard_sequence,
 )
-from scenarios.sequences.orbit import anomalies_deg
+from scenarios.sequences.trajectory import anomalies_deg
 from scenarios.spec.sequence import SequenceSpec
-from scenarios.tracks import Predict, TrackFrame, TrackRange, TrackSequence
+from scenarios.tracks import LandmarkPredictor, TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_NOTHING = Sighting(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
+_NOTHING = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,16 +43,16 @@ class Seen:
     seconds: dict[str, float]
 
     @property
-    def path(self) -> Path:
+    def path(self) -> CameraTrajectory:
         """Motion of camera and body."""
-        return self.truth.path
+        return self.truth.trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GuidedFrames:
-    """All that an estimator sees of a vision layer that it guides: an `Eye` without the truth that makes the frames."""
+    """A `VisionFrontEnd` without the truth that makes its frames."""
 
-    frames: Callable[[Predict], Iterator[TrackFrame]]
+    frames: Callable[[LandmarkPredictor], Iterator[TrackFrame]]
 
 
 class Watch:
@@ -66,13 +66,13 @@ class Watch:
         self._slots = [(first + i) % turn for i in range(spec.orbit.frames)]
         self._address = (seed, trial)
         self.path = tracks.path(start)
-        blind = known_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
-        self.sequence = replace(blind, eye=_GuidedFrames(lambda predict: self.frames(predict)))
+        blind = onboard_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
+        self.sequence = replace(blind, front_end=_GuidedFrames(lambda predict: self.frames(predict)))
         self._made: list[TrackFrame] = []
-        self._tracked: list[Tracked] = []
+        self._tracked: list[TrackedFrame] = []
         self._points_m = np.empty((0, 3))
 
-    def frames(self, predict: Predict) -> Iterator[TrackFrame]:
+    def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
         """Yield the frames; each is made when it is asked for, after the one before was taken in."""
         seed, trial = self._address
         rng = generator(seed, Stream.RANGES, trial)
@@ -84,7 +84,7 @@ class Watch:
             # Where the line of sight of a first sighting meets the body; its origin if it does not.
             fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
             self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
-            here = Sighting(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
+            here = FrameTracks(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
             ranges = self._ranges(i, here, rng)
             self._tracked.append(seen)
             self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
@@ -101,20 +101,20 @@ class Watch:
         orbit = self._tracks.spec.orbit
         truth = SequenceTruth(self.path.poses, anomalies_deg(orbit), points, wrong, self.path, orbit.gm_m3_s2)
         records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
-        return Seen(truth, replace(self.sequence, frames=tuple(self._made), eye=None), records, self._seconds())
+        return Seen(truth, replace(self.sequence, frames=tuple(self._made), front_end=None), records, self._seconds())
 
-    def _ranges(self, index: int, here: Sighting, rng: np.random.Generator) -> tuple[TrackRange, ...]:
+    def _ranges(self, index: int, here: FrameTracks, rng: np.random.Generator) -> tuple[TrackRange, ...]:
         knowledge = self._tracks.spec.knowledge
         if index and (not knowledge.range_every or index % knowledge.range_every):
             return ()
         return measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, rng)
 
-    def _look(self, index: int) -> Look:
+    def _look(self, index: int) -> MatchedImage:
         slot = self._slots[index]
         pairs = np.empty((0, 2), dtype=np.int64)
         if index:
             pairs = self._images.pairs(self._realisation, self._slots[index - 1], slot).rows
-        return Look(
+        return MatchedImage(
             self._images.image(self._realisation, slot), self._images.found(self._realisation, slot).features, pairs
         )
 
@@ -162,7 +162,7 @@ class ImageTracks:
     """Draws trials: trial t begins at start t modulo the number of starts, on exposures t // that number."""
 
     spec: SequenceSpec
-    ground: Ground
+    ground: LandmarkGround
     images: OrbitImages
 
     @property
@@ -181,12 +181,12 @@ class ImageTracks:
             pass
         return watch.seen()
 
-    def path(self, start: int) -> Path:
+    def path(self, start: int) -> CameraTrajectory:
         """Return the way of the camera from a start."""
         orbit = self.spec.orbit
         turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.images.spec.starts})
         still = np.zeros((orbit.frames - 1, 3))
-        return travel(self.spec.model_copy(update={"orbit": turned}), self.ground, still)
+        return camera_trajectory(self.spec.model_copy(update={"orbit": turned}), self.ground, still)
 
 
 def _root_mean(errors_px: FloatArray) -> float | None:

@@ -19,7 +19,7 @@ from campaign.kinds.sequence.score import (
 )
 from campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -31,14 +31,14 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.load import LoadedScenario
 from scenarios.sequences import (
-    Ground,
+    CameraTrajectory,
+    LandmarkGround,
     MeshGround,
     OrbitLostError,
-    Path,
     SequenceTruth,
     SphereGround,
     draw_sequence,
-    undisturbed,
+    nominal_trajectory,
 )
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.tracks import TrackSequence
@@ -79,7 +79,7 @@ class SequenceTrials:
     name: str
     spec: SequenceSpec
     camera: Camera
-    ground: Ground
+    ground: LandmarkGround
     estimators: Mapping[str, SequenceEstimator | Unbuilt]
     seed: int
     images: ImageTracks | None = None
@@ -91,14 +91,14 @@ class SequenceTrials:
         return sequence_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that leads into the body by known forces; there is nothing to build."""
-        del shelf
+        del assets
         estimators = _estimators(campaign, scenario)
         section, ground = _section(scenario), ground_of(scenario)
         if section.orbit.model == "propagated":
             try:
-                undisturbed(section, ground)
+                nominal_trajectory(section, ground)
             except OrbitLostError as error:
                 raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
         return missing(scenario, estimators)
@@ -163,7 +163,7 @@ class SequenceTrials:
             show,
         )
 
-    def known(self, trial: int) -> tuple[Path, TrackSequence]:
+    def known(self, trial: int) -> tuple[CameraTrajectory, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
 
         Raises
@@ -175,7 +175,7 @@ class SequenceTrials:
             watch = self.images.watch(self.seed, trial)
             return watch.path, watch.sequence
         truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
-        return truth.path, sequence
+        return truth.trajectory, sequence
 
     def _see(self, trial: int) -> Seen:
         if self.images is not None:
@@ -219,7 +219,7 @@ def _scored(
     }
 
 
-def _circumstances(path: Path | None) -> Record:
+def _circumstances(path: CameraTrajectory | None) -> Record:
     """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
     return {
         "image": "",
@@ -237,7 +237,7 @@ def _estimators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[st
     return methods(campaign, scenario, lambda entry: sequence_estimator_class(entry.name).from_options(entry.options))
 
 
-def ground_of(scenario: LoadedScenario) -> Ground:
+def ground_of(scenario: LoadedScenario) -> LandmarkGround:
     """Take the ideal sphere, or the scenario's body; refuse an orbit that begins in it."""
     section = _section(scenario)
     if section.sphere_radius_m is not None:

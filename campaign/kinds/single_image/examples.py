@@ -16,9 +16,8 @@ from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.trial.in_turn import part_of
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.projection import project_landmarks
+from estimators.landmark.projection import project_landmarks, visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
-from estimators.landmark.visibility import visible_landmarks
 from reports.figures import FitPanels, Overlay, draw_fit_panels
 from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Camera, Pose, TriangleMesh

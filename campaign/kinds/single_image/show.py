@@ -9,21 +9,29 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, camera_sets, finite_or_dash, nearer
-from campaign.inspection.posed import PosedFrame, PosedFrames
+from campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
 from campaign.inspection.recompute import Recomputed
-from campaign.inspection.show import Drawn, Kept, Scene, Show, listed, plain, plain_pose
+from campaign.inspection.show import (
+    CaseFigures,
+    CaseFiles,
+    EstimatorRun,
+    PosedFrame,
+    PosedFrames,
+    Show,
+    listed,
+    plain,
+    plain_pose,
+)
 from campaign.kinds.single_image.examples import SecondLook, alignment_of, fit_figures, fit_of, recognised_again
 from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
 from campaign.trial.in_turn import part_of
 from campaign.trial.kind import Record
 from estimators.contract import Estimate
 from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.pose.estimator import CraterPose
+from estimators.craters.pose import CraterPose
 from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer
-from estimators.landmark.visibility import visible_landmarks
 from renderers.mitsuba3 import BodyRenderer
 from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
 from reports.figures.recognition import MatchedLandmarks, draw_alignment_panels, draw_fit_panels, draw_matched_landmarks
@@ -36,7 +44,7 @@ from scenarios.geometry import Camera, Pose, View
 FloatArray = NDArray[np.float64]
 
 
-def draw_single(again: Recomputed) -> Drawn | None:
+def draw_single(again: Recomputed) -> CaseFigures | None:
     """Draw the stages of one image, as far as they came."""
     shown, what = again.shown, str(again.case)
     experiment = part_of(again.trials, SingleImage, again.case.trial)
@@ -49,7 +57,7 @@ def draw_single(again: Recomputed) -> Drawn | None:
     found = _recognised(shown, again.records.get("landmarks", []))
     if found is not None:
         figures.append(_matches(shown, found, what, lines))
-    return Drawn(figures, lines)
+    return CaseFigures(figures, lines)
 
 
 def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> NamedFigure:
@@ -150,7 +158,7 @@ def _matches(shown: EstimatedImage, found: MatchedLandmarks, what: str, lines: l
     )
 
 
-def look_at_images(scene: Scene) -> View3D:
+def look_at_images(scene: EstimatorRun) -> View3D:
     """Show the landmarks of the first data base and the cameras of all its trials."""
     experiment, run = scene.opened(SingleImage), scene.run
     tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
@@ -158,7 +166,7 @@ def look_at_images(scene: Scene) -> View3D:
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
     body = coarsened(experiment.world.body.mesh, MOST_FACES)
     places = {trial: view.T_cam_body.camera_position_m for trial, view in views.items()}
-    factor, told = nearer(np.array(list(places.values())), body.radius_m)
+    factor, told = camera_scale(np.array(list(places.values())), body.radius_m)
     marks = _marks(experiment.estimators[scene.label], list(views.values()), recognised)
     errors = rows["position_error_m"].to_numpy(dtype=np.float64)
     middle = rows["position_error_m"].median()
@@ -218,12 +226,12 @@ def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.Dat
     ]
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return the image that an estimator saw, and its estimate; none of one that raised."""
     if not isinstance(shown, EstimatedImage):
-        return Kept()
+        return CaseFiles()
     image = {"image": shown.observation.frame.image}
-    return Kept(image, None if shown.estimate is None else _estimate(shown.estimate))
+    return CaseFiles(image, None if shown.estimate is None else _estimate(shown.estimate))
 
 
 def _estimate(estimate: Estimate) -> dict[str, object]:

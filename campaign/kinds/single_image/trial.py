@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.imaging.observe import observe
-from campaign.imaging.world import Sight, World, check_bodies, open_world
+from campaign.imaging.world import TrialImage, World, check_bodies, open_world
 from campaign.kinds.single_image.check import check
 from campaign.pool.guard import Call
-from campaign.products import BuiltProduct, MissingProduct, Shelf
-from campaign.products.databases import with_world
+from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+from campaign.products.databases import with_database_craters
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.in_turn import InTurn
 from campaign.trial.kept_images import ImageSink, image_sink
@@ -27,11 +27,11 @@ from campaign.trial.work import Work
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
 from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.beliefs import believed_camera
 from scenarios.draw import estimator_generator
 from scenarios.geometry import Pose
 from scenarios.load import LoadedScenario
 from scenarios.observation import Observation
+from scenarios.onboard import onboard_camera
 from scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T", bound=np.generic)
@@ -44,7 +44,7 @@ Method = Estimator | Unbuilt
 class EstimatedImage:
     """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
 
-    sight: Sight
+    sight: TrialImage
     observation: Observation
     estimate: Estimate | None
 
@@ -86,16 +86,16 @@ class SingleImage:
 
     @classmethod
     def prepare(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
     ) -> list[BuiltProduct | MissingProduct]:
         """Refuse wrong options and bodies, and let every estimator ask for its products."""
-        check_options(campaign.spec.estimators, shelf.camera)
+        check_options(campaign.spec.estimators, assets.camera)
         check_bodies(scenario)
         products: list[BuiltProduct | MissingProduct] = []
         for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
-            asked = shelf.empty(number)
+            asked = assets.for_database(number)
             method = _method(entry, scenario, asked)
-            products += asked.lent_to(entry.label)
+            products += asked.products_of(entry.label)
             products += missing(scenario, {entry.label: method})
         return products
 
@@ -108,12 +108,14 @@ class SingleImage:
     def _with_database(
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench, database: int
     ) -> SingleImage:
-        shelf = Shelf(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
-        shelves = {entry.label: shelf.empty(database) for entry in campaign.spec.estimators}
-        estimators = {entry.label: _method(entry, scenario, shelves[entry.label]) for entry in campaign.spec.estimators}
-        having = frozenset(label for label, asked in shelves.items() if asked.has_lent_what_is_drawn)
+        assets = BuiltAssets(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
+        assets_by_label = {entry.label: assets.for_database(database) for entry in campaign.spec.estimators}
+        estimators = {
+            entry.label: _method(entry, scenario, assets_by_label[entry.label]) for entry in campaign.spec.estimators
+        }
+        having = frozenset(label for label, asked in assets_by_label.items() if asked.depends_on_database)
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
-        world = open_world(with_world(scenario, database), campaign.variant)
+        world = open_world(with_database_craters(scenario, database), campaign.variant)
         return cls(world, estimators, campaign.seed, sink, None, database, having)
 
     def watched(self, label: str, witness: Witness) -> Self:
@@ -127,7 +129,7 @@ class SingleImage:
     def trial(self, trial: int) -> Records:
         """Run one trial: the records that it adds to each stored table."""
         started = time.perf_counter()
-        sight = self.world.source.sight(self.seed, trial)
+        sight = self.world.source.trial_image(self.seed, trial)
         image_seconds = time.perf_counter() - started
         if self.keep_image is not None:
             self.keep_image(trial, sight.image)
@@ -143,7 +145,7 @@ class SingleImage:
             add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
         return records
 
-    def _judged(self, call: Call, estimator: Method, observation: Observation, sight: Sight) -> Records:
+    def _judged(self, call: Call, estimator: Method, observation: Observation, sight: TrialImage) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = estimator_generator(self.seed, call.trial)
         row = _circumstances(observation, sight)
@@ -159,7 +161,7 @@ class SingleImage:
             work, check, lambda found: self._scored(found, observation, sight), show
         )
 
-    def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
+    def _scored(self, estimate: Estimate, observation: Observation, sight: TrialImage) -> Records:
         true = sight.view.T_cam_body
         final = estimate.pose if estimate.status == "ok" else None
         row = _circumstances(observation, sight)
@@ -181,7 +183,7 @@ class SingleImage:
             "rows": [row],
         }
 
-    def _landmarks(self, table: Table | None, sight: Sight) -> list[Record]:
+    def _landmarks(self, table: Table | None, sight: TrialImage) -> list[Record]:
         """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
 
         Rowell et al. (2015), section 4.2.2. Corners whose line of sight misses the body have no error: None.
@@ -189,7 +191,7 @@ class SingleImage:
         if table is None or len(table["landmark"]) == 0:
             return []
         uv = _columns(table, "u_px", "v_px")
-        on_detector = believed_camera(self.world.scenario.spec).distorted(uv)
+        on_detector = onboard_camera(self.world.scenario.spec).distorted(uv)
         seen = self.world.renderer.surface(sight.view, on_detector).points_body_m
         offset = seen - _columns(table, "x_m", "y_m", "z_m")
         names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
@@ -209,11 +211,11 @@ class SingleImage:
         ]
 
 
-def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: Shelf) -> Method:
+def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: BuiltAssets) -> Method:
     return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, assets))
 
 
-def _circumstances(observation: Observation, sight: Sight) -> Record:
+def _circumstances(observation: Observation, sight: TrialImage) -> Record:
     """Describe a trial as far as no estimator can change it."""
     true = sight.view.T_cam_body
     x, y, z = true.camera_position_m
@@ -233,7 +235,7 @@ def _columns(table: Table, *names: str) -> NDArray[np.float64]:
     return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
 
-def _references(final: Pose | None, sight: Sight) -> list[Record]:
+def _references(final: Pose | None, sight: TrialImage) -> list[Record]:
     if final is None:
         return []
     return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in sight.further.items()]

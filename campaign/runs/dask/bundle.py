@@ -11,11 +11,11 @@ from pathlib import Path, PurePath
 
 from campaign.imaging.real_images import image_files
 from campaign.resolved import ResolvedCampaign
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import EMBEDDED
 from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
 
 CAMPAIGN, DATA, RUN = "campaign.pickle", "data", "run"
 
@@ -65,7 +65,7 @@ def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
 def _data(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
     """Yield the files of a scenario as it names them, and where they are here."""
     spec, dirs = scenario.spec, scenario.search_dirs
-    for shape in dict.fromkeys((spec.body.shape, believed_spec(spec).body.shape)):
+    for shape in dict.fromkeys((spec.body.shape, onboard_spec(spec).body.shape)):
         if shape not in EMBEDDED:
             yield _portable(shape, scenario), find_data_file(shape, dirs, "shapes", "body.shape")
     for name, path in image_files(scenario):

@@ -1,1 +1,1 @@
-"""One number for one crater over all images, where it lies, and the files that orbit determination reads."""
+"""The crater database: numbering of craters over all images, their positions, and the files for orbit determination."""

@@ -1,9 +1,23 @@
-"""The picture-sequence file and the landmark file of Cheng et al. (2003).
+"""The text files of crater navigation: detections, matches, picture sequence and landmarks.
 
-Both are text, in metres, seconds, radians and pixels ((u, v) = column and row; the middle of the first is at 0.5), each
-record on a line, fields parted by spaces.
+All are in metres, seconds, radians and pixels ((u, v) = column and row; the centre of the first is at 0.5), one record
+a line, fields separated by spaces.
 
-Picture sequence, in the order of time::
+Craters of an image, the most confident first, rows counted from 0::
+
+    # boresight crater detections 1
+    image NUMBER TIME REASON
+    crater IMAGE ROW U V SEMI_MAJOR SEMI_MINOR ANGLE CONFIDENCE
+
+Matches of pairs of images, by the images' places in the sequence::
+
+    # boresight crater matches 1
+    pair FIRST SECOND REASON
+    match FIRST SECOND ROW_IN_FIRST ROW_IN_SECOND SCORE
+
+``REASON`` is why nothing was found, its words joined by underscores; ``-`` if there was no obstacle.
+
+Picture sequence of Cheng et al. (2003), in the order of time::
 
     # boresight picture sequence 1
     picture NUMBER TIME WIDTH HEIGHT FX FY CX CY R11 R12 R13 R21 R22 R23 R31 R32 R33 TX TY TZ SUNX SUNY SUNZ
@@ -12,7 +26,7 @@ Picture sequence, in the order of time::
 ``R`` and ``T`` take body to camera coordinates; ``SUN`` points to the Sun in camera axes. Sightings follow their
 picture.
 
-Landmarks, ascending::
+Landmarks of the same paper, ascending::
 
     # boresight landmarks of craters 1
     landmark NUMBER X Y Z NX NY NZ RADIUS SXX SXY SXZ SYY SYZ SZZ IMAGES
@@ -28,60 +42,109 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.craters.contract import CraterMatches
+from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import Picture
-from estimators.craters.database.records import Record, read_records, words, write_records
+from estimators.craters.database.pictures import SequencePicture
+from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose
 
 PICTURES, LANDMARKS = "pictures.txt", "landmarks.txt"
 _SEQUENCE_HEAD = "boresight picture sequence 1"
 _LANDMARK_HEAD = "boresight landmarks of craters 1"
-_UPPER = np.triu_indices(3)
-
-_HEAD = "boresight crater matches 1"
-
-
-def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
-    """Write what a matcher said of pairs of images, whole or not at all."""
-    lines = []
-    for pair in found:
-        images = (pair.first, pair.second)
-        lines.append(words("pair", *images, "_".join(pair.matches.reason.split()) or "-"))
-        for (here, there), score in zip(pair.matches.pairs.tolist(), pair.matches.score, strict=True):
-            lines.append(words("match", *images, here, there, score))
-    write_records(path, _HEAD, lines)
+_MATCHES_HEAD = "boresight crater matches 1"
+_DETECTIONS_HEAD = "boresight crater detections 1"
+_UPPER = np.triu_indices(3)  # rows and columns of the stored covariance elements
 
 
-def read_matches(path: Path) -> tuple[PairMatches, ...]:
-    """Read what a matcher said of pairs of images.
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageDetections:
+    """The craters found in an image; ``reason`` is why it could not be searched, '' if it was."""
+
+    number: int
+    time_s: float
+    detections: CraterDetections
+    reason: str = ""
+
+
+def write_detections(path: Path, image: ImageDetections) -> None:
+    """Write the craters of an image, whole or not at all."""
+    found = image.detections
+    lines = [format_record("image", image.number, image.time_s, "_".join(image.reason.split()) or "-")]
+    for row, (centre, axes, angle, confidence) in enumerate(
+        zip(
+            found.ellipses.centre_px,
+            found.ellipses.semi_axes_px,
+            found.ellipses.angle_rad,
+            found.confidence,
+            strict=True,
+        )
+    ):
+        lines.append(format_record("crater", image.number, row, *centre, *axes, angle, confidence))
+    write_records(path, _DETECTIONS_HEAD, lines)
+
+
+def read_detections(path: Path) -> ImageDetections:
+    """Read the craters of an image.
 
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a match does not follow its pair, or a pair stands twice.
+        With file and line: a record is malformed, there is not one image, or rows do not count up from 0.
     """
-    heads: list[Record] = []
-    rows: list[list[Record]] = []
+    records = list(read_records(path, _DETECTIONS_HEAD, {"image": 3, "crater": 8}))
+    if [record.kind for record in records].count("image") != 1 or records[0].kind != "image":
+        raise BoresightError(f"{path}: a file of craters has one image, in its first record")
+    head, craters = records[0], records[1:]
+    number = head.integer(0)
+    for row, record in enumerate(craters):
+        if (record.integer(0), record.integer(1)) != (number, row):
+            raise record.error(f"row {record.integer(1)} of image {record.integer(0)}, not {row} of {number}")
+    values = np.array([record.numbers(2, 8) for record in craters]).reshape(-1, 6)
+    found = CraterDetections(Ellipses(values[:, :2], values[:, 2:4], values[:, 4]), values[:, 5])
+    reason = "" if head.fields[2] == "-" else head.fields[2].replace("_", " ")
+    return ImageDetections(number, head.numbers(1, 2)[0], found, reason)
+
+
+def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
+    """Write the matches of pairs of images, whole or not at all."""
+    lines = []
+    for pair in found:
+        images = (pair.first, pair.second)
+        lines.append(format_record("pair", *images, "_".join(pair.matches.reason.split()) or "-"))
+        for (here, there), score in zip(pair.matches.pairs.tolist(), pair.matches.score, strict=True):
+            lines.append(format_record("match", *images, here, there, score))
+    write_records(path, _MATCHES_HEAD, lines)
+
+
+def read_matches(path: Path) -> tuple[PairMatches, ...]:
+    """Read the matches of pairs of images.
+
+    Raises
+    ------
+    BoresightError
+        With file and line: a record is malformed, a match does not follow its pair, or a pair is listed twice.
+    """
+    heads: list[TextRecord] = []
+    rows: list[list[TextRecord]] = []
     seen: set[tuple[int, int]] = set()
-    for record in read_records(path, _HEAD, {"pair": 3, "match": 5}):
+    for record in read_records(path, _MATCHES_HEAD, {"pair": 3, "match": 5}):
         images = (record.integer(0), record.integer(1))
         if record.kind == "pair":
             if images in seen:
-                raise record.wrong(f"images {images[0]} and {images[1]} stand twice")
+                raise record.error(f"images {images[0]} and {images[1]} are listed twice")
             seen.add(images)
             heads.append(record)
             rows.append([])
         elif not heads or (heads[-1].integer(0), heads[-1].integer(1)) != images:
-            raise record.wrong(f"a match of images {images[0]} and {images[1]} does not follow that pair")
+            raise record.error(f"a match of images {images[0]} and {images[1]} does not follow that pair")
         else:
             rows[-1].append(record)
     return tuple(_pair(head, own) for head, own in zip(heads, rows, strict=True))
 
 
-def _pair(head: Record, rows: Sequence[Record]) -> PairMatches:
+def _pair(head: TextRecord, rows: Sequence[TextRecord]) -> PairMatches:
     pairs = np.array([[row.integer(2), row.integer(3)] for row in rows], dtype=np.int64).reshape(-1, 2)
     score = np.array([row.numbers(4, 5)[0] for row in rows], dtype=np.float64)
     reason = "" if head.fields[2] == "-" else head.fields[2].replace("_", " ")
@@ -95,26 +158,28 @@ class CraterDatabase:
     Raises
     ------
     BoresightError
-        If a picture shows a landmark that there is not.
+        If a picture shows a landmark that is not in the list.
     """
 
-    pictures: tuple[Picture, ...]
+    pictures: tuple[SequencePicture, ...]
     landmarks: Landmarks
 
     def __post_init__(self) -> None:
         for picture in self.pictures:
             unknown = np.setdiff1d(picture.landmark, self.landmarks.number)
             if len(unknown):
-                raise BoresightError(f"picture {picture.number} shows landmark {int(unknown[0])}, which has no place")
+                raise BoresightError(
+                    f"picture {picture.number} shows landmark {int(unknown[0])}, which has no position"
+                )
 
     def save(self, folder: Path) -> None:
-        """Write both files into a folder, each whole or not at all."""
+        """Write both files to a folder, each whole or not at all."""
         write_pictures(folder / PICTURES, self.pictures)
         write_landmarks(folder / LANDMARKS, self.landmarks)
 
     @classmethod
     def load(cls, folder: Path) -> CraterDatabase:
-        """Read both files of a folder; raise BoresightError with file and line where one is wrong."""
+        """Read both files of a folder; raise BoresightError with file and line if one is malformed."""
         pictures, landmarks = read_pictures(folder / PICTURES), read_landmarks(folder / LANDMARKS)
         try:
             return cls(pictures, landmarks)
@@ -122,7 +187,7 @@ class CraterDatabase:
             raise BoresightError(f"{folder}: {error}") from error
 
 
-def write_pictures(path: Path, pictures: Sequence[Picture]) -> None:
+def write_pictures(path: Path, pictures: Sequence[SequencePicture]) -> None:
     """Write a picture-sequence file."""
     lines = []
     for p in pictures:
@@ -130,42 +195,42 @@ def write_pictures(path: Path, pictures: Sequence[Picture]) -> None:
         size = (camera.width_px, camera.height_px)
         optics = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
         pose = (*p.T_cam_body.rotation.ravel(), *p.T_cam_body.translation_m)
-        lines.append(words("picture", p.number, p.time_s, *size, *optics, *pose, *p.sun_dir_cam))
+        lines.append(format_record("picture", p.number, p.time_s, *size, *optics, *pose, *p.sun_dir_cam))
         for number, centre, axes, angle in zip(
             p.landmark, p.ellipses.centre_px, p.ellipses.semi_axes_px, p.ellipses.angle_rad, strict=True
         ):
-            lines.append(words("sighting", p.number, int(number), *centre, *axes, angle))
+            lines.append(format_record("sighting", p.number, int(number), *centre, *axes, angle))
     write_records(path, _SEQUENCE_HEAD, lines)
 
 
-def read_pictures(path: Path) -> tuple[Picture, ...]:
+def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
     """Read a picture-sequence file.
 
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a picture or a landmark in a picture stands twice, or a sighting
-        does not follow its picture.
+        With file and line: a record is malformed, a picture is listed twice, or a landmark twice in a picture, or a
+        sighting does not follow its picture.
     """
-    heads: list[Record] = []
-    sightings: list[list[Record]] = []
+    heads: list[TextRecord] = []
+    sightings: list[list[TextRecord]] = []
     seen: set[int] = set()
     shown: set[int] = set()
     for record in read_records(path, _SEQUENCE_HEAD, {"picture": 23, "sighting": 7}):
         number = record.integer(0)
         if record.kind == "picture":
             if number in seen:
-                raise record.wrong(f"picture {number} stands twice")
+                raise record.error(f"picture {number} is listed twice")
             seen.add(number)
             shown = set()
             heads.append(record)
             sightings.append([])
             continue
         if not heads or heads[-1].integer(0) != number:
-            raise record.wrong(f"a sighting of picture {number} does not follow that picture")
+            raise record.error(f"a sighting of picture {number} does not follow that picture")
         landmark = record.integer(1)
         if landmark in shown:
-            raise record.wrong(f"landmark {landmark} stands twice in picture {number}")
+            raise record.error(f"landmark {landmark} is listed twice in picture {number}")
         shown.add(landmark)
         sightings[-1].append(record)
     return tuple(_picture(head, rows) for head, rows in zip(heads, sightings, strict=True))
@@ -176,7 +241,7 @@ def write_landmarks(path: Path, landmarks: Landmarks) -> None:
     upper = landmarks.covariance_m2[:, _UPPER[0], _UPPER[1]]
     values = np.column_stack([landmarks.position_body_m, landmarks.normal_body, landmarks.radius_m, upper])
     lines = [
-        words("landmark", int(number), *row, int(images))
+        format_record("landmark", int(number), *row, int(images))
         for number, row, images in zip(landmarks.number, values, landmarks.images, strict=True)
     ]
     write_records(path, _LANDMARK_HEAD, lines)
@@ -188,7 +253,7 @@ def read_landmarks(path: Path) -> Landmarks:
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a number stands twice, or numbers do not ascend.
+        With file and line: a record is malformed, a number is listed twice, or numbers do not ascend.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []
@@ -196,9 +261,9 @@ def read_landmarks(path: Path) -> Landmarks:
     for record in read_records(path, _LANDMARK_HEAD, {"landmark": 15}):
         number = record.integer(0)
         if number in numbers[-1:] or (numbers and number < numbers[-1] and number in numbers):
-            raise record.wrong(f"landmark {number} stands twice: every crater has one number")
+            raise record.error(f"landmark {number} is listed twice: every crater has one number")
         if numbers and number < numbers[-1]:
-            raise record.wrong(f"landmark {number} stands after {numbers[-1]}: they have to ascend")
+            raise record.error(f"landmark {number} comes after {numbers[-1]}: they have to ascend")
         numbers.append(number)
         rows.append(record.numbers(1, 14))
         images.append(record.integer(14))
@@ -215,13 +280,13 @@ def read_landmarks(path: Path) -> Landmarks:
     )
 
 
-def _picture(head: Record, rows: Sequence[Record]) -> Picture:
+def _picture(head: TextRecord, rows: Sequence[TextRecord]) -> SequencePicture:
     values = head.numbers(1, 23)
     width, height = head.integer(2), head.integer(3)
     camera = Camera(width, height, values[3], values[4], values[5], values[6])
     pose = Pose(np.array(values[7:16]).reshape(3, 3), np.array(values[16:19]))
     rims = np.array([row.numbers(2, 7) for row in rows]).reshape(-1, 5)
-    return Picture(
+    return SequencePicture(
         head.integer(0),
         values[0],
         camera,

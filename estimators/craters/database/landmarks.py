@@ -1,4 +1,4 @@
-"""Where numbered craters lie: their a priori positions from the shape."""
+"""Landmarks of the crater database: the a priori positions of numbered craters, located on the shape."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.contract import CraterImage, GroundModel
 from estimators.craters.database.numbering import Numbering
-from estimators.craters.matching.located import locate
 from estimators.craters.matching.preliminary import landmark_covariances
+from estimators.craters.matching.transfer import locate_craters
 from scenarios.errors import BoresightError
+from scenarios.orbits.data import LandmarkFile
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -20,20 +21,20 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """Craters of the data base, ascending by number.
+    """Craters of the database, ascending by number.
 
     Parameters
     ----------
     number
         (n,) each once.
     position_body_m, normal_body
-        (n, 3) centres of the rims, and outward unit vectors across them.
+        (n, 3) centres of the rims, and outward unit normals of their planes.
     radius_m
         (n,) of the rims.
     covariance_m2
         (n, 3, 3) of the positions.
     images
-        (n,) in how many images each was found.
+        (n,) number of images in which each was found.
     """
 
     number: IndexArray
@@ -57,31 +58,34 @@ class Landmarks:
 
 
 def locate_landmarks(
-    images: Sequence[CraterImage], numbering: Numbering, ground: Ground, height_sigma_m: float
+    images: Sequence[CraterImage], numbering: Numbering, ground: GroundModel, height_sigma_m: float
 ) -> Landmarks:
-    """Place every numbered crater where its images, located on the shape by their prior poses, agree best.
+    """Average the locations of each numbered crater on the shape over its images.
 
-    The positions of an image are weighted with their covariances, by the prior pose, the rim's centre and the height
+    The locations of an image are weighted with their covariances, from the prior pose, the rim's centre and the height
     of the shape. A crater that no image places on the body has no position and is left out.
     """
     parts = []
     for image, numbers in zip(images, numbering.numbers, strict=True):
-        located = locate(image, ground)
+        located = locate_craters(image, ground)
         known = (numbers >= 0) & located.on_body
         ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+        # Foreshortening leaves the longer semi-axis unchanged: it is the radius on the ground.
         radii = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
         spread = landmark_covariances(image, located, height_sigma_m)
         values = (numbers, located.points_body_m, located.normals_body, np.log(radii), spread)
         parts.append(tuple(value[known] for value in values))
     if not parts:
-        return _together(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3)))
-    return _together(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return _average_by_number(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3))
+        )
+    return _average_by_number(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _together(
+def _average_by_number(
     numbers: IndexArray, points: FloatArray, normals: FloatArray, log_radii: FloatArray, spread: FloatArray
 ) -> Landmarks:
-    """Average what the images say of each number, positions by their information."""
+    """Average the values of all images for each number: positions by their information, radii by their logarithms."""
     number, place, images = np.unique(numbers, return_inverse=True, return_counts=True)
     information = np.linalg.inv(spread)
     total, weighted = np.zeros((len(number), 3, 3)), np.zeros((len(number), 3))
@@ -99,3 +103,13 @@ def _together(
         np.asarray(0.5 * (covariance + np.swapaxes(covariance, 1, 2)), dtype=np.float64),
         images.astype(np.int64),
     )
+
+
+def landmarks_for_orbit(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
+    """Convert landmarks to the input of orbit determination: positions about the centre of mass.
+
+    ``centre_of_mass_m`` is (3,) in the axes of the database: a plate model's origin need not be the centre of mass;
+    that of Eros at uniform density lies at (-23, 2, 47) m.
+    """
+    sigma = np.sqrt(np.trace(landmarks.covariance_m2, axis1=1, axis2=2) / 3.0)
+    return LandmarkFile(landmarks.number, landmarks.position_body_m - centre_of_mass_m, sigma)

@@ -1,4 +1,4 @@
-"""One number for one crater over all images, from the matches of pairs of images."""
+"""Numbering of craters: one number for one crater over all images, from the matches of pairs of images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_NUMBER = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMatches:
-    """What a matcher found in two images, by their places in the sequence."""
+    """The matches of two images, given by their places in the sequence."""
 
     first: int
     second: int
@@ -34,8 +34,8 @@ class Numbering:
     Parameters
     ----------
     numbers
-        For each image the numbers of its detections; ``NO_NUMBER`` where a detection is matched nowhere. No number
-        stands twice in an image. They count from 0 in the order of the images.
+        For each image the numbers of its detections; ``NO_NUMBER`` if a detection has no match. No number occurs twice
+        in an image. They count from 0 in the order of the images.
     conflicts
         Matches that were refused, because they would have given two detections of an image one number.
     """
@@ -45,38 +45,39 @@ class Numbering:
 
     @property
     def count(self) -> int:
-        """How many craters have a number."""
+        """Return how many craters have a number."""
         return 1 + max((int(one.max(initial=NO_NUMBER)) for one in self.numbers), default=NO_NUMBER)
 
     def hits(self) -> IndexArray:
-        """(count,) in how many images each crater is."""
+        """Return (count,) the number of images of each crater."""
         together = np.concatenate([*self.numbers, np.zeros(0, dtype=np.int64)])
         return np.bincount(together[together >= 0], minlength=self.count)
 
 
 def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Numbering:
-    """Give numbers to the craters of images with ``sizes`` detections each.
+    """Assign numbers to the craters of images with ``sizes`` detections each.
 
-    Matches are joined into groups, those first that most other images confirm (both detections matched with the same
-    third one) and of them the more certain ones. A match that would bring two detections of an image into one group
-    is a conflict: it is refused and counted.
+    Matches are joined into groups in the order of reliability: first those confirmed by most other images (both
+    detections matched with the same third one), among equals those with the higher score. A match that would bring two
+    detections of an image into one group is a conflict: it is refused and counted.
 
     Raises
     ------
     BoresightError
-        If a match names an image or a detection that there is not.
+        If a match refers to an image or a detection that does not exist.
     """
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    edges, scores = _edges(starts, found)
+    edges, scores = _all_pairs(starts, found)
     image_of = np.repeat(np.arange(len(sizes)), np.diff(starts))
+    # The row is the last key, so that the order is the same on every machine.
     order = np.lexsort((np.arange(len(edges)), -scores, -_confirmations(edges, len(image_of))))
-    groups, conflicts = _joined(edges[order], image_of)
-    numbers = _counted(groups)
+    groups, conflicts = _join_groups(edges[order], image_of)
+    numbers = _numbers_of_groups(groups)
     return Numbering(tuple(numbers[a:b] for a, b in pairwise(starts)), conflicts)
 
 
-def _edges(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray, FloatArray]:
-    """Write all matches as couples (e, 2) of detections counted over all images, and their scores (e,)."""
+def _all_pairs(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray, FloatArray]:
+    """Return all matches as pairs (e, 2) of detections counted over all images, and their scores (e,)."""
     sizes, parts = np.diff(starts), [np.zeros((0, 2), dtype=np.int64)]
     for one in found:
         images = np.array([one.first, one.second])
@@ -90,7 +91,7 @@ def _edges(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray
 
 
 def _confirmations(edges: IndexArray, count: int) -> IndexArray:
-    """(e,) how many third detections both ends of each match are matched with."""
+    """Return (e,) the number of third detections with which both ends of each match are matched."""
     others: list[set[int]] = [set() for _ in range(count)]
     for a, b in edges.tolist():
         others[a].add(b)
@@ -98,8 +99,8 @@ def _confirmations(edges: IndexArray, count: int) -> IndexArray:
     return np.array([len(others[a] & others[b]) for a, b in edges.tolist()], dtype=np.int64)
 
 
-def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], int]:
-    """Join detections into groups, in the order of the matches: the groups, and how many matches were refused."""
+def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], int]:
+    """Join detections into groups in the order of the matches; return the groups and the number of refused matches."""
     group_of = list(range(len(image_of)))
     members = [[k] for k in range(len(image_of))]
     images = [{int(image)} for image in image_of]
@@ -111,6 +112,7 @@ def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], i
         if images[one] & images[other]:
             conflicts += 1
             continue
+        # Union by size: each detection changes its group at most log2(n) times.
         if len(members[one]) < len(members[other]):
             one, other = other, one
         for k in members[other]:
@@ -121,8 +123,8 @@ def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], i
     return members, conflicts
 
 
-def _counted(groups: Sequence[Sequence[int]]) -> IndexArray:
-    """Count groups of two and more in the order of their first detection."""
+def _numbers_of_groups(groups: Sequence[Sequence[int]]) -> IndexArray:
+    """Assign numbers to the groups of two and more in the order of their first detection."""
     numbers = np.full(sum(map(len, groups)), NO_NUMBER, dtype=np.int64)
     matched = sorted((sorted(group) for group in groups if len(group) > 1), key=lambda group: group[0])
     for number, group in enumerate(matched):

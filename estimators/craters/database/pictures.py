@@ -1,25 +1,27 @@
-"""The pictures of a sequence, each with the numbered craters that it shows."""
+"""The picture sequence: the images of the database with their numbered craters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage
 from estimators.craters.database.numbering import Numbering
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose
+from scenarios.orbits.data import Pictures
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """One image as orbit determination sees it.
+class SequencePicture:
+    """One image in the picture sequence, the input of orbit determination.
 
     Parameters
     ----------
@@ -30,13 +32,13 @@ class Picture:
     camera
         Its parameters, without distortion.
     T_cam_body
-        The prior pose: where the camera was thought to be and to point.
+        The prior pose.
     sun_dir_cam
         (3,) unit vector towards the Sun.
     landmark
         (k,) numbers of the craters that were found, each once.
     ellipses
-        k rims: their centres are the data, columns and rows.
+        k rims: their centres are the measurements.
     """
 
     number: int
@@ -55,22 +57,54 @@ class Picture:
             raise BoresightError(f"picture {self.number} has landmark {int(values[np.argmax(counts > 1)])} twice")
 
 
-def pictures_of(images: Sequence[CraterImage], numbering: Numbering) -> tuple[Picture, ...]:
-    """Write images with their numbered craters as pictures in the order of time."""
+def numbered_pictures(
+    images: Sequence[CraterImage], numbering: Numbering, placed: IndexArray
+) -> tuple[SequencePicture, ...]:
+    """Convert images to pictures in the order of time, with the numbered craters that have a position.
+
+    Parameters
+    ----------
+    placed
+        (n,) numbers of the landmarks with a position; sightings of other numbers are left out.
+    """
     pictures = []
     for image, numbers in zip(images, numbering.numbers, strict=True):
-        rows = np.flatnonzero(numbers >= 0)
+        rows = np.flatnonzero((numbers >= 0) & np.isin(numbers, placed))
         rows = rows[np.argsort(numbers[rows], kind="stable")]
         frame, rims = image.frame, image.detections.ellipses[rows]
         pose = frame.prior_T_cam_body
-        pictures.append(Picture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims))
+        pictures.append(
+            SequencePicture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims)
+        )
     return tuple(sorted(pictures, key=lambda picture: (picture.time_s, picture.number)))
 
 
-def placed_pictures(images: Sequence[CraterImage], numbering: Numbering, placed: IndexArray) -> tuple[Picture, ...]:
-    """Write the same without the sightings of craters whose number is not among the (n,) that have a place."""
-    pictures = []
-    for picture in pictures_of(images, numbering):
-        rows = np.flatnonzero(np.isin(picture.landmark, placed))
-        pictures.append(replace(picture, landmark=picture.landmark[rows], ellipses=picture.ellipses[rows]))
-    return tuple(pictures)
+def pictures_for_orbit(pictures: Sequence[SequencePicture], camera: Camera, rotation: UniformRotation) -> Pictures:
+    """Convert pictures to the input of orbit determination: attitudes in inertial axes, times ascending.
+
+    Parameters
+    ----------
+    camera
+        The camera model of orbit determination.
+    rotation
+        Of the body, the same as the poses of the pictures were made with.
+
+    Raises
+    ------
+    BoresightError
+        If there is no picture, or one of another camera.
+    """
+    if not pictures:
+        raise BoresightError("the data base has no picture: there is nothing to determine an orbit from")
+    other = next((picture for picture in pictures if picture.camera != camera), None)
+    if other is not None:
+        raise BoresightError(f"picture {other.number} is of another camera than the orbit is to be determined with")
+    times = np.array([picture.time_s for picture in pictures])
+    attitudes = np.stack([picture.T_cam_body.rotation for picture in pictures])
+    return Pictures(
+        times,
+        np.asarray(attitudes @ rotation.at(times)),
+        np.repeat(np.arange(len(pictures)), [len(picture.landmark) for picture in pictures]),
+        np.concatenate([picture.landmark for picture in pictures]),
+        np.concatenate([picture.ellipses.centre_px for picture in pictures]),
+    )

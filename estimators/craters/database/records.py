@@ -1,4 +1,4 @@
-"""Text files of records: one a line, a word that says of which kind it is, then its fields.
+"""Text files of records: one a line, first the kind of the record, then its fields.
 
 Numbers are written as Python's ``repr``, the shortest text that reads back as the same number. A line that begins with
 ``#`` is a comment; the first line names the format and its version.
@@ -14,28 +14,28 @@ from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
 
-_MOST_DIGITS = 18  # more may not fit 64 bits
+_MAX_DIGITS = 18  # more may not fit 64 bits
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
-    """A line of a file: where it stands, its kind and its fields."""
+class TextRecord:
+    """A line of a file: its place, its kind and its fields."""
 
     path: Path
     line: int
     kind: str
     fields: tuple[str, ...]
 
-    def wrong(self, what: str) -> BoresightError:
-        """Make the error that names this line."""
+    def error(self, what: str) -> BoresightError:
+        """Return an error whose message begins with the file and line."""
         return BoresightError(f"{self.path}:{self.line}: {what}")
 
     def integer(self, field: int) -> int:
-        """Read a field as a whole number that is not negative."""
+        """Read a field as a non-negative integer."""
         text = self.fields[field]
-        if not text.isdecimal() or len(text) > _MOST_DIGITS:
-            raise self.wrong(
-                f"field {field + 1} of the {self.kind} is {text!r}, not a whole number of at most {_MOST_DIGITS} digits"
+        if not text.isdecimal() or len(text) > _MAX_DIGITS:
+            raise self.error(
+                f"field {field + 1} of the {self.kind} is {text!r}, not a whole number of at most {_MAX_DIGITS} digits"
             )
         return int(text)
 
@@ -48,7 +48,7 @@ class Record:
             except ValueError:
                 value = float("nan")
             if not abs(value) <= LARGEST_NUMBER:
-                raise self.wrong(
+                raise self.error(
                     f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number of any use"
                 )
             values.append(value)
@@ -66,13 +66,13 @@ def write_records(path: Path, head: str, lines: Iterable[str]) -> None:
     write_text(path, "".join(f"{line}\n" for line in (f"# {head}", *lines)))
 
 
-def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[Record]:
-    """Read the records of a file; ``fields`` tells how many each kind has.
+def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[TextRecord]:
+    """Read the records of a file; ``fields`` gives the number of fields of each kind.
 
     Raises
     ------
     BoresightError
-        If the file cannot be read, is of another format, or a line is of no known kind or length.
+        If the file cannot be read, is of another format, or a line is of an unknown kind or length.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -81,18 +81,18 @@ def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[R
     if not lines or lines[0] != f"# {head}":
         raise BoresightError(f"{path}:1: the first line is not '# {head}'")
     for number, line in enumerate(lines[1:], start=2):
-        words = line.split()
-        if not words or words[0].startswith("#"):
+        parts = line.split()
+        if not parts or parts[0].startswith("#"):
             continue
-        record = Record(path, number, words[0], tuple(words[1:]))
+        record = TextRecord(path, number, parts[0], tuple(parts[1:]))
         if record.kind not in fields:
-            raise record.wrong(f"{record.kind!r} is no kind of record; there are: {', '.join(sorted(fields))}")
+            raise record.error(f"{record.kind!r} is no kind of record; there are: {', '.join(sorted(fields))}")
         if len(record.fields) != fields[record.kind]:
             wanted = fields[record.kind]
-            raise record.wrong(f"a {record.kind} has {wanted} fields, not {len(record.fields)}")
+            raise record.error(f"a {record.kind} has {wanted} fields, not {len(record.fields)}")
         yield record
 
 
-def words(*values: str | float) -> str:
-    """Write values as one line: whole numbers and texts as they are, others exactly."""
+def format_record(*values: str | float) -> str:
+    """Format values as one line: integers and texts as they are, other numbers exactly."""
     return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)

@@ -1,4 +1,4 @@
-"""Ellipses of pairs of arcs: fitted, judged by their edges and by the profile of brightness across them."""
+"""Ellipse fit (1) to pairs of arcs, and selection by edges on the rim and by the brightness profile across it."""
 
 from __future__ import annotations
 
@@ -10,79 +10,113 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.fitting import RIDGE, fit_reweighted
-from estimators.craters.detection.grouping import Arc
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.edges import EdgePixels
+from estimators.craters.detection.grouping import RimArc
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses, pixel_to_opencv
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-_SAMPLES = 16  # points that stand for an arc in the first fit
-_BAND = 0.12  # of the radius: edges so near to a first fit are fitted anew
-_LEAST_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
-_COUNT = 400  # pairs, the best by their first fit, that are fitted anew
+_SAMPLES = 16  # samples of an arc in the first fit
+_BAND = 0.12  # of the radius: edges so near to a first fit enter the second
+_MIN_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
+_COUNT = 400  # pairs, the best by their first fit, that are fitted again
+
+RIDGE = 1e-9
+"""Regularisation of the fits: arcs determine the centre of an ellipse poorly."""
+_CUTOFF = 2.5  # residuals of so many standard deviations have a quarter of the weight
+
+
+def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> FloatArray:
+    """Fit ellipses with iteratively renewed weights: (m, 3, 3) conics, NaN where there is none.
+
+    A point's weight is its own over the square of the conic's gradient there, so that the algebraic distances that the
+    direct fit minimises become geometric ones, times the weight of Geman and McClure, which limits outliers.
+    """
+    conics = fit_conics(points, weights, RIDGE)
+    for _ in range(rounds):
+        far = sampson_distances(points, conics)
+        far = np.where(np.isfinite(far), far, 0.0)
+        spread = np.maximum(1.4826 * _median(np.abs(far), weights), 0.1)
+        robust = (1.0 + (far / (_CUTOFF * spread[:, None])) ** 2) ** -2.0
+        homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+        slope = np.linalg.norm(np.einsum("mij,mkj->mki", conics[:, :2], homogeneous), axis=-1)
+        mean = np.sqrt(np.sum(weights * slope**2, axis=1) / np.maximum(weights.sum(axis=1), 1e-12))
+        flat = np.maximum(slope / np.maximum(mean, 1e-30)[:, None], 0.2)
+        renewed = weights * robust / flat**2
+        good = np.isfinite(renewed).all(axis=1)
+        conics = np.where(
+            good[:, None, None], fit_conics(points, np.where(good[:, None], renewed, weights), RIDGE), np.nan
+        )
+    return conics
+
+
+def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the medians (m,) of the rows' values with a positive weight."""
+    kept = np.where(weights > 0.0, values, np.nan)
+    kept[np.isnan(kept).all(axis=1)] = 0.0
+    return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """Ellipses of groups of rim edges.
+class EllipseCandidates:
+    """Ellipses fitted to groups of rim edges.
 
     Parameters
     ----------
     support
-        (n,) share of the rim, transition arcs and all, along which edges agree with it.
+        (n,) share of the rim, transition arcs included, along which edges agree with it.
     """
 
     ellipses: Ellipses
     support: FloatArray
 
     @classmethod
-    def joined(cls, parts: Sequence[Candidates]) -> Candidates:
-        """Join several."""
+    def joined(cls, parts: Sequence[EllipseCandidates]) -> EllipseCandidates:
+        """Concatenate several."""
         return cls(
             Ellipses.joined([part.ellipses for part in parts]),
             np.concatenate([part.support for part in parts]),
         )
 
 
-def candidates_of(
+def fit_candidates(
     pairs: IndexArray,
-    shaded: list[Arc],
-    lit: list[Arc],
-    edges: Edges,
-    picture: Picture,
+    shaded: list[RimArc],
+    lit: list[RimArc],
+    edges: EdgePixels,
+    picture: PreparedImage,
     radius_px: tuple[float, float],
     axis_ratio_min: float,
-) -> Candidates:
-    """Fit an ellipse to each pair, then to all edges that lie on it."""
-    nothing = Candidates(Ellipses.none(), np.empty(0))
+) -> EllipseCandidates:
+    """Fit an ellipse to each pair of arcs, then to all edges near it."""
+    nothing = EllipseCandidates(Ellipses.none(), np.empty(0))
     if len(pairs) == 0:
         return nothing
-    points, normals = _stacked(pairs, shaded, lit)
+    points, normals = _sample_pairs(pairs, shaded, lit)
     ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
+    # Pairs are many and mostly false: only the best by the cheap first fit are fitted again.
     order = np.argsort(-agree[sane], kind="stable")[:_COUNT]
     first = ellipses[np.flatnonzero(sane)[order]]
     if len(first) == 0:
         return nothing
-    points, weights, signed = edges_near(first, edges, picture)
+    points, weights = edges_near(first, edges, picture)
     refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
-    both = support.min(axis=1) > 0.25
-    rising = profile(refitted, picture) > _LEAST_PROFILE
+    both = support.min(axis=1) > 0.25  # an edge on one side alone is a ridge or a terminator
+    rising = profile_correlation(refitted, picture) > _MIN_PROFILE
     keep = sane & both & rising
-    del signed
-    return Candidates(refitted[keep], support[keep].mean(axis=1))
+    return EllipseCandidates(refitted[keep], support[keep].mean(axis=1))
 
 
-def _stacked(pairs: IndexArray, shaded: list[Arc], lit: list[Arc]) -> tuple[FloatArray, FloatArray]:
-    """Points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
+def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) -> tuple[FloatArray, FloatArray]:
+    """Return points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
 
-    def sampled(arcs: list[Arc]) -> tuple[FloatArray, FloatArray]:
+    def sampled(arcs: list[RimArc]) -> tuple[FloatArray, FloatArray]:
         rows = [np.linspace(0, len(arc.uv_px) - 1, _SAMPLES).round().astype(np.int64) for arc in arcs]
         points = np.stack([arc.uv_px[row] for arc, row in zip(arcs, rows, strict=True)])
         return points, np.stack([arc.outward[row] for arc, row in zip(arcs, rows, strict=True)])
@@ -95,7 +129,7 @@ def _stacked(pairs: IndexArray, shaded: list[Arc], lit: list[Arc]) -> tuple[Floa
 
 
 def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray) -> FloatArray:
-    """Mean cosine (n,) between outward normals of edges and of the ellipse, less their mean distance over radius."""
+    """Return the mean cosine (n,) between edge and ellipse normals, minus the mean distance over the radius."""
     homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     conics = ellipses.conics()
     slope = np.einsum("nij,nkj->nki", conics, homogeneous)[..., :2]
@@ -106,9 +140,9 @@ def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray
 
 
 def plausible(
-    ellipses: Ellipses, radius_px: tuple[float, float], axis_ratio_min: float, picture: Picture
+    ellipses: Ellipses, radius_px: tuple[float, float], axis_ratio_min: float, picture: PreparedImage
 ) -> NDArray[np.bool_]:
-    """Tell which have a crater's size and shape, and their centre on the ground."""
+    """Return (n,) which ellipses have a crater's size and shape, and their centre on the ground."""
     height, width = picture.ground.shape
     radius = ellipses.radius_px
     ratio = ellipses.semi_axes_px[:, 1] / ellipses.semi_axes_px[:, 0]
@@ -120,8 +154,8 @@ def plausible(
     )
 
 
-def edges_near(ellipses: Ellipses, edges: Edges, picture: Picture) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gather the edges that lie on each rim and point as its side must: points, weights, signed normals, padded."""
+def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) -> tuple[FloatArray, FloatArray]:
+    """Gather the edges near each rim whose gradient agrees with their side of it: points and weights, zero-padded."""
     tree = cKDTree(edges.uv_px)
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
     conics = ellipses.conics()
@@ -137,20 +171,16 @@ def edges_near(ellipses: Ellipses, edges: Edges, picture: Picture) -> tuple[Floa
         signed = normal * np.sign(normal @ picture.sun_px)[:, None]
         chosen.append(np.sort(rows[np.einsum("ki,ki->k", signed, unit[rows]) > 0.8]))
     width = max(6, *(len(rows) for rows in chosen))
-    points, weights, normals = (
-        np.zeros((len(chosen), width, 2)),
-        np.zeros((len(chosen), width)),
-        np.zeros((len(chosen), width, 2)),
-    )
+    points, weights = np.zeros((len(chosen), width, 2)), np.zeros((len(chosen), width))
     for i, rows in enumerate(chosen):
-        points[i, : len(rows)], weights[i, : len(rows)], normals[i, : len(rows)] = edges.uv_px[rows], 1.0, unit[rows]
-    return points, weights, normals
+        points[i, : len(rows)], weights[i, : len(rows)] = edges.uv_px[rows], 1.0
+    return points, weights
 
 
 def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sectors: int = 36) -> FloatArray:
-    """Share (n, 2) of the sectors of either half of the rim in which an edge lies within a tenth of the radius.
+    """Return the share (n, 2) of the sectors of each half of the rim with an edge within a tenth of the radius.
 
-    The halves are those on which points lie with v cos(angle) - u sin(angle) above and below 0 ... by the parameter t.
+    The halves are those of the parameter t of the ellipse below and above pi.
     """
     c, s = np.cos(ellipses.angle_rad), np.sin(ellipses.angle_rad)
     moved = points - ellipses.centre_px[:, None]
@@ -164,23 +194,16 @@ def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sec
     return np.stack([hit[:, : sectors // 2].mean(axis=1), hit[:, sectors // 2 :].mean(axis=1)], axis=1)
 
 
-def profile(ellipses: Ellipses, picture: Picture, steps: int = 11) -> FloatArray:
-    """Correlate the brightness inside, along the Sun's direction, with a rise from the shaded to the lit side: (n,)."""
+def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int = 11) -> FloatArray:
+    """Correlate the brightness along the Sun's direction with a rise from the shaded to the lit side: (n,)."""
     along = np.linspace(0.8, -0.8, steps)
     aside = np.array([-0.3, 0.0, 0.3])
     sun = picture.sun_px
     inverse = np.linalg.inv(ellipses.conics()[:, :2, :2]) if len(ellipses) else np.zeros((0, 2, 2))
-    # In units of the ellipse the Sun's direction is that of its conjugate diameters; both span the inside.
+    # The semi-diameter whose end has its normal towards the Sun: C^-1 s / sqrt(s^T C^-1 s).
     toward = np.einsum("nij,j->ni", inverse, sun)
     toward /= np.sqrt(np.maximum(np.einsum("ni,i->n", toward, sun), 1e-12))[:, None]
     side = np.array([-sun[1], sun[0]])
-    across = (
-        side
-        * np.sqrt(
-            np.maximum(1.0 / np.maximum(np.einsum("i,nij,j->n", side, np.linalg.inv(inverse), side), 1e-12), 0.0)
-        )[:, None]
-    )
-    del across
     grid = ellipses.centre_px[:, None, None] + along[:, None, None] * toward[:, None, None, :]
     reach = np.sqrt(ellipses.semi_axes_px.prod(axis=1))
     grid = grid + aside[None, None, :, None] * (reach[:, None] * side)[:, None, None, :]

@@ -1,4 +1,4 @@
-"""The detector of Cheng et al. (2003), stage by stage."""
+"""The crater detector of Cheng et al. (2003) with its options."""
 
 from __future__ import annotations
 
@@ -7,23 +7,71 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
+from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.candidates import Candidates, candidates_of
-from estimators.craters.detection.confidence import confidence, suppress
-from estimators.craters.detection.edges import Edges, canny
-from estimators.craters.detection.grouping import Arc, arcs_of, pair_arcs, sunward
-from estimators.craters.detection.options import ClassicOptions
-from estimators.craters.detection.picture import Picture, prepare
-from estimators.craters.detection.refinement import SCALES_PX, Scales, refine, scales_of
+from estimators.craters.detection.candidates import EllipseCandidates, fit_candidates
+from estimators.craters.detection.edges import EdgePixels, canny
+from estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
+from estimators.craters.detection.preparation import PreparedImage, prepare_image
+from estimators.craters.detection.refinement import (
+    SCALES_PX,
+    GradientScales,
+    confidence,
+    gradient_scales,
+    refine,
+    suppress_duplicates,
+)
 from estimators.options import parse_options
 from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame
+from scenarios.spec.base import SpecModel
+
+
+class ClassicOptions(SpecModel):
+    """Parameters that the paper leaves open, with units."""
+
+    window_px: float = Field(
+        default=20.0, gt=2.0, description="Standard deviation of the window that evens contrast out."
+    )
+    small_kernel_px: int = Field(
+        default=3, ge=3, le=5, multiple_of=1, description="Width of the first Canny pass's kernel."
+    )
+    large_kernel_px: int = Field(default=9, ge=7, le=15, description="Width of the second Canny pass's kernel.")
+    strong_share: float = Field(
+        default=0.15, gt=0.0, lt=1.0, description="Share of the ground above Canny's upper threshold."
+    )
+    weak_ratio: float = Field(default=0.5, gt=0.0, le=1.0, description="Canny's lower threshold over the upper one.")
+    sunward_deg: float = Field(
+        default=75.0, gt=10.0, lt=90.0, description="Largest angle of a rim's gradient from the Sun."
+    )
+    bend_deg: float = Field(default=35.0, gt=5.0, lt=90.0, description="Largest turn between neighbours of one edge.")
+    turn_deg: float = Field(default=25.0, gt=5.0, lt=120.0, description="Least turn of the normal along a rim edge.")
+    arc_points: int = Field(default=5, ge=3, description="Least pixels of a rim edge.")
+    radius_min_px: float = Field(default=5.0, gt=1.0, description="Least mean radius of a crater.")
+    radius_max_px: float = Field(default=150.0, gt=1.0, description="Largest mean radius of a crater.")
+    axis_ratio_min: float = Field(default=0.35, gt=0.0, lt=1.0, description="Least ratio of the axes.")
+    transition_deg: float = Field(
+        default=30.0, ge=0.0, lt=80.0, description="Arc left out on each side of the lit and shaded ends."
+    )
+    softness: float = Field(
+        default=3.0, ge=0.0, description="Gradients that count half in refinement, over the median one."
+    )
+    rounds: int = Field(default=25, ge=0, description="Of conjugate gradients, at most; 0 leaves the fit as it is.")
+    crest_scale: float = Field(
+        default=1.06, gt=0.5, lt=2.0, description="Crest's radius over that of the steepest gradient."
+    )
+    confidence_min: float = Field(
+        default=0.9317,
+        ge=-1.0,
+        lt=1.0,
+        description="Least confidence, equation (4): that with 4 % of false alarms in tests/training/thresholds.py.",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stages:
-    """What each stage found, as the paper's figure 2 draws it.
+class DetectionStages:
+    """The results of each stage, as in the paper's figure 2.
 
     Parameters
     ----------
@@ -37,10 +85,10 @@ class Stages:
         Figure 2d.
     """
 
-    picture: Picture
-    edges: tuple[Edges, Edges]
-    shaded: tuple[Arc, ...]
-    lit: tuple[Arc, ...]
+    picture: PreparedImage
+    edges: tuple[EdgePixels, EdgePixels]
+    shaded: tuple[RimArc, ...]
+    lit: tuple[RimArc, ...]
     fitted: Ellipses
     refined: Ellipses
     detections: CraterDetections
@@ -57,7 +105,7 @@ class CraterClassic:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
         return cls(parse_options(ClassicOptions, options, cls.name))
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
@@ -66,53 +114,58 @@ class CraterClassic:
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         return self.stages(frame, camera).detections
 
-    def stages(self, frame: Frame, camera: Camera) -> Stages:
-        """Run and keep what each stage found.
+    def stages(self, frame: Frame, camera: Camera) -> DetectionStages:
+        """Return the results of each stage.
 
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         o = self.options
-        picture = prepare(frame, camera, o.window_px)
+        picture = prepare_image(frame, camera, o.window_px)
         small = canny(picture, o.small_kernel_px, o.strong_share, o.weak_ratio)
         large = canny(picture, o.large_kernel_px, o.strong_share, o.weak_ratio)
-        shaded, lit = list[Arc](), list[Arc]()
+        shaded, lit = list[RimArc](), list[RimArc]()
         groups = []
         for edges in (small, large):
-            one, other, found = self._grouped(edges, picture)
+            one, other, found = self._fit_groups(edges, picture)
             shaded += one
             lit += other
             groups.append(found)
-        fitted = Candidates.joined(groups).ellipses
-        scales = scales_of(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
-        refined, detections = self._settled(fitted, scales, picture)
-        return Stages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
+        fitted = EllipseCandidates.joined(groups).ellipses
+        scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
+        refined, detections = self._refine_and_select(fitted, scales, picture)
+        return DetectionStages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
 
-    def _grouped(self, edges: Edges, picture: Picture) -> tuple[list[Arc], list[Arc], Candidates]:
+    def _fit_groups(
+        self, edges: EdgePixels, picture: PreparedImage
+    ) -> tuple[list[RimArc], list[RimArc], EllipseCandidates]:
+        """Group the edges of one pass into arcs and fit ellipses to their pairs."""
         o = self.options
-        rising = sunward(edges, picture, np.radians(o.sunward_deg))
-        arcs = arcs_of(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
+        rising = sunward_edges(edges, picture, np.radians(o.sunward_deg))
+        arcs = rim_arcs(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
         shaded = [arc for arc in arcs if not arc.lit]
         lit = [arc for arc in arcs if arc.lit]
         radius = (o.radius_min_px, o.radius_max_px)
         pairs = pair_arcs(shaded, lit, picture, radius)
-        return shaded, lit, candidates_of(pairs, shaded, lit, rising, picture, radius, o.axis_ratio_min)
+        return shaded, lit, fit_candidates(pairs, shaded, lit, rising, picture, radius, o.axis_ratio_min)
 
-    def _settled(self, fitted: Ellipses, scales: Scales, picture: Picture) -> tuple[Ellipses, CraterDetections]:
-        """Refine, weigh, drop duplicates, and take the place of the steepest gradient out to the crest."""
+    def _refine_and_select(
+        self, fitted: Ellipses, scales: GradientScales, picture: PreparedImage
+    ) -> tuple[Ellipses, CraterDetections]:
+        """Refine, rate, drop duplicates, and scale rims from the steepest gradient out to the crest."""
         o = self.options
         gap = float(np.sin(np.radians(o.transition_deg)))
         first = confidence(fitted, scales, picture.sun_px, gap)
-        fitted = fitted[suppress(fitted, first, 0.15, 1.15)][:120]
+        fitted = fitted[suppress_duplicates(fitted, first, 0.15, 1.15)][:120]
         refined = refine(fitted, scales, picture.sun_px, gap, o.rounds)
         value = confidence(refined, scales, picture.sun_px, gap)
-        rows = suppress(refined, value, 0.6, 1.6)
+        rows = suppress_duplicates(refined, value, 0.6, 1.6)
         kept = refined[rows]
         crest = Ellipses(kept.centre_px, kept.semi_axes_px * o.crest_scale, kept.angle_rad)
         return refined, CraterDetections.above(o.confidence_min, crest, value[rows])

@@ -1,8 +1,8 @@
-"""Grouping of convex rim edges into lit and shaded pairs.
+"""Grouping of convex rim edges into pairs of a lit and a shaded arc.
 
-On a rim the brightness rises towards the Sun on both sides: from the ground outside into the lit wall, and from the
-shaded wall out to the ground. An edge whose gradient points towards the Sun is therefore a curve over the line across
-the Sun's direction, and its gradient turns one way along a shaded rim, the other way along a lit one.
+On a rim the brightness rises towards the Sun on both sides: from the ground outside to the lit wall, and from the
+shaded wall to the ground. An edge whose gradient points towards the Sun is therefore the graph of a function over the
+axis across the Sun's direction, and its gradient rotates one way along a shaded rim, the other way along a lit one.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.edges import EdgePixels
+from estimators.craters.detection.preparation import PreparedImage
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-_LINK_PX = 1.9  # neighbours on the grid of pixels, a diagonal and what subpixel places add
+_LINK_PX = 1.9  # distance of neighbours: a pixel's diagonal plus the subpixel offsets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arc:
-    """A convex edge of one side of a rim.
+class RimArc:
+    """A convex edge on one side of a rim.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class Arc:
     outward
         (n, 2) unit normals, out of the crater that it would belong to.
     lit
-        Whether it is a lit wall's: the far side from the Sun.
+        Whether it is a lit wall's: the side away from the Sun.
     turn_rad
-        By how much its normal turns.
+        The angle by which its normal rotates.
     """
 
     uv_px: FloatArray
@@ -46,14 +46,14 @@ class Arc:
     turn_rad: float
 
 
-def sunward(edges: Edges, picture: Picture, within_rad: float) -> Edges:
+def sunward_edges(edges: EdgePixels, picture: PreparedImage, within_rad: float) -> EdgePixels:
     """Keep the edge pixels whose brightness rises towards the Sun."""
     along = edges.gradient @ picture.sun_px
     keep = along > np.cos(within_rad) * np.linalg.norm(edges.gradient, axis=1)
-    return Edges(edges.uv_px[keep], edges.gradient[keep], edges.mask)
+    return EdgePixels(edges.uv_px[keep], edges.gradient[keep], edges.mask)
 
 
-def chains_of(edges: Edges, bend_rad: float) -> list[IndexArray]:
+def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
     """Link neighbouring pixels whose gradients differ by less than ``bend_rad``; return the rows of each chain."""
     n = len(edges.uv_px)
     if n == 0:
@@ -68,44 +68,47 @@ def chains_of(edges: Edges, bend_rad: float) -> list[IndexArray]:
 
 
 def turning_points(angle: FloatArray, least: float) -> list[int]:
-    """Split a sequence into rises and falls of at least ``least``: the indices where one ends and the next begins."""
-    knots, low, high, way = [0], 0, 0, 0
+    """Split a sequence into rises and falls of at least ``least``; return the indices where they meet."""
+    knots, low, high, trend = [0], 0, 0, 0
     for i in range(1, len(angle)):
         low = i if angle[i] < angle[low] else low
         high = i if angle[i] > angle[high] else high
-        if way >= 0 and angle[high] - angle[i] >= least:
-            if way > 0 or high > knots[-1]:
+        if trend >= 0 and angle[high] - angle[i] >= least:
+            if trend > 0 or high > knots[-1]:
                 knots.append(high)
-            way, low = -1, i
+            trend, low = -1, i
             high = i
-        elif way <= 0 and angle[i] - angle[low] >= least:
-            if way < 0 or low > knots[-1]:
+        elif trend <= 0 and angle[i] - angle[low] >= least:
+            if trend < 0 or low > knots[-1]:
                 knots.append(low)
-            way, high = 1, i
+            trend, high = 1, i
             low = i
     knots.append(len(angle) - 1)
     return knots
 
 
-def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: float, least_points: int) -> list[Arc]:
-    """Cut the chains of sunward edges into convex arcs and tell lit from shaded ones.
+def rim_arcs(
+    edges: EdgePixels, picture: PreparedImage, least_turn_rad: float, bend_rad: float, least_points: int
+) -> list[RimArc]:
+    """Cut the chains of sunward edges into convex arcs and classify them as lit or shaded.
 
     Parameters
     ----------
     least_turn_rad
-        By how much the normal of an arc must turn.
+        Least rotation of the normal along an arc.
     bend_rad
-        Between neighbours of one arc.
+        Largest rotation between neighbours of one arc.
     least_points
         Of an arc.
     """
     sun = picture.sun_px
     across = np.array([-sun[1], sun[0]])
-    arcs: list[Arc] = []
-    for rows in chains_of(edges, bend_rad):
+    arcs: list[RimArc] = []
+    for rows in edge_chains(edges, bend_rad):
         if len(rows) < least_points:
             continue
         rows = rows[np.argsort(edges.uv_px[rows] @ across, kind="stable")]
+        # The direction of the gradient from the Sun's: monotonic along one side of a convex rim.
         unit = _smoothed(edges.gradient[rows])
         angle = np.arctan2(unit @ across, unit @ sun)
         knots = turning_points(angle, least_turn_rad)
@@ -115,12 +118,12 @@ def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: flo
                 continue
             part = rows[start : stop + 1]
             lit = turn < 0.0
-            arcs.append(Arc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
+            arcs.append(RimArc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
     return arcs
 
 
 def _smoothed(gradient: FloatArray) -> FloatArray:
-    """Return unit gradients, each summed with its neighbours along the chain."""
+    """Return unit gradients, each averaged with its neighbours along the chain."""
     padded = np.concatenate([gradient[:1], gradient[:1], gradient, gradient[-1:], gradient[-1:]])
     summed = padded[:-4] + 2 * padded[1:-3] + 3 * padded[2:-2] + 2 * padded[3:-1] + padded[4:]
     return np.asarray(summed / np.linalg.norm(summed, axis=1, keepdims=True), dtype=np.float64)
@@ -128,7 +131,7 @@ def _smoothed(gradient: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArcTable:
-    """What pairing needs to know of n arcs: ends across the Sun, place along it, radius by normals."""
+    """Measures of n arcs for pairing: ends across the Sun, place along it, radius by normals."""
 
     low: FloatArray
     high: FloatArray
@@ -137,7 +140,7 @@ class ArcTable:
     radius: FloatArray
 
     @classmethod
-    def of(cls, arcs: list[Arc], picture: Picture) -> ArcTable:
+    def of(cls, arcs: list[RimArc], picture: PreparedImage) -> ArcTable:
         """Measure arcs."""
         sun = picture.sun_px
         side = np.array([-sun[1], sun[0]])
@@ -147,18 +150,20 @@ class ArcTable:
         return cls(low, high, np.array(p), 0.5 * (low + high), np.array([arc_radius(arc) for arc in arcs]))
 
 
-def arc_radius(arc: Arc) -> float:
-    """Fit x = c + R n to the places and outward normals of an arc by least squares in c and R."""
+def arc_radius(arc: RimArc) -> float:
+    """Fit x = c + R n to the points and outward normals of an arc by least squares in c and R."""
     dx = arc.uv_px - arc.uv_px.mean(axis=0)
     dn = arc.outward - arc.outward.mean(axis=0)
     return float(max(np.sum(dx * dn) / max(np.sum(dn * dn), 1e-12), 1.0))
 
 
-def pair_arcs(shaded: list[Arc], lit: list[Arc], picture: Picture, radius_px: tuple[float, float]) -> IndexArray:
+def pair_arcs(
+    shaded: list[RimArc], lit: list[RimArc], picture: PreparedImage, radius_px: tuple[float, float]
+) -> IndexArray:
     """Pair shaded arcs with lit ones that can be two sides of one rim: (k, 2) rows of both lists.
 
-    The lit one lies away from the Sun, at no more than the diameter that the arcs' bends tell; their extents across the
-    Sun overlap; their bends are alike.
+    The lit one lies away from the Sun, within the diameter estimated from the arcs' curvatures; their extents across
+    the Sun overlap; their radii are similar.
     """
     if not shaded or not lit:
         return np.empty((0, 2), dtype=np.int64)
@@ -168,6 +173,7 @@ def pair_arcs(shaded: list[Arc], lit: list[Arc], picture: Picture, radius_px: tu
     width = np.minimum((a.high - a.low)[:, None], (b.high - b.low)[None])
     ratio = np.log(a.radius[:, None] / b.radius[None])
     mean = np.sqrt(a.radius[:, None] * b.radius[None])
+    # The gap is the diameter along the Sun: 2 radii for a circle, less where the rim is foreshortened.
     possible = (
         (gap > 0.8 * radius_px[0])
         & (gap < np.minimum(2.0 * radius_px[1], 2.6 * mean))

@@ -13,22 +13,22 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
-    """A field of vectors over the pixels, (H, W, 2), interpolated between their centres."""
+class GradientField:
+    """A field of vectors over the pixels, (H, W, 2), interpolated bilinearly between their centres."""
 
     values: FloatArray
 
     @classmethod
-    def of_gradient(cls, along_u: NDArray[np.float32], along_v: NDArray[np.float32], floor: float) -> Field:
-        """Divide gradients g by sqrt(g^2 + floor^2): directions alone where ``floor`` is 0."""
+    def of_gradient(cls, along_u: NDArray[np.float32], along_v: NDArray[np.float32], floor: float) -> GradientField:
+        """Divide gradients g by sqrt(g^2 + floor^2): unit vectors where ``floor`` is 0."""
         g = np.stack([along_u, along_v], axis=-1).astype(np.float64)
         length = np.sqrt(np.einsum("hwi,hwi->hw", g, g) + floor**2)
         return cls(g / np.maximum(length, 1e-12)[..., None])
 
     def at(self, uv_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Interpolate at (..., 2) pixels: (..., 2) vectors and (..., 2, 2) their derivatives by the pixel.
+        """Interpolate at (..., 2) pixels: vectors (..., 2) and their derivatives (..., 2, 2) by the pixel.
 
-        Beyond the outermost centres the field stays what it is there.
+        Beyond the outermost pixel centres the field is constant.
         """
         height, width = self.values.shape[:2]
         place = pixel_to_opencv(uv_px)
@@ -47,8 +47,8 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rim:
-    """Points of n rims, (n, k, 2), their outward normals, and how both change with (u0, v0, a, b, angle)."""
+class RimSamples:
+    """Points (n, k, 2) of n rims and their outward normals, with derivatives by (u0, v0, a, b, angle)."""
 
     points: FloatArray
     normals: FloatArray
@@ -56,8 +56,8 @@ class Rim:
     normals_by: FloatArray
 
     @classmethod
-    def of(cls, ellipses: Ellipses, count: int) -> Rim:
-        """Spread points by equation (2)."""
+    def of(cls, ellipses: Ellipses, count: int) -> RimSamples:
+        """Sample the rims by equation (2)."""
         t = np.arange(count) * (2.0 * np.pi / count)
         cos, sin = np.cos(t), np.sin(t)
         a, b = ellipses.semi_axes_px[:, :1], ellipses.semi_axes_px[:, 1:]
@@ -82,14 +82,14 @@ class Rim:
 
 
 def side_weights(toward_sun: FloatArray, gap: float) -> tuple[FloatArray, FloatArray]:
-    """Weigh rim points by the cosine between their normal and the Sun: 0 in the transition arcs, +1 and -1 beyond.
+    """Weight rim points by the cosine between their normal and the Sun: 0 in the transition arcs, +1 and -1 beyond.
 
     Parameters
     ----------
     toward_sun
         (...) the cosines.
     gap
-        Cosine where the arcs end: sin 30 deg for arcs of 30 deg on each side.
+        Cosine at the end of the transition arcs: sin 30 deg for arcs of 30 deg on each side.
 
     Returns
     -------
@@ -104,31 +104,34 @@ def side_weights(toward_sun: FloatArray, gap: float) -> tuple[FloatArray, FloatA
 
 
 def merit(
-    ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int = 72
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int = 72
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean over both sides of a rim of the image's gradient along the signed normal, equation (3).
+    """Return the mean over both sides of a rim of the image's gradient along the signed normal, equation (3).
 
     On the side towards the Sun the brightness falls inwards, on the other it rises: with the normal signed by the side
-    that the light makes bright both add. Each side counts one half, however many of its points are left.
+    both contribute positively. Each side has the weight one half, whatever its number of points.
 
     Returns
     -------
     merit, derivatives
         (n,) and (n, 5) by u0, v0, a, b and the angle.
     """
-    value, by = _sides(ellipses, field, sun_px, gap, count)
+    value, by = _side_merits(ellipses, field, sun_px, gap, count)
     return value.mean(axis=1), by.mean(axis=1)
 
 
-def side_merits(ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int = 72) -> FloatArray:
-    """Means (n, 2) of the shaded and the lit side of a rim, as ``merit``."""
-    return _sides(ellipses, field, sun_px, gap, count)[0]
+def side_merits(
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int = 72
+) -> FloatArray:
+    """Return the means (n, 2) of the shaded and the lit side of a rim, as in ``merit``."""
+    return _side_merits(ellipses, field, sun_px, gap, count)[0]
 
 
-def _sides(
-    ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int
+def _side_merits(
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    rim = Rim.of(ellipses, count)
+    """Return the merits (n, 2) of both sides and their derivatives (n, 2, 5)."""
+    rim = RimSamples.of(ellipses, count)
     g, g_by_uv = field.at(rim.points)
     cosine = rim.normals @ sun_px
     weight, slope = side_weights(cosine, gap)

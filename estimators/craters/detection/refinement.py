@@ -1,4 +1,4 @@
-"""Refinement in the image: conjugate gradients lock an ellipse on the rim by its merit (3)."""
+"""Refinement of ellipses in the image by their merit (3), their confidence (4), and removal of duplicates."""
 
 from __future__ import annotations
 
@@ -9,138 +9,182 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.detection.edges import gradient_of
-from estimators.craters.detection.merit import Field, merit
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.merit import GradientField, merit, side_merits
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
-_HALVINGS = 5  # of a step that does not rise enough
-_ARMIJO = 0.1  # part of the rise that the slope promises
-_STILL_PX = 2e-3  # rims that move less stay
+_HALVINGS = 5  # most reductions of a step that does not increase the merit enough
+_ARMIJO = 0.1  # least increase, as a share of that predicted by the gradient
+_CONVERGED_PX = 2e-3  # step below which a rim has converged
 
 SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scales:
-    """Gradient fields of growing kernels, each for rims up to a radius.
+class GradientScales:
+    """Gradient fields of increasing kernels, each for rims up to a radius.
 
     Parameters
     ----------
     locating
-        Fields that keep part of the gradient's length: what is steep draws the rim.
+        Fields with softened lengths: steep edges determine the rim.
     pointing
-        Fields of directions alone, for the confidence.
+        Fields of unit vectors, for the confidence.
     up_to_px
-        Mean radius up to which each is meant; the last has no limit.
+        Largest mean radius of each; the last has no limit.
     """
 
-    locating: tuple[Field, ...]
-    pointing: tuple[Field, ...]
+    locating: tuple[GradientField, ...]
+    pointing: tuple[GradientField, ...]
     up_to_px: tuple[float, ...]
 
     def of(self, radius_px: FloatArray) -> NDArray[np.int64]:
-        """Return the rows of the fields for radii."""
+        """Return the rows of the fields for given radii."""
         return np.searchsorted(np.array(self.up_to_px[:-1]), radius_px)
 
 
-def scales_of(picture: Picture, kernels_px: Sequence[int], up_to_px: Sequence[float], soft: float) -> Scales:
-    """Differentiate at each kernel.
+def gradient_scales(
+    picture: PreparedImage, kernels_px: Sequence[int], up_to_px: Sequence[float], soft: float
+) -> GradientScales:
+    """Differentiate the image at each kernel.
 
     Parameters
     ----------
     soft
-        Length that gradients are compared with in ``locating``, in units of their median over the ground.
+        Softening length of the gradients in ``locating``, in units of their median over the ground.
     """
     locating, pointing = [], []
     for kernel in kernels_px:
         gradient = gradient_of(picture.even, kernel)
         middle = float(np.median(gradient.strength[picture.ground]))
-        locating.append(Field.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
-        pointing.append(Field.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
-    return Scales(tuple(locating), tuple(pointing), tuple(up_to_px))
+        locating.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
+        pointing.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
+    return GradientScales(tuple(locating), tuple(pointing), tuple(up_to_px))
 
 
-def refine(ellipses: Ellipses, scales: Scales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
+def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
     """Maximise each rim's merit over its centre, axes and angle.
 
-    A rim that leaves its start by more than a third of its radius, or loses its shape, stays where it was.
+    A rim that moves by more than a third of its radius, or changes its axes by more than a factor of 1.5, is left as it
+    was.
 
     Parameters
     ----------
     gap
-        Of ``merit``.
+        As in ``merit``.
     rounds
-        Of conjugate gradients, at most.
+        Most iterations of conjugate gradients.
     """
     start = parameters(ellipses)
     rows = scales.of(ellipses.radius_px)
     found = start.copy()
     for i in np.unique(rows):
         chosen = rows == i
-        found[chosen] = _climb(start[chosen], scales.locating[i], sun_px, gap, rounds)
+        found[chosen] = _conjugate_gradients(start[chosen], scales.locating[i], sun_px, gap, rounds)
     radius = ellipses.radius_px
     far = np.linalg.norm(found[:, :2] - start[:, :2], axis=1) > radius / 3.0
     bent = np.abs(np.log(found[:, 2:4] / start[:, 2:4])).max(axis=1) > 0.4
     return from_parameters(np.where((far | bent)[:, None], start, found))
 
 
-def _climb(start: FloatArray, field: Field, sun_px: FloatArray, gap: float, rounds: int) -> FloatArray:
-    """Run conjugate gradients (Polak and Ribiere, restarted where they lead downhill) on all rows at once.
+def _conjugate_gradients(
+    start: FloatArray, field: GradientField, sun_px: FloatArray, gap: float, rounds: int
+) -> FloatArray:
+    """Maximise all rows at once (Polak and Ribiere, restarted where the direction leads downhill).
 
-    Steps are scaled so that all five parameters move the rim alike: an angle by the difference of the axes.
+    The parameters are scaled so that a unit of each moves the rim by about a pixel: the angle by the difference of the
+    axes.
     """
     radius = np.sqrt(start[:, 2] * start[:, 3])
     unit = np.ones_like(start)
     unit[:, 4] = 1.0 / np.maximum(start[:, 2] - start[:, 3], 0.1 * radius)
     step = np.zeros_like(start)
 
-    def rise(at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray]:
         moved = start + at * unit
         small = moved[:, 2:4].min(axis=1) < 0.3 * radius
         moved = np.where(small[:, None], start, moved)
         value, by = merit(Ellipses(moved[:, :2], moved[:, 2:4], moved[:, 4]), field, sun_px, gap)
         return np.where(small, -2.0, value), by * unit
 
-    value, slope = rise(step)
-    way = slope
-    length = 0.3 / np.maximum(np.linalg.norm(way, axis=1), 1e-9)  # the first step is of 0.3 px
+    value, slope = evaluate(step)
+    direction = slope
+    step_length = 0.3 / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)  # the first step is of 0.3 px
     for _ in range(rounds):
-        gain = np.einsum("ni,ni->n", way, slope)
-        way = np.where((gain > 0.0)[:, None], way, slope)
-        gain = np.einsum("ni,ni->n", way, slope)
+        slope_along = np.einsum("ni,ni->n", direction, slope)
+        direction = np.where((slope_along > 0.0)[:, None], direction, slope)
+        slope_along = np.einsum("ni,ni->n", direction, slope)
         taken, new_value, new_slope = step, value, slope
         open_rows = np.ones(len(start), dtype=bool)
         for _ in range(_HALVINGS):
-            trial = np.where(open_rows[:, None], step + length[:, None] * way, taken)
-            trial_value, trial_slope = rise(trial)
-            enough = open_rows & (trial_value >= value + _ARMIJO * length * gain)
+            trial = np.where(open_rows[:, None], step + step_length[:, None] * direction, taken)
+            trial_value, trial_slope = evaluate(trial)
+            enough = open_rows & (trial_value >= value + _ARMIJO * step_length * slope_along)
             taken = np.where(enough[:, None], trial, taken)
             new_value = np.where(enough, trial_value, new_value)
             new_slope = np.where(enough[:, None], trial_slope, new_slope)
             open_rows &= ~enough
-            length = np.where(open_rows, 0.4 * length, length)
+            step_length = np.where(open_rows, 0.4 * step_length, step_length)
             if not open_rows.any():
                 break
-        if np.abs(taken - step).max(initial=0.0) < _STILL_PX:
+        if np.abs(taken - step).max(initial=0.0) < _CONVERGED_PX:
             break
-        turn = np.einsum("ni,ni->n", new_slope - slope, new_slope)
-        turn = np.maximum(turn / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
-        old_gain = np.linalg.norm(way, axis=1)
-        way = new_slope + turn[:, None] * way
-        length = 1.8 * length * old_gain / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
-        length = np.minimum(length, 0.1 * radius / np.maximum(np.linalg.norm(way, axis=1), 1e-30))
+        beta = np.einsum("ni,ni->n", new_slope - slope, new_slope)
+        beta = np.maximum(beta / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
+        old_gain = np.linalg.norm(direction, axis=1)
+        direction = new_slope + beta[:, None] * direction
+        step_length = 1.8 * step_length * old_gain / np.maximum(np.linalg.norm(direction, axis=1), 1e-30)
+        step_length = np.minimum(step_length, 0.1 * radius / np.maximum(np.linalg.norm(direction, axis=1), 1e-30))
         step, value, slope = taken, new_value, new_slope
     return start + step * unit
 
 
 def parameters(ellipses: Ellipses) -> FloatArray:
-    """Lay ellipses out as (n, 5): u0, v0, a, b and the angle of a."""
+    """Arrange ellipses as (n, 5): u0, v0, a, b and the angle of a."""
     return np.concatenate([ellipses.centre_px, ellipses.semi_axes_px, ellipses.angle_rad[:, None]], axis=1)
 
 
 def from_parameters(rows: FloatArray) -> Ellipses:
-    """Read (n, 5) parameters; the longer axis comes first and angles lie in [0, pi)."""
+    """Convert (n, 5) parameters to ellipses; the longer axis comes first and angles lie in [0, pi)."""
     swap = rows[:, 3] > rows[:, 2]
     axes = np.where(swap[:, None], rows[:, [3, 2]], rows[:, 2:4])
     return Ellipses(rows[:, :2], axes, (rows[:, 4] + np.where(swap, np.pi / 2, 0.0)) % np.pi)
+
+
+def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:
+    """Return the mean cosine (n,) between the gradient and the signed normal, equation (4), of the worse side.
+
+    Both sides have to agree, because a terminator or a ridge lights up one side as well as any rim.
+    """
+    values = np.zeros(len(ellipses))
+    rows = scales.of(ellipses.radius_px)
+    for i in np.unique(rows):
+        chosen = rows == i
+        values[chosen] = side_merits(ellipses[chosen], scales.pointing[i], sun_px, gap).min(axis=1)
+    return values
+
+
+def suppress_duplicates(
+    ellipses: Ellipses, score: FloatArray, least_apart: float, least_ratio: float
+) -> NDArray[np.int64]:
+    """Keep the best of ellipses on the same crater: their rows, the highest score first.
+
+    Parameters
+    ----------
+    least_apart
+        Distance of centres, in units of the smaller mean radius, from which two are different craters.
+    least_ratio
+        Ratio of mean radii from which two are different craters, one in the other.
+    """
+    order = np.argsort(-score, kind="stable")
+    radius = ellipses.radius_px
+    kept: list[int] = []
+    for i in order:
+        near = np.array(kept, dtype=np.int64)
+        apart = np.linalg.norm(ellipses.centre_px[near] - ellipses.centre_px[i], axis=1)
+        smaller = np.minimum(radius[near], radius[i])
+        ratio = np.maximum(radius[near], radius[i]) / smaller
+        if not np.any((apart < least_apart * smaller) & (ratio < least_ratio)):
+            kept.append(int(i))
+    return np.array(kept, dtype=np.int64)

@@ -1,1 +1,1 @@
-"""Detection of craters by ring templates and a small network that verifies and places what they propose."""
+"""Detection of craters by ring templates and a small convolutional network."""

@@ -1,4 +1,4 @@
-"""The detector by ring templates and a learned verifier and regressor."""
+"""The learned crater detector: ring templates, and a network as verifier and regressor."""
 
 from __future__ import annotations
 
@@ -14,12 +14,21 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.confidence import confidence, suppress
-from estimators.craters.detection.options import ClassicOptions
-from estimators.craters.detection.picture import Picture, noise_level, prepare
-from estimators.craters.detection.refinement import SCALES_PX, refine, scales_of
-from estimators.craters.learned.patches import NAMES, OUTPUTS, SCALARS, SIDE, Network, Source, cut
-from estimators.craters.learned.placing import ellipses_of, placed, shape_of
+from estimators.craters.detection.classic import ClassicOptions
+from estimators.craters.detection.preparation import PreparedImage, noise_level, prepare_image
+from estimators.craters.detection.refinement import SCALES_PX, confidence, gradient_scales, refine, suppress_duplicates
+from estimators.craters.learned.network import (
+    NAMES,
+    OUTPUTS,
+    SCALARS,
+    SIDE,
+    Network,
+    PatchSource,
+    cut_patches,
+    ellipses_of,
+    rims_from_outputs,
+    shape_of,
+)
 from estimators.craters.learned.proposals import propose
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
@@ -32,29 +41,29 @@ FloatArray = NDArray[np.float64]
 WEIGHTS = "weights.npz"
 MIRRORED = np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])  # signs of the outputs where the patch is mirrored
 
-_LEAST_MERIT = 0.6  # of what is climbed to, equation (4) of Cheng et al. (2003)
-_FARTHEST = 0.25  # from the network's place, in radii
+_MIN_MERIT = 0.6  # of the refined rim, equation (4) of Cheng et al. (2003)
+_MAX_DISTANCE = 0.25  # of the refined rim from the network's, in radii
 
 
-def blended(seen: Ellipses, picture: Picture, from_px: float, options: ClassicOptions) -> Ellipses:
-    """Move rims of a mean radius of ``from_px`` or more halfway to the maximum of the merit next to them, (2) and (3).
+def blend_with_gradient(seen: Ellipses, picture: PreparedImage, from_px: float, options: ClassicOptions) -> Ellipses:
+    """Move rims with a mean radius of at least ``from_px`` halfway to the nearby maximum of the merit, (2) and (3).
 
-    Where the maximum is far off or poor, the rim stays as the network has it.
+    Where the maximum is far away or low, the rim stays as the network placed it.
     """
     rows = np.flatnonzero(seen.radius_px >= from_px)
     if not len(rows):
         return seen
-    said, gap = seen[rows], float(np.sin(np.radians(options.transition_deg)))
-    scales = scales_of(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], options.softness)
-    steepest = Ellipses(said.centre_px, said.semi_axes_px / options.crest_scale, said.angle_rad)
+    rims, gap = seen[rows], float(np.sin(np.radians(options.transition_deg)))
+    scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], options.softness)
+    steepest = Ellipses(rims.centre_px, rims.semi_axes_px / options.crest_scale, rims.angle_rad)
     steepest = refine(steepest, scales, picture.sun_px, gap, options.rounds)
     merit = confidence(steepest, scales, picture.sun_px, gap)
-    apart = np.linalg.norm(steepest.centre_px - said.centre_px, axis=1)
-    good = (merit > _LEAST_MERIT) & (apart < _FARTHEST * said.radius_px)
+    apart = np.linalg.norm(steepest.centre_px - rims.centre_px, axis=1)
+    good = (merit > _MIN_MERIT) & (apart < _MAX_DISTANCE * rims.radius_px)
     crest = Ellipses(steepest.centre_px, steepest.semi_axes_px * options.crest_scale, steepest.angle_rad)[good]
-    said, rows = said[good], rows[good]
-    shape = 0.5 * (shape_of(said, picture.sun_px) + shape_of(crest, picture.sun_px))
-    middle = ellipses_of(0.5 * (said.centre_px + crest.centre_px), shape, picture.sun_px)
+    rims, rows = rims[good], rows[good]
+    shape = 0.5 * (shape_of(rims, picture.sun_px) + shape_of(crest, picture.sun_px))
+    middle = ellipses_of(0.5 * (rims.centre_px + crest.centre_px), shape, picture.sun_px)
     centre, axes, angle = seen.centre_px.copy(), seen.semi_axes_px.copy(), seen.angle_rad.copy()
     centre[rows], axes[rows], angle[rows] = middle.centre_px, middle.semi_axes_px, middle.angle_rad
     return Ellipses(centre, axes, angle)
@@ -68,10 +77,10 @@ class LearnedOptions(SpecModel):
     )
     levels: int = Field(default=5, ge=1, le=6, description="Of the pyramid of templates; each doubles the radii.")
     merit_min: float = Field(default=0.3, ge=0.0, lt=1.0, description="Least merit of a ring template's proposal.")
-    proposals: int = Field(default=1600, ge=1, description="Most proposals that the network sees.")
-    rounds: int = Field(default=3, ge=1, description="How often the network sees what is left of the proposals.")
+    proposals: int = Field(default=1600, ge=1, description="Most proposals passed to the network.")
+    rounds: int = Field(default=3, ge=1, description="How often the network is applied to the remaining proposals.")
     radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
-    mirror: bool = Field(default=True, description="In the last look, see mirror images too, and take the mean.")
+    mirror: bool = Field(default=True, description="In the last round, average over mirror images of the patches.")
     blend_from_px: float = Field(
         default=8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
     )
@@ -85,8 +94,8 @@ class LearnedOptions(SpecModel):
 
 
 @lru_cache(maxsize=1)
-def own_network() -> Network:
-    """Load the network that lies beside this module.
+def packaged_network() -> Network:
+    """Load the network in this package.
 
     Raises
     ------
@@ -124,7 +133,7 @@ def read_network(path: Path) -> Network:
 
 @dataclass(frozen=True, slots=True)
 class CraterLearned:
-    """Ring templates propose rims; a small network says which are craters, where exactly, and of what shape."""
+    """Ring templates propose rims; a small network decides which are craters, and corrects their places and shapes."""
 
     name: ClassVar[str] = "crater-learned"
     version: ClassVar[int] = 2
@@ -134,51 +143,52 @@ class CraterLearned:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(LearnedOptions, options, cls.name), own_network())
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
+        return cls(parse_options(LearnedOptions, options, cls.name), packaged_network())
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
-        """Find rims, the most probable first; the confidence is a probability as far as training made it one.
+        """Find rims, the most probable first; the confidence is a probability to the accuracy of the training.
 
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         o = self.options
-        picture = prepare(frame, camera, o.window_px)
-        source = Source.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
+        picture = prepare_image(frame, camera, o.window_px)
+        source = PatchSource.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
         seen = propose(picture, o.levels, o.merit_min, o.proposals).ellipses
-        seen, odds = self.settled(source, seen)
+        seen, odds = self.refine_proposals(source, seen)
         keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
         seen, odds = seen[keep], odds[keep]
-        rows = suppress(seen, odds, 0.6, 1.6)
+        rows = suppress_duplicates(seen, odds, 0.6, 1.6)
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        rims = blended(seen[rows], picture, o.blend_from_px, ClassicOptions())
+        rims = blend_with_gradient(seen[rows], picture, o.blend_from_px, ClassicOptions())
         return CraterDetections.above(o.confidence_min, rims, sure)
 
-    def settled(self, source: Source, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
-        """Let the network place rims and look again; return them with their log odds.
+    def refine_proposals(self, source: PatchSource, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
+        """Apply the network repeatedly, each time to the rims that it returned; return the rims with their log odds.
 
-        After each look duplicates go, and what is unlikely even where the network would have it.
+        After each round but the last, duplicates and unlikely rims are dropped.
         """
         odds = np.zeros(len(seen))
         for turn in range(self.options.rounds):
             if len(seen) == 0:
                 return seen, odds
             last = turn + 1 == self.options.rounds
-            said = self._say(source, seen, mirror=self.options.mirror and last)
-            odds = said[:, 0]
-            seen = placed(seen, said[:, 1:], source.sun_px)
+            outputs = self._network_outputs(source, seen, mirror=self.options.mirror and last)
+            odds = outputs[:, 0]
+            seen = rims_from_outputs(seen, outputs[:, 1:], source.sun_px)
             if not last:
-                rows = suppress(seen, odds, 0.2, 1.2)
+                rows = suppress_duplicates(seen, odds, 0.2, 1.2)
                 seen, odds = seen[rows[odds[rows] > -4.0]], odds[rows[odds[rows] > -4.0]]
         return seen, odds
 
-    def _say(self, source: Source, seen: Ellipses, mirror: bool) -> FloatArray:
-        patches = cut(source, seen)
-        said = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
+    def _network_outputs(self, source: PatchSource, seen: Ellipses, mirror: bool) -> FloatArray:
+        """Return the outputs (n, OUTPUTS); with ``mirror`` the mean over the patches and their mirror images."""
+        patches = cut_patches(source, seen)
+        outputs = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
         if not mirror:
-            return said
+            return outputs
         mirrored = self.network.forward(patches.pixels[:, ::-1], patches.scalars).astype(np.float64)
-        return np.asarray(0.5 * (said + mirrored * MIRRORED), dtype=np.float64)
+        return np.asarray(0.5 * (outputs + mirrored * MIRRORED), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Ring templates: where a rim of some size and shape may lie, by the gradients that the Sun makes on both its sides."""
+"""Ring templates: proposals of rims from the gradients that sunlight causes on both their sides."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import fft
 
 from estimators.craters.detection.edges import gradient_of
 from estimators.craters.detection.merit import side_weights
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +24,7 @@ _GAP = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rings:
+class RingTemplates:
     """m templates at one level.
 
     Parameters
@@ -39,8 +39,8 @@ class Rings:
     kernels: FloatImage
 
 
-def rings(sun_px: FloatArray) -> Rings:
-    """Draw templates for a direction of the Sun: on each side the signed normals, spread between pixels."""
+def ring_templates(sun_px: FloatArray) -> RingTemplates:
+    """Draw templates for a direction of the Sun: the signed normals of each side, distributed over pixels."""
     shape = []
     for radius in RADII_PX:
         for ratio, angles in SHAPES:
@@ -51,18 +51,18 @@ def rings(sun_px: FloatArray) -> Rings:
     ellipses = Ellipses(np.full((len(rows), 2), half + 0.5), rows[:, :2], rows[:, 2])
     points, normals = ellipses.points(_POINTS)
     weight, _ = side_weights(normals @ sun_px, _GAP)
-    # Points crowd where the curve turns: each stands for its piece of the rim.
+    # Points are denser where the curvature is high: each is weighted by its length of the rim.
     weight = weight * np.linalg.norm(np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1), axis=2)
     kernels = np.zeros((len(rows), 2, 2 * half + 1, 2 * half + 1, 2))
     for side, sign in enumerate((1.0, -1.0)):
         part = np.where(sign * weight > 0.0, weight, 0.0)
         part = part / np.abs(part).sum(axis=1, keepdims=True)
         _splat(kernels[:, side], pixel_to_opencv(points), part[..., None] * normals)
-    return Rings(rows, kernels.astype(np.float32))
+    return RingTemplates(rows, kernels.astype(np.float32))
 
 
 def _splat(kernels: FloatArray, place: FloatArray, values: FloatArray) -> None:
-    """Add values at places between the pixels of each kernel, in place."""
+    """Add values at places between pixels to each kernel, bilinearly, in place."""
     low = np.floor(place).astype(np.int64)
     f = place - low
     m = np.broadcast_to(np.arange(len(kernels))[:, None], low.shape[:2])
@@ -75,7 +75,7 @@ def _splat(kernels: FloatArray, place: FloatArray, values: FloatArray) -> None:
 def halved(image: FloatImage) -> FloatImage:
     """Halve an image by means of 2 x 2: continuous pixels (u, v) become (u / 2, v / 2) exactly.
 
-    (``cv2.pyrDown`` samples at the even pixels' centres, half a pixel off.)
+    (``cv2.pyrDown`` samples at the even pixels' centres, which shifts by half a pixel.)
     """
     height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     even = image[:height, :width]
@@ -83,15 +83,15 @@ def halved(image: FloatImage) -> FloatImage:
 
 
 def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
-    """Return an image and its halves."""
+    """Return an image and its successive halves."""
     found = [image]
     for _ in range(levels - 1):
         found.append(halved(found[-1]))
     return found
 
 
-def directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
-    """Gradients (H, W, 2) over their length softened by ``softness`` medians or four times the noise's."""
+def soft_directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
+    """Return gradients (H, W, 2) over their length, softened by ``softness`` medians or four times the noise's."""
     gradient = gradient_of(image, 3)
     strength = gradient.strength
     floor = max(softness * float(np.median(strength[strength > 0.0])) if np.any(strength > 0.0) else 1.0, 4.0 * noise)
@@ -101,24 +101,24 @@ def directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Rims that templates found, the best first, and their merits (n,)."""
+    """Proposed rims, the best first, and their merits (n,)."""
 
     ellipses: Ellipses
     merit: FloatArray
 
 
-def propose(picture: Picture, levels: int, least_merit: float, count: int, softness: float = 1.0) -> Proposals:
-    """Find the best place, size and shape around each local maximum of the templates' merit.
+def propose(picture: PreparedImage, levels: int, least_merit: float, count: int, softness: float = 1.0) -> Proposals:
+    """Find the best template at each local maximum of the templates' merit, at all levels.
 
-    A template's merit is the smaller of its two sides' means: a terminator or a ridge has one good side alone.
+    A template's merit is the smaller of its two sides' means: a terminator or a ridge has only one good side.
     """
-    templates = rings(picture.sun_px)
+    templates = ring_templates(picture.sun_px)
     found, merits = [], []
     for level, image in enumerate(pyramid(picture.even, levels)):
         if min(image.shape) < 2 * templates.kernels.shape[2]:
             break
         noise = float(np.median(picture.noise[picture.ground])) * 0.43 / 2.0**level
-        score, best = _scores(directions(image, noise, softness), templates)
+        score, best = _scores(soft_directions(image, noise, softness), templates)
         rows, columns = _maxima(score, least_merit)
         shape = templates.shape[best[rows, columns]]
         centre = np.stack([columns + 0.5, rows + 0.5], axis=1) * 2.0**level
@@ -131,8 +131,8 @@ def propose(picture: Picture, levels: int, least_merit: float, count: int, softn
     return Proposals(Ellipses(chosen[:, :2], chosen[:, 2:4], chosen[:, 4]), merit[order].astype(np.float64))
 
 
-def _scores(field: FloatImage, templates: Rings) -> tuple[FloatImage, NDArray[np.int64]]:
-    """Return the best merit (H, W) of all templates at each pixel, and whose it is."""
+def _scores(field: FloatImage, templates: RingTemplates) -> tuple[FloatImage, NDArray[np.int64]]:
+    """Return the best merit (H, W) of all templates at each pixel, and the template's row."""
     height, width = field.shape[:2]
     half = templates.kernels.shape[2] // 2
     size = tuple(fft.next_fast_len(n + 2 * half, real=True) for n in (height, width))
@@ -143,7 +143,7 @@ def _scores(field: FloatImage, templates: Rings) -> tuple[FloatImage, NDArray[np
     for m, kernel in enumerate(templates.kernels):
         sides = []
         for side in kernel:
-            # Correlation: the kernel turned by half a turn.
+            # Correlation is convolution with the kernel rotated by 180 degrees.
             turned = [fft.rfft2(side[::-1, ::-1, i], size) for i in (0, 1)]
             total = spectra[0] * turned[0] + spectra[1] * turned[1]
             sides.append(fft.irfft2(total, size)[window])
@@ -155,7 +155,7 @@ def _scores(field: FloatImage, templates: Rings) -> tuple[FloatImage, NDArray[np
 
 
 def _maxima(score: FloatImage, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the local maxima within 3 x 3 that reach ``least``."""
+    """Return rows and columns of the local maxima within 3 x 3 that reach ``least``."""
     top = cv2.dilate(score, np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero((score >= top) & (score >= least))
     return rows, columns

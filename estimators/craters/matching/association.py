@@ -1,17 +1,17 @@
-"""Which detections are which expected craters, where one unknown error moves all of them together.
+"""Association of detections with expected craters whose offsets share one unknown error.
 
-The error e of what is known before (poses, of one image or of two) is Gaussian. Crater i is expected at p_i and seen at
+The error e of the prior (of the poses of one or two images) is Gaussian. Crater i is expected at p_i and seen at
 
     q = p_i + H_i e + noise,  noise ~ N(0, R_i),
 
-so that the offsets of all craters are one Gaussian field. Each compatible couple of an expected crater and a detection
-votes for the offset that it stands for: the field given that couple. The field with the most likely set of couples is
-refined by all of them, and a couple is kept when the others, without it, foretell it.
+so that the offsets of all craters are one Gaussian field. Each compatible pair of an expected crater and a detection
+is a hypothesis on the offsets: the field conditioned on that pair. The hypothesis with the most likely set of pairs is
+refined with all of them, and a pair is kept if it is probable given the others without it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,40 +25,53 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 _REFITS = 10
-_VOTES_AT_ONCE = 64
-_MOST_WORK = 2_000_000
-_SHAPE_SPREAD = 0.3
-_IMPOSSIBLE = -60.0
+_HUBER_PASSES = 10
+_VOTES_AT_ONCE = 64  # hypotheses evaluated in one array operation, to bound the memory
+_MAX_WORK = 2_000_000  # hypotheses times pairs
+_SHAPE_SPREAD = 0.3  # of the logarithms of size and axes ratio of clutter
+_IMPOSSIBLE = -60.0  # log-odds are held above it, so that exponentials stay finite
+
+# The length of two standard normal offsets exceeds it in exp(-2) = 14 % of cases.
+_LIMIT_SIGMA = 2.0
 
 
-class AssociationOptions(SpecModel):
-    """How far a detection may be from what is expected of it, and how sure a couple must be."""
+def huber_weights(sigmas: FloatArray) -> FloatArray:
+    """Return the weights of Huber's loss for offsets in units of their standard deviation, any shape.
 
-    centre_sigma_px: float = Field(0.7, gt=0.0, description="Of the centre of a rim, both detections together")
+    Huber (1964, Ann. Math. Stat. 35, 73): 1 up to a limit, beyond it the limit over the offset. Detections have heavier
+    tails than a Gaussian.
+    """
+    return np.asarray(_LIMIT_SIGMA / np.maximum(sigmas, _LIMIT_SIGMA), dtype=np.float64)
+
+
+class CraterAssociationOptions(SpecModel):
+    """The uncertainty of detections, and the required probability of a pair."""
+
+    centre_sigma_px: float = Field(0.7, gt=0.0, description="Of a rim's centre, both detections together")
     centre_sigma_radii: float = Field(0.06, ge=0.0, description="The same, in radii: rims are not ellipses")
-    size_sigma: float = Field(0.10, gt=0.0, description="Of the logarithm of the ratio of radii")
-    axes_sigma: float = Field(0.15, gt=0.0, description="Of the logarithm of the ratio of the ratios of axes")
+    size_sigma: float = Field(0.10, gt=0.0, description="Standard deviation of the log ratio of radii")
+    axes_sigma: float = Field(0.15, gt=0.0, description="Standard deviation of the log ratio of axes ratios")
     redetected: float = Field(0.5, gt=0.0, lt=1.0, description="Probability that an expected crater is detected")
-    probability: float = Field(0.95, gt=0.5, lt=1.0, description="Of a couple against all others, at the least")
-    gate_sigma: float = Field(4.5, gt=0.0, description="Of an offset by what is known before, at the most")
+    probability: float = Field(0.95, gt=0.5, lt=1.0, description="Least probability of a pair against all others")
+    gate_sigma: float = Field(4.5, gt=0.0, description="Largest offset, in a priori standard deviations")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
-    """What should be seen.
+class ExpectedCraters:
+    """Predicted rims with their errors.
 
     Parameters
     ----------
     ellipses
-        n rims as they are expected.
+        n predicted rims.
     by_error
         (n, 2, s) px by the common error.
     covariance
         (s, s) of the common error.
     noise_px2
-        (n, 2, 2) covariance of what each place is off by itself.
+        (n, 2, 2) covariance of the independent error of each centre.
     mean
-        (s,) of the common error: zero but where the rims were predicted with a better guess of it.
+        (s,) of the common error: zero unless the rims were predicted with a better estimate of it.
     """
 
     ellipses: Ellipses
@@ -70,18 +83,18 @@ class Expected:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """Couples that were found.
+    """Pairs that were found.
 
     Parameters
     ----------
     pairs
         (k, 2) expected crater and detection; none twice.
     probability
-        (k,) of each couple.
+        (k,) of each pair.
     error, covariance
-        (s,) and (s, s): the common error given all couples.
+        (s,) and (s, s): the common error given all pairs.
     reason
-        Why there are none; empty where there are.
+        Why there are none; empty if there are.
     """
 
     pairs: IndexArray
@@ -93,51 +106,55 @@ class Association:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Likelihoods:
-    """Shapes of all couples, as log-likelihood ratios against clutter, and the density of clutter in the image."""
+    """Log-likelihood ratios of the shapes of all pairs against clutter, and the density of clutter in the image."""
 
     shape: FloatArray  # (n, m)
     density_px2: float
 
 
-def centre_noise(ellipses: Ellipses, options: AssociationOptions) -> FloatArray:
-    """(n, 2, 2) covariance of the places of rims, by the detector alone."""
+def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
+    """Return the (n, 2, 2) covariance of the centres of rims due to the detector."""
     sigma = np.hypot(options.centre_sigma_px, options.centre_sigma_radii * ellipses.radius_px)
     return np.asarray(sigma[:, None, None] ** 2 * np.eye(2), dtype=np.float64)
 
 
-def associate(expected: Expected, seen: Ellipses, area_px2: float, options: AssociationOptions) -> Association:
-    """Find the couples of expected craters and detections in an image of ``area_px2``."""
+def associate(
+    expected: ExpectedCraters, seen: Ellipses, area_px2: float, options: CraterAssociationOptions
+) -> Association:
+    """Find the pairs of expected craters and detections in an image of ``area_px2``."""
     size = len(expected.covariance)
     none = Association(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(size), expected.covariance)
     if len(expected.ellipses) == 0 or len(seen) == 0:
         what = "no crater is expected in the image" if len(expected.ellipses) == 0 else "the image has no crater"
-        return _without(none, what)
+        return _no_association(none, what)
     likelihoods = _Likelihoods(_shape_ratios(expected.ellipses, seen, options), len(seen) / area_px2)
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]
-    elected = _elected(expected, offsets, likelihoods, options)
+    elected = _best_supported_pair(expected, offsets, likelihoods, options)
     if len(elected) == 0:
-        return _without(none, "no detection fits an expected crater in place, size and shape")
-    return _refined(expected, offsets, elected, likelihoods, options)
+        return _no_association(none, "no detection fits an expected crater in place, size and shape")
+    return _refine(expected, offsets, elected, likelihoods, options)
 
 
-def _without(none: Association, reason: str) -> Association:
+def _no_association(none: Association, reason: str) -> Association:
+    """Return the association without pairs, with its reason."""
     return Association(none.pairs, none.probability, none.error, none.covariance, reason)
 
 
-def _shape_ratios(expected: Ellipses, seen: Ellipses, options: AssociationOptions) -> FloatArray:
-    """(n, m) log-likelihood ratios of size and ratio of axes: of the couple against the other shapes of the image."""
+def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociationOptions) -> FloatArray:
+    """Return (n, m) log-likelihood ratios of size and axes ratio: the pair against the other shapes in the image."""
     sigma = np.array([options.size_sigma, options.axes_sigma])
-    here, there = _shape(expected), _shape(seen)
+    here, there = _log_shape(expected), _log_shape(seen)
     own = _log_normal((here[:, None] - there[None]) / sigma) - np.log(sigma).sum()
     spread = np.full(2, _SHAPE_SPREAD)
     others = _log_normal((there[:, None] - there[None]) / spread) - np.log(spread).sum()
+    # The density of clutter is a kernel estimate from the shapes of all detections.
     clutter = np.log(np.exp(others).mean(axis=1))
     return np.asarray(own - clutter[None], dtype=np.float64)
 
 
-def _shape(ellipses: Ellipses) -> FloatArray:
-    """(n, 2) logarithms of the radius and of the ratio of axes."""
+def _log_shape(ellipses: Ellipses) -> FloatArray:
+    """Return (n, 2) logarithms of the radius and of the ratio of axes."""
     a, b = np.log(ellipses.semi_axes_px).T
     return np.column_stack([0.5 * (a + b), b - a])
 
@@ -148,9 +165,9 @@ def _log_normal(standard: FloatArray) -> FloatArray:
 
 
 def _log_ratios(
-    residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: AssociationOptions
+    residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> FloatArray:
-    """(..., n, m) log-odds of each couple against its detection being clutter.
+    """Return (..., n, m) log-odds of each pair against its detection being clutter.
 
     Parameters
     ----------
@@ -162,24 +179,25 @@ def _log_ratios(
     a, b, c = spread[..., 0, 0, None], spread[..., 0, 1, None], spread[..., 1, 1, None]
     det = a * c - b * b
     u, v = residuals[..., 0], residuals[..., 1]
+    # The 2 x 2 inverse is written out: the arrays are (hypotheses, craters, detections).
     square = (c * u * u - 2.0 * b * u * v + a * v * v) / det
     place = -0.5 * square - 0.5 * np.log(det) - np.log(2.0 * np.pi * likelihoods.density_px2)
     odds = np.log(options.redetected / (1.0 - options.redetected))
     return np.asarray(np.maximum(place + likelihoods.shape + odds, _IMPOSSIBLE), dtype=np.float64)
 
 
-def _elected(
-    expected: Expected, offsets: FloatArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _best_supported_pair(
+    expected: ExpectedCraters, offsets: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> IndexArray:
-    """Return the couple, (1, 2), whose offset has most support; (0, 2) where no couple is possible.
+    """Return the pair, (1, 2), whose offset has the most support; (0, 2) if no pair is possible.
 
-    Where there are very many couples only the most likely of them vote; all of them are counted.
+    If there are very many pairs, only the most likely of them are hypotheses; all of them count as support.
     """
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     prior = H @ P @ np.swapaxes(H, 1, 2) + R
     far = np.einsum("nmi,nij,nmj->nm", offsets, np.linalg.inv(prior), offsets)
     couples = np.argwhere((far < options.gate_sigma**2) & (likelihoods.shape > -0.5 * options.gate_sigma**2))
-    voters = max(1, _MOST_WORK // offsets[..., 0].size)
+    voters = max(1, _MAX_WORK // offsets[..., 0].size)
     if len(couples) > voters:
         odds = _log_ratios(offsets, prior, likelihoods, options)[couples[:, 0], couples[:, 1]]
         couples = couples[np.sort(np.argsort(-odds, kind="stable")[:voters])]
@@ -193,34 +211,40 @@ def _elected(
 
 
 def _support(
-    expected: Expected,
+    expected: ExpectedCraters,
     offsets: FloatArray,
     couples: IndexArray,
     prior: FloatArray,
     likelihoods: _Likelihoods,
-    options: AssociationOptions,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(v,) log-likelihood ratio of all couples, each detection once, when the field is that of one couple."""
+    """Return (v,) log-likelihood ratios of all pairs, each detection once, given the field conditioned on one pair."""
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     i = couples[:, 0]
     offset = offsets[i, couples[:, 1]]
+    # Kalman update of the common error by the offset of one pair.
     gain = P @ np.swapaxes(H[i], 1, 2) @ np.linalg.inv(prior[i])
     error = np.einsum("vsi,vi->vs", gain, offset)
     left = P - gain @ H[i] @ P
     spread = np.einsum("nis,vst,njt->vnij", H, left, H, optimize=True) + R
     residuals = offsets[None] - np.einsum("nis,vs->vni", H, error)[:, :, None]
     ratios = np.maximum(_log_ratios(residuals, spread, likelihoods, options), 0.0)
+    # Each detection and each crater counts once; the smaller sum bounds the one-to-one assignment.
     once = np.minimum(ratios.max(axis=2).sum(axis=1), ratios.max(axis=1).sum(axis=1))
     far = np.einsum("vi,vij,vj->v", offset, np.linalg.inv(prior[i]), offset)
     return np.asarray(once - 0.5 * far)
 
 
-def _refined(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _refine(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> Association:
-    """Start from the couple with most support, and go on with all couples of the field until they stay the same."""
+    """Start from the best supported pair, and condition the field on all its pairs until they no longer change."""
     for _ in range(_REFITS):
-        error, covariance = given(expected, offsets, pairs)
+        error, covariance = condition_on_pairs(expected, offsets, pairs)
         H = expected.by_error
         spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
         ratios = _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
@@ -228,22 +252,22 @@ def _refined(
         if np.array_equal(found, pairs) or len(found) == 0:
             break
         pairs = found
-    probability = _foretold(expected, offsets, pairs, likelihoods, options)
+    probability = _leave_one_out_probability(expected, offsets, pairs, likelihoods, options)
     sure = probability >= options.probability
-    error, covariance = given(expected, offsets, pairs[sure])
+    error, covariance = condition_on_pairs(expected, offsets, pairs[sure])
     reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
     return Association(pairs[sure], probability[sure], expected.mean + error, covariance, reason)
 
 
 def _one_to_one(ratios: FloatArray) -> IndexArray:
-    """Return the couples (k, 2) with positive log-odds of the best one-to-one assignment."""
+    """Return the pairs (k, 2) with positive log-odds of the best one-to-one assignment."""
     rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
     taken = ratios[rows, columns] > 0.0
     return np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
 
 
-def _joint(expected: Expected, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Stack the derivatives (2k, s) of couples, and the covariance (2k, 2k) of their offsets."""
+def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Stack the derivatives (2k, s) of pairs, and the covariance (2k, 2k) of their offsets."""
     H = expected.by_error[pairs[:, 0]].reshape(-1, len(expected.covariance))
     joint = H @ expected.covariance @ H.T
     for row, i in enumerate(pairs[:, 0]):
@@ -251,22 +275,29 @@ def _joint(expected: Expected, pairs: IndexArray) -> tuple[FloatArray, FloatArra
     return H, joint
 
 
-def given(expected: Expected, offsets: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the common error less its mean, (s,) and (s, s), given couples (k, 2) and all offsets (n, m, 2)."""
+def condition_on_pairs(
+    expected: ExpectedCraters, offsets: FloatArray, pairs: IndexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the common error minus its mean, (s,) and (s, s), given pairs (k, 2) and all offsets (n, m, 2)."""
     P = expected.covariance
     H, joint = _joint(expected, pairs)
+    # e | y ~ N(K y, P - K H P) with K = P H^T S^-1 and S = H P H^T + R.
     gain = np.linalg.solve(joint, H @ P).T
     covariance = P - gain @ H @ P
     error = gain @ offsets[pairs[:, 0], pairs[:, 1]].ravel()
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
 
 
-def _foretold(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _leave_one_out_probability(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(k,) probability of each couple by what all the others foretell, against other couples of both and clutter.
+    """Return (k,) the probability of each pair given all others, against other pairs of its crater and clutter.
 
-    Leaving couple i out of a Gaussian field with covariance S leaves the residual (W_ii)^-1 (W y)_i with covariance
+    Leaving pair i out of a Gaussian field with covariance S gives the residual (W_ii)^-1 (W y)_i with covariance
     (W_ii)^-1, W = S^-1.
     """
     _, joint = _joint(expected, pairs)
@@ -277,22 +308,45 @@ def _foretold(
         block = slice(2 * row, 2 * row + 2)
         spread = np.linalg.inv(weights[block, block])
         place = offsets[i, k] - spread @ weighted[row]
-        own = _log_ratios((offsets[i] - place)[None], spread[None], _of(likelihoods, i), options)[0]
+        own = _log_ratios((offsets[i] - place)[None], spread[None], _row_of(likelihoods, i), options)[0]
         probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
-    rivals = _rivals(expected, offsets, pairs, likelihoods, options)
+    rivals = _rival_probability(expected, offsets, pairs, likelihoods, options)
     return np.minimum(probability, rivals)
 
 
-def _of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
+def _row_of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
+    """Return the likelihoods of one expected crater."""
     return _Likelihoods(likelihoods.shape[row : row + 1], likelihoods.density_px2)
 
 
-def _rivals(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _rival_probability(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(k,) probability of each couple against the other expected craters of its detection."""
-    error, covariance = given(expected, offsets, pairs)
+    """Return (k,) the probability of each pair against the other expected craters of its detection."""
+    error, covariance = condition_on_pairs(expected, offsets, pairs)
     H = expected.by_error
     spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
     ratios = np.exp(_log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options))
     return np.asarray(ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0)))
+
+
+def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:
+    """Estimate the common error again with Huber's loss: centres of rims have heavier tails than a Gaussian.
+
+    The noise of each pair is divided by its weight, iteratively; the prior keeps its weight.
+    """
+    foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
+    offsets = seen.centre_px[None] - foretold[:, None]
+    i, k = found.pairs.T
+    error, noise = found.error - expected.mean, expected.noise_px2[i]
+    for _ in range(_HUBER_PASSES):
+        left = offsets[i, k] - expected.by_error[i] @ error
+        sigmas = np.sqrt(np.einsum("ni,nij,nj->n", left, np.linalg.inv(noise), left))
+        weighed = expected.noise_px2.copy()
+        weighed[i] = noise / huber_weights(sigmas)[:, None, None]
+        error, covariance = condition_on_pairs(replace(expected, noise_px2=weighed), offsets, found.pairs)
+    return replace(found, error=expected.mean + error, covariance=covariance)

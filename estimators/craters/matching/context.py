@@ -1,4 +1,4 @@
-"""Matching by context: constellations of craters and linear transforms, after Cheng et al. (2003)."""
+"""Matching by context, after Cheng et al. (2003): constellations of craters, linear transforms, and epipolar lines."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.epipolar import epipolar_offsets, size_ratios
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import mapped
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.transfer import map_ellipses
 from estimators.options import parse_options
-from scenarios.geometry import Ellipses
+from scenarios.geometry import Ellipses, cross_matrix
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
@@ -23,28 +21,30 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _NEIGHBOURS = 8
-_MOST_COMBINATIONS = 400
+_MAX_COMBINATIONS = 400  # choices of three candidates that are tried for a triangle
 _REFITS = 5
+
+_NO_BASELINE = 1e-6  # in distances from the body: below it the epipolar line is undefined numerically
 
 
 class ContextOptions(SpecModel):
     """Options of matching by context; the paper prints 20 px, 3 px and 4 craters."""
 
     epipolar_px: float = Field(20.0, gt=0.0, description="Distance of a candidate from the epipolar line")
-    size_ratio: float = Field(1.4, gt=1.0, description="Of a candidate's size to the crater's, either way")
-    place_px: float = Field(3.0, gt=0.0, description="From where a crater is transferred to, to the one it agrees with")
-    axes_ratio: float = Field(1.3, gt=1.0, description="Of the axes of the two, either way")
-    agreeing: int = Field(4, ge=3, description="Craters that agree must be more")
-    least_height: float = Field(0.2, gt=0.0, lt=0.87, description="Of a triangle of craters, by its longest side")
+    size_ratio: float = Field(1.4, gt=1.0, description="Largest ratio of sizes, or its inverse")
+    place_px: float = Field(3.0, gt=0.0, description="Largest offset of a transformed crater")
+    axes_ratio: float = Field(1.3, gt=1.0, description="Largest ratio of axes, or its inverse")
+    agreeing: int = Field(4, ge=3, description="More craters than this have to agree")
+    least_height: float = Field(0.2, gt=0.0, lt=0.87, description="Least height of a triangle over its longest side")
     loops: int = Field(100, ge=1, description="Triangles that are tried")
 
 
 class ContextMatcher:
-    """Tries triangles of craters until a linear transform takes more craters along than chance would.
+    """Tries triangles of craters for a linear transform that maps more craters onto others than chance would.
 
-    The paper draws three craters from anywhere and ends at the first transform that holds. A body of relief has no
-    plane to hold it everywhere: triangles are drawn among neighbours, and the craters that a confirmed transform has
-    not matched are tried on until the loops are used up.
+    The paper draws three craters from anywhere and stops at the first transform that fits. On a body with relief no
+    plane fits everywhere: triangles are drawn among neighbours, and the search goes on with the craters that the
+    accepted transforms have not matched, until the loops are used up.
     """
 
     name: ClassVar[str] = "context"
@@ -58,36 +58,37 @@ class ContextMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(ContextOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
-        """Match by the relative positions and the shapes of craters; the shape of the body is not asked."""
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
+        """Match by the relative positions and the shapes of craters; ``ground`` is not used."""
         del ground
         options = self._options
-        if reason := too_few(first, second, needed=options.agreeing + 1):
+        if reason := too_few_craters(first, second, needed=options.agreeing + 1):
             return CraterMatches.none(reason)
         near = epipolar_offsets(first, second) < options.epipolar_px
         candidates = near & (np.abs(np.log(size_ratios(first, second))) < np.log(options.size_ratio))
         here, there = first.detections.ellipses, second.detections.ellipses
-        pairs, votes = constellations(here, there, candidates, options, (first.number, second.number))
+        pairs, votes = match_constellations(here, there, candidates, options, (first.number, second.number))
         if len(pairs) == 0:
             tried = f"no linear transform takes more than {options.agreeing} craters along"
             return CraterMatches.none(f"{tried} in {options.loops} loops")
         return CraterMatches(pairs, votes.astype(np.float64))
 
 
-def constellations(
+def match_constellations(
     first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions, seed: tuple[int, int]
 ) -> tuple[IndexArray, IndexArray]:
-    """Match craters by linear transforms: couples (k, 2), and how many agreed with the transform of each, (k,).
+    """Match craters by linear transforms: pairs (k, 2), and how many agreed with the transform of each, (k,).
 
-    ``seed`` draws the triangles: the same for the same two images.
+    ``seed`` of the random triangles: the same for the same two images.
     """
     left = candidates.copy()
     found: list[IndexArray] = []
     usable = np.asarray(candidates.any(axis=1))
+    # Matched craters are taken out, so that no crater is matched twice by two transforms.
     for triangle in _triangles(first.centre_px, usable, options, np.random.default_rng(seed)):
         if not left[triangle].any(axis=1).all():
             continue
-        pairs = _confirmed(first, second, left, triangle, options)
+        pairs = _best_combination(first, second, left, triangle, options)
         if len(pairs) > options.agreeing:
             found.append(pairs)
             left[pairs[:, 0]] = False
@@ -98,28 +99,29 @@ def constellations(
 
 
 def linear_transforms(here: FloatArray, there: FloatArray) -> FloatArray:
-    """(c, 3, 3): T = (X'_1 X'_2 X'_3) (X_1 X_2 X_3)^-1 for three points, (3, 2), and c choices of others, (c, 3, 2)."""
+    """Return (c, 3, 3) T = (X'_1 X'_2 X'_3) (X_1 X_2 X_3)^-1 for three points, (3, 2), and c triples, (c, 3, 2)."""
     points = np.concatenate([here, np.ones((3, 1))], axis=1).T
     others = np.swapaxes(np.concatenate([there, np.ones((len(there), 3, 1))], axis=2), 1, 2)
     return np.asarray(others @ np.linalg.inv(points), dtype=np.float64)
 
 
 def fitted_transform(here: FloatArray, there: FloatArray) -> FloatArray:
-    """(3, 3) linear transform of least squares between (k, 2) and (k, 2) points, k >= 3."""
+    """Return the (3, 3) linear transform of least squares between (k, 2) and (k, 2) points, k >= 3."""
     points = np.concatenate([here, np.ones((len(here), 1))], axis=1)
     solution = np.linalg.lstsq(points, there, rcond=None)[0]
     return np.vstack([solution.T, [0.0, 0.0, 1.0]])
 
 
-def agreeing(
+def agreeing_craters(
     transforms: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
 ) -> BoolArray:
-    """(c, n, m) which craters agree in place and in both axes after each of c transforms."""
+    """Return (c, n, m) which craters agree in place and in both axes after each of c transforms."""
     places = np.einsum("cij,nj->cni", transforms[:, :2, :2], first.centre_px) + transforms[:, None, :2, 2]
     offsets = np.linalg.norm(places[:, :, None] - second.centre_px, axis=3)
     agree = (offsets < options.place_px) & candidates
+    # Only the couples that agree in place are mapped as ellipses, which costs most.
     which, rows, columns = np.nonzero(agree)
-    ellipses, real = mapped(first[rows], transforms[which])
+    ellipses, real = map_ellipses(first[rows], transforms[which])
     ratios = np.full((len(rows), 2), np.inf)
     ratios[real] = np.abs(np.log(ellipses.semi_axes_px / second.semi_axes_px[columns[real]]))
     agree[which, rows, columns] = (ratios < np.log(options.axes_ratio)).all(axis=1)
@@ -143,16 +145,16 @@ def _triangles(
 
 
 def _height(corners: FloatArray) -> float:
-    """Return the smallest height of a triangle (3, 2) by its longest side."""
+    """Return the smallest height of a triangle (3, 2), in units of its longest side."""
     sides = corners - np.roll(corners, 1, axis=0)
     longest2 = float((sides**2).sum(axis=1).max())
     return abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
 
 
-def _confirmed(
+def _best_combination(
     first: Ellipses, second: Ellipses, candidates: BoolArray, triangle: IndexArray, options: ContextOptions
 ) -> IndexArray:
-    """Try all combinations of candidates for a triangle; return the couples of the one that most agree with."""
+    """Try all combinations of candidates for a triangle; return the pairs of the transform with most agreement."""
     combinations = _combinations(candidates[triangle])
     none = np.zeros((0, 2), dtype=np.int64)
     if len(combinations) == 0:
@@ -161,7 +163,8 @@ def _confirmed(
     upright = np.linalg.det(transforms) > 0.0  # the far side of a surface is never seen
     if not upright.any():
         return none
-    agree = agreeing(transforms[upright], first, second, candidates, options)
+    agree = agreeing_craters(transforms[upright], first, second, candidates, options)
+    # A crater may agree with several: the smaller count of both sides bounds the one-to-one pairs.
     counts = np.minimum(agree.any(axis=2).sum(axis=1), agree.any(axis=1).sum(axis=1))
     best = int(np.argmax(counts))
     if counts[best] <= options.agreeing:
@@ -170,16 +173,16 @@ def _confirmed(
 
 
 def _combinations(candidates: BoolArray) -> IndexArray:
-    """(c, 3) choices of three different candidates; the first of them where they are very many."""
+    """Return (c, 3) choices of three different candidates; only the first if there are very many."""
     choices = product(*(np.flatnonzero(row) for row in candidates))
     different = [choice for choice in choices if len(set(choice)) == 3]
-    return np.array(different[:_MOST_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
+    return np.array(different[:_MAX_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
 
 
 def _refitted(
     first: Ellipses, second: Ellipses, candidates: BoolArray, transform: FloatArray, options: ContextOptions
 ) -> IndexArray:
-    """Fit the transform to all couples that agree and look for more, until they stay the same."""
+    """Fit the transform to all pairs that agree and search again, until they no longer change."""
     pairs = np.zeros((0, 2), dtype=np.int64)
     for _ in range(_REFITS):
         found = nearest_couples(transform, first, second, candidates, options)
@@ -193,17 +196,54 @@ def _refitted(
 def nearest_couples(
     transform: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
 ) -> IndexArray:
-    """List couples (k, 2) that agree and are each other's nearest."""
-    agree = agreeing(transform[None], first, second, candidates, options)[0]
+    """List pairs (k, 2) that agree and are each other's nearest."""
+    agree = agreeing_craters(transform[None], first, second, candidates, options)[0]
     places = first.centre_px @ transform[:2, :2].T + transform[:2, 2]
     distance = np.linalg.norm(places[:, None] - second.centre_px, axis=2)
-    return mutual(np.where(agree, distance, np.inf))
+    return mutual_best(np.where(agree, distance, np.inf))
 
 
-def mutual(cost: FloatArray) -> IndexArray:
-    """List couples (k, 2) of a cost matrix (n, m) that are the least of their row and of their column, and finite."""
+def mutual_best(cost: FloatArray) -> IndexArray:
+    """List pairs (k, 2) of a cost matrix (n, m) that are the minimum of their row and of their column, and finite."""
     if cost.size == 0:
         return np.zeros((0, 2), dtype=np.int64)
+    # Ties are left out: they are no evidence for either.
     least = (cost == cost.min(axis=1, keepdims=True)) & (cost == cost.min(axis=0, keepdims=True)) & np.isfinite(cost)
     once = least & (least.sum(axis=1, keepdims=True) == 1) & (least.sum(axis=0, keepdims=True) == 1)
     return np.argwhere(once).astype(np.int64)
+
+
+def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
+    """Return (n, m) px from each rim's centre in the second image to the epipolar line of each in the first.
+
+    Two images from one place have no epipolar lines: then the centre itself is predicted from the attitudes.
+    """
+    one, other = first.frame.prior_T_cam_body, second.frame.prior_T_cam_body
+    rotation = other.rotation @ one.rotation.T
+    baseline = other.translation_m - rotation @ one.translation_m
+    here = _homogeneous(first.detections.ellipses.centre_px) @ np.linalg.inv(first.camera.matrix).T @ rotation.T
+    there = _homogeneous(second.detections.ellipses.centre_px)
+    length = float(np.linalg.norm(baseline))
+    if length <= _NO_BASELINE * float(np.linalg.norm(other.translation_m)):
+        places = here @ second.camera.matrix.T
+        return np.asarray(np.linalg.norm((places[:, :2] / places[:, 2:])[:, None] - there[None, :, :2], axis=2))
+    lines = here @ cross_matrix(baseline / length).T @ np.linalg.inv(second.camera.matrix)
+    return np.asarray(np.abs(lines @ there.T) / np.linalg.norm(lines[:, :2], axis=1, keepdims=True))
+
+
+def size_ratios(first: CraterImage, second: CraterImage) -> FloatArray:
+    """Return (n, m) ratios of the sizes s'/s, corrected for focal length and distance from the body's origin.
+
+    The size is the longer semi-axis, which foreshortening leaves unchanged.
+    """
+    sizes = [
+        image.detections.ellipses.semi_axes_px[:, 0]
+        * image.camera.pixel_angle_rad
+        * float(np.linalg.norm(image.frame.prior_T_cam_body.translation_m))
+        for image in (first, second)
+    ]
+    return np.asarray(sizes[1][None] / sizes[0][:, None])
+
+
+def _homogeneous(uv_px: FloatArray) -> FloatArray:
+    return np.column_stack([uv_px, np.ones(len(uv_px))])

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.context import mutual
-from estimators.craters.matching.located import locate
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import Transfer, joint_covariance, transfer
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.context import mutual_best
+from estimators.craters.matching.transfer import CraterTransfer, joint_covariance, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses
 from scenarios.spec.base import SpecModel
@@ -22,25 +20,25 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.float32]
 
-_HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # from OpenCV's pixels to ours
+_HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixels to this project's
 
 
 class CorrelationOptions(SpecModel):
     """Options of matching by correlation; the paper prints 10 degrees and 0.9."""
 
-    sun_deg: float = Field(10.0, gt=0.0, description="Between the directions of the Sun, at the most")
-    accepted: float = Field(0.9, gt=0.0, lt=1.0, description="Correlation, at the least")
+    sun_deg: float = Field(10.0, gt=0.0, description="Largest angle between the directions of the Sun")
+    accepted: float = Field(0.9, gt=0.0, lt=1.0, description="Least correlation")
     template_radii: float = Field(1.5, gt=0.0, description="Half a template's side, in radii of the crater")
-    least_half_px: int = Field(7, ge=2, description="Half a template's side, at the least")
-    most_half_px: int = Field(24, ge=2, description="Half a template's side, at the most")
-    search_px: int = Field(5, ge=1, description="From the crater in the second image, in its window")
-    place_px: float = Field(3.0, gt=0.0, description="From the best place to the centre of the crater, at the most")
-    size_ratio: float = Field(1.4, gt=1.0, description="Of the radii of both, either way, as predicted")
-    gate_sigma: float = Field(3.5, gt=0.0, description="Of the predicted place by the errors of both poses")
+    least_half_px: int = Field(7, ge=2, description="Least half side of a template")
+    most_half_px: int = Field(24, ge=2, description="Largest half side of a template")
+    search_px: int = Field(5, ge=1, description="Search range around the crater in the second image")
+    place_px: float = Field(3.0, gt=0.0, description="Largest distance of the best place from the centre")
+    size_ratio: float = Field(1.4, gt=1.0, description="Largest ratio of predicted and seen radius, or inverse")
+    gate_sigma: float = Field(3.5, gt=0.0, description="Largest distance from the predicted place, in sigmas")
 
 
 class CorrelationMatcher:
-    """Confirms a crater where its image, rectified by the local plane (5), correlates with the second image (6)."""
+    """Confirms a crater if its image, rectified by the local plane (5), correlates with the second image (6)."""
 
     name: ClassVar[str] = "correlation"
     version: ClassVar[int] = 1
@@ -53,30 +51,30 @@ class CorrelationMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(CorrelationOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
-        """Match by pixels, where the light is similar."""
-        if reason := too_few(first, second):
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
+        """Match by pixels, if the illumination is similar."""
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         angle_deg = np.degrees(sun_angle_rad(first, second))
         if angle_deg > self._options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
-        expected = transfer(first, second, locate(first, ground), ground)
+        expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
         near = near_expected(expected, first, second, self._options)
-        return correlated(expected, first, second, near, self._options)
+        return confirm_by_correlation(expected, first, second, near, self._options)
 
 
 def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:
-    """Return the angle between the directions of the Sun in body axes, by the prior attitudes."""
+    """Return the angle between the directions of the Sun in body axes, from the prior attitudes."""
     suns = [image.frame.prior_T_cam_body.rotation.T @ image.frame.sun_dir_cam for image in (first, second)]
     return float(np.arctan2(np.linalg.norm(np.cross(suns[0], suns[1])), suns[0] @ suns[1]))
 
 
 def near_expected(
-    expected: Transfer, first: CraterImage, second: CraterImage, options: CorrelationOptions
+    expected: CraterTransfer, first: CraterImage, second: CraterImage, options: CorrelationOptions
 ) -> NDArray[np.bool_]:
-    """(p, m) which craters of the second image are near an expected one in place and size."""
+    """Return (p, m) which craters of the second image are near an expected one in place and size."""
     seen, H = second.detections.ellipses, expected.by_error
     covariance = H @ joint_covariance(first, second) @ np.swapaxes(H, 1, 2) + options.place_px**2 * np.eye(2)
     offsets = seen.centre_px[None] - expected.ellipses.centre_px[:, None]
@@ -85,21 +83,21 @@ def near_expected(
     return np.asarray((far < options.gate_sigma**2) & (np.abs(ratio) < np.log(options.size_ratio)))
 
 
-def correlated(
-    expected: Transfer,
+def confirm_by_correlation(
+    expected: CraterTransfer,
     first: CraterImage,
     second: CraterImage,
     near: NDArray[np.bool_],
     options: CorrelationOptions,
 ) -> CraterMatches:
-    """Keep the couples (p, m) of ``near`` that correlate: the best of each crater."""
+    """Keep the pairs (p, m) of ``near`` that correlate: the best of each crater."""
     best = np.full(near.shape, -np.inf)
     image, other = _pixels(first), _pixels(second)
     for p in np.flatnonzero(near.any(axis=1)):
-        template = rectified(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
+        template = rectify_template(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
         for k in np.flatnonzero(near[p]):
-            best[p, k] = _confirmation(template, other, second.detections.ellipses.centre_px[k], options)
-    pairs = mutual(np.where(best > options.accepted, -best, np.inf))
+            best[p, k] = _best_correlation(template, other, second.detections.ellipses.centre_px[k], options)
+    pairs = mutual_best(np.where(best > options.accepted, -best, np.inf))
     if len(pairs) == 0:
         tried = int(near.sum())
         return CraterMatches.none(f"none of {tried} couples near their predicted place correlates")
@@ -107,10 +105,12 @@ def correlated(
     return CraterMatches(rows, best[pairs[:, 0], pairs[:, 1]])
 
 
-def rectified(image: ImageArray, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions) -> ImageArray:
-    """Resample a crater of the first image as the second should show it, (2 h + 1, 2 h + 1); NaN out of the image.
+def rectify_template(
+    image: ImageArray, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions
+) -> ImageArray:
+    """Resample a crater of the first image as it should appear in the second, (2 h + 1, 2 h + 1); NaN off the image.
 
-    The predicted centre of the crater lies in the middle of the middle pixel.
+    The predicted centre of the crater is at the centre of the central pixel.
     """
     half = int(
         np.clip(np.ceil(options.template_radii * ellipse.radius_px[0]), options.least_half_px, options.most_half_px)
@@ -133,7 +133,7 @@ def rectified(image: ImageArray, homography: FloatArray, ellipse: Ellipses, opti
 
 
 def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
-    """(...) correlation (6) of a template (h, w) with windows (..., h, w): 2 cov(I1, I2) / (var I1 + var I2)."""
+    """Return (...) the correlation (6) of a template (h, w) with windows (..., h, w)."""
     here = template - template.mean()
     there = windows - windows.mean(axis=(-2, -1), keepdims=True)
     covariance = (here * there).mean(axis=(-2, -1))
@@ -141,8 +141,10 @@ def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
     return np.asarray(2.0 * covariance / np.maximum(total, 1e-300))  # eq. (6)
 
 
-def _confirmation(template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions) -> float:
-    """Return the highest correlation about a crater where it lies near the crater's centre; else minus infinity."""
+def _best_correlation(
+    template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions
+) -> float:
+    """Return the highest correlation around a crater, or minus infinity if it is too far from the crater's centre."""
     half, reach = template.shape[0] // 2, options.search_px
     column, row = np.floor(centre_px).astype(int)
     top, left = row - half - reach, column - half - reach
@@ -155,6 +157,7 @@ def _confirmation(template: ImageArray, image: ImageArray, centre_px: FloatArray
     windows = np.lib.stride_tricks.sliding_window_view(window, template.shape)
     scores = pseudo_normalised(template.astype(np.float64), windows)
     at = np.array(np.unravel_index(int(np.argmax(scores)), scores.shape))[::-1]
+    # The best place has to be at the detected centre, or another structure has correlated.
     place = np.array([column, row]) + at - reach + 0.5
     return float(scores.max()) if np.linalg.norm(place - centre_px) <= options.place_px else -np.inf
 

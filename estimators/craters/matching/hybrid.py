@@ -1,17 +1,17 @@
-"""The hybrid of Cheng et al. (2003): invariants, context and correlation, each where its conditions hold.
+"""The hybrid matcher of Cheng et al. (2003): invariants, context and correlation, each where its conditions hold.
 
-Figure 7 is lost in the scan but for three boxes: context matching, then correlation matching, then the data base. Our
-reading, from what the text says of each mode:
+Figure 7 is illegible in the scan but for three boxes: context matching, then correlation matching, then the database.
+Our reading, from the text on each mode:
 
-1. Context needs the relative pose and enough craters: it comes first where both images have more craters than have to
-   agree. "The transform T can be obtained from both the spacecraft pose and the surface normal": the constellations are
-   those of the rims that poses and shape predict, so that relief does not bend them and T has but the error of the
-   poses to take up. Where context finds none, the conic invariants, which need no pose, are asked in its place; what
-   they say counts only where the relative pose does not contradict it.
-2. Correlation needs similar light: where the Suns differ by no more than 10 degrees it confirms craters near their
-   predicted places, few as they may be.
-3. All that was found gives T once more, and steps 4 and 5 of the context mode find the remaining craters with it and
-   drop those that do not agree; a crater that correlates stands by itself.
+1. Context needs the relative pose and enough craters: it comes first if both images have more craters than have to
+   agree. "The transform T can be obtained from both the spacecraft pose and the surface normal": the constellations
+   are those of the rims predicted from poses and shape, so that relief does not distort them and T only has to account
+   for the errors of the poses. Where context finds none, the conic invariants, which need no pose, take its place;
+   their pairs count only if the relative pose does not contradict them.
+2. Correlation needs similar illumination: where the Sun directions differ by no more than 10 degrees it confirms
+   craters near their predicted places, even if they are few.
+3. All pairs together give T once more, and steps 4 and 5 of the context mode find the remaining craters with it and
+   drop those that do not agree; a crater that correlates is kept in any case.
 """
 
 from __future__ import annotations
@@ -23,13 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.context import ContextOptions, constellations, fitted_transform, nearest_couples
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.context import ContextOptions, fitted_transform, match_constellations, nearest_couples
 from estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
 from estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
-from estimators.craters.matching.located import locate
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import Transfer, transfer
+from estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 
@@ -38,7 +36,7 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _ROUNDS = 6
-_ROUGH = 3.0
+_ROUGH = 3.0  # in units of the limit on places: relief spreads the offsets before the transform is fitted
 
 
 class HybridOptions(SpecModel):
@@ -47,11 +45,11 @@ class HybridOptions(SpecModel):
     correlation: CorrelationOptions = CorrelationOptions()
     context: ContextOptions = ContextOptions()
     invariants: InvariantOptions = InvariantOptions()
-    agreeing: int = Field(3, ge=2, description="Matches that have to agree before others are sought with them")
+    agreeing: int = Field(3, ge=2, description="Matches that have to agree before others are added")
 
 
 class HybridMatcher:
-    """All three modes, and the craters that follow from what they found."""
+    """Combines all three modes, and finds further craters that agree with their pairs."""
 
     name: ClassVar[str] = "hybrid"
     version: ClassVar[int] = 2
@@ -66,31 +64,33 @@ class HybridMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(HybridOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
-        """Match by whatever the two images admit."""
-        if reason := too_few(first, second):
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
+        """Match by each mode that the two images permit."""
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
-        expected = transfer(first, second, locate(first, ground), ground)
+        expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
         near = near_expected(expected, first, second, self._options.correlation)
         correlated = self._correlation.match(first, second, ground)
-        certain = _as_expected(correlated.pairs, expected, near)
+        certain = _pairs_of_expected(correlated.pairs, expected, near)
         seed, seen = (first.number, second.number), second.detections.ellipses
-        others, _ = constellations(expected.ellipses, seen, near, self._options.context, seed)
+        others, _ = match_constellations(expected.ellipses, seen, near, self._options.context, seed)
         if len(others) == 0:
-            others = _as_expected(self._invariants.match(first, second, ground).pairs, expected, near)
-        found = _merged(certain, others)
+            others = _pairs_of_expected(self._invariants.match(first, second, ground).pairs, expected, near)
+        found = _merge_pairs(certain, others)
         if len(found) == 0:
             return CraterMatches.none(f"neither context nor invariants match a crater, and {correlated.reason}")
-        pairs = _merged(certain, self._followed(expected, second, near, found))
+        pairs = _merge_pairs(certain, self._follow_common_shift(expected, second, near, found))
         if len(pairs) == 0:
             return CraterMatches.none(f"{len(found)} matches of constellations do not agree with each other")
         score = np.isin(pairs[:, 0], certain[:, 0]).astype(np.float64) + 1.0
         return CraterMatches(np.column_stack([expected.rows[pairs[:, 0]], pairs[:, 1]]), score)
 
-    def _followed(self, expected: Transfer, second: CraterImage, near: BoolArray, found: IndexArray) -> IndexArray:
-        """Find the couples (k, 2) that agree with the common error of what was found."""
+    def _follow_common_shift(
+        self, expected: CraterTransfer, second: CraterImage, near: BoolArray, found: IndexArray
+    ) -> IndexArray:
+        """Find the pairs (k, 2) that agree with the transform fitted to the pairs found so far."""
         options, seen = self._options, second.detections.ellipses
         here = expected.ellipses
         inlier = _agreeing_offsets(seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]], options.context.place_px)
@@ -106,27 +106,27 @@ class HybridMatcher:
         return pairs
 
 
-def _as_expected(pairs: IndexArray, expected: Transfer, near: BoolArray) -> IndexArray:
-    """Take couples of detections to couples of expected craters and detections; those that the poses admit."""
+def _pairs_of_expected(pairs: IndexArray, expected: CraterTransfer, near: BoolArray) -> IndexArray:
+    """Convert pairs of detections to pairs of expected crater and detection; keep those that the poses permit."""
     place = {int(row): p for p, row in enumerate(expected.rows)}
     known = [(place[int(i)], int(k)) for i, k in pairs if int(i) in place]
     return np.array([(p, k) for p, k in known if near[p, k]], dtype=np.int64).reshape(-1, 2)
 
 
-def _merged(certain: IndexArray, others: IndexArray) -> IndexArray:
-    """Add the couples of ``others`` that share no crater with those of ``certain``."""
+def _merge_pairs(certain: IndexArray, others: IndexArray) -> IndexArray:
+    """Add the pairs of ``others`` that share no crater with those of ``certain``."""
     free = ~np.isin(others[:, 0], certain[:, 0]) & ~np.isin(others[:, 1], certain[:, 1])
     return np.concatenate([certain, others[free]])
 
 
 def _agreeing_offsets(offsets: FloatArray, limit_px: float) -> BoolArray:
-    """(k,) offsets near the one with most others about it; errors of poses move craters nearly alike."""
+    """Return (k,) offsets near the one with most others around it; errors of poses move craters nearly alike."""
     apart = np.linalg.norm(offsets[:, None] - offsets[None], axis=2) < _ROUGH * limit_px
     return np.asarray(apart[int(np.argmax(apart.sum(axis=1)))])
 
 
 def _transform(here: FloatArray, there: FloatArray) -> FloatArray:
-    """(3, 3) linear transform between places, or a shift alone where they are too few or nearly in line."""
+    """Return the (3, 3) linear transform between places, or a shift if they are too few or nearly collinear."""
     spread = np.linalg.svd(here - here.mean(axis=0), compute_uv=False)
     if len(here) > 4 and spread[-1] > 0.1 * spread[0]:
         return fitted_transform(here, there)

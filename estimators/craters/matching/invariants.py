@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.result import too_few
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses
 from scenarios.spec.base import SpecModel
@@ -23,20 +22,21 @@ IndexArray = NDArray[np.int64]
 class InvariantOptions(SpecModel):
     """Options of matching by invariants; the paper prints none but the threshold of 4 votes."""
 
-    tolerance: float = Field(0.02, gt=0.0, description="Of the logarithm of both invariants, at the most")
-    votes: int = Field(4, ge=1, description="A couple of craters needs more of them")
-    couples: int = Field(2, ge=1, description="An image pair needs more such couples")
+    tolerance: float = Field(0.02, gt=0.0, description="Largest difference of the logarithms of both invariants")
+    votes: int = Field(4, ge=1, description="A pair of craters needs more votes than this")
+    couples: int = Field(2, ge=1, description="An image pair needs more such pairs of craters than this")
     margin: float | None = Field(
-        None, ge=1.0, description="Of a couple's votes over those of each rival; null rejects rivals, as in the paper"
+        None, ge=1.0, description="Ratio of a pair's votes to those of each rival; null rejects rivals, as in the paper"
     )
 
 
 class InvariantMatcher:
-    """Compares the invariants (10) of all pairs of craters: needs no pose, and rims that lie in a plane.
+    """Compares the invariants (10) of all pairs of craters: needs no pose, but rims in one plane.
 
-    On a body of relief no two rims do: from 200 km about Eros the invariants of exact rims differ by 3 % between two
-    images (median), so that a tolerance that takes them in lets chance votes over any fixed threshold, and the paper's
-    rule then rejects the right couple with its rivals. With a ``margin`` the couple stays that outvotes them.
+    On a body with relief no two rims are coplanar: from 200 km around Eros the invariants of exact rims differ by 3 %
+    between two images (median), so that a tolerance wide enough for them gives chance pairs more votes than any fixed
+    threshold, and the paper's rule then rejects the right pair with its rivals. With a ``margin`` the pair that
+    outvotes its rivals is kept.
     """
 
     name: ClassVar[str] = "invariants"
@@ -50,23 +50,23 @@ class InvariantMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(InvariantOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
-        """Match by invariants alone; the shape is not asked."""
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
+        """Match by invariants alone; ``ground`` is not used."""
         del ground
-        if reason := too_few(first, second, needed=2):
+        if reason := too_few_craters(first, second, needed=2):
             return CraterMatches.none(reason)
         votes = vote_matrix(first.detections.ellipses, second.detections.ellipses, self._options.tolerance)
-        pairs = unambiguous(votes, self._options.votes, self._options.margin)
+        pairs = unambiguous_pairs(votes, self._options.votes, self._options.margin)
         if len(pairs) <= self._options.couples:
             return CraterMatches.none(f"{len(pairs)} couples of craters have enough votes of conic invariants")
         return CraterMatches(pairs, votes[pairs[:, 0], pairs[:, 1]].astype(np.float64))
 
 
 def conic_invariants(conics: FloatArray) -> FloatArray:
-    """(n, n) of equation (10): entry (i, j) is tr(C_i^-1 C_j) with each conic scaled to unit determinant.
+    """Return (n, n) of equation (10): entry (i, j) is tr(C_i^-1 C_j) with each conic scaled to unit determinant.
 
-    Entry (j, i) is the second invariant of the pair. They do not change under C -> T^-T C T^-1: the trace sees a
-    similarity, and the determinants are scaled alike.
+    Entry (j, i) is the second invariant of the pair. They are unchanged under C -> T^-T C T^-1: the product C_i^-1 C_j
+    undergoes a similarity, which keeps the trace, and the determinants are scaled alike.
     """
     unit = conics / np.cbrt(np.linalg.det(conics))[:, None, None]
     return np.asarray(np.einsum("iab,jba->ij", np.linalg.inv(unit), unit), dtype=np.float64)  # eq. (10)
@@ -75,8 +75,8 @@ def conic_invariants(conics: FloatArray) -> FloatArray:
 def hash_table(ellipses: Ellipses) -> tuple[IndexArray, FloatArray]:
     """List all ordered pairs (i, j) of craters, (n (n - 1), 2), with the logarithms of their two invariants.
 
-    Rims that lie apart have negative invariants, those that lie in each other positive ones: the sign goes before the
-    logarithm, so that the two kinds never meet.
+    Rims outside each other have negative invariants, those inside each other positive ones: the sign is applied after
+    the logarithm, shifted by 1000, so that the two kinds never match.
     """
     invariants = conic_invariants(ellipses.conics())
     i, j = np.nonzero(~np.eye(len(ellipses), dtype=np.bool_))
@@ -87,7 +87,7 @@ def hash_table(ellipses: Ellipses) -> tuple[IndexArray, FloatArray]:
 
 
 def vote_matrix(first: Ellipses, second: Ellipses, tolerance: float) -> IndexArray:
-    """(n, m) votes: every pair of rows of the two hash tables that are close votes for the couples of its craters."""
+    """Return (n, m) votes: each pair of close rows of the two hash tables votes for the pairs of its craters."""
     votes = np.zeros((len(first), len(second)), dtype=np.int64)
     if len(first) < 2 or len(second) < 2:
         return votes
@@ -100,12 +100,11 @@ def vote_matrix(first: Ellipses, second: Ellipses, tolerance: float) -> IndexArr
     return votes
 
 
-def unambiguous(votes: IndexArray, threshold: int, margin: float | None = None) -> IndexArray:
-    """List the couples (k, 2) with more votes than the threshold that have no rival in their row and column.
+def unambiguous_pairs(votes: IndexArray, threshold: int, margin: float | None = None) -> IndexArray:
+    """List the pairs (k, 2) with more votes than the threshold that have no rival in their row and column.
 
-    A rival is a couple with more votes than the threshold as well; with a ``margin``, whichever couple has so many
-    votes that theirs are not over ``margin`` times as many. Every ordered pair of craters is in a table twice, (i, j)
-    and (j, i), so that each agreement counts twice.
+    A rival is a pair that exceeds the threshold as well; with a ``margin``, any pair whose votes times ``margin`` are
+    not fewer. Each ordered pair of craters is in a table twice, (i, j) and (j, i), so that each agreement counts twice.
     """
     strong = votes > 2 * threshold
     if margin is None:
@@ -116,5 +115,6 @@ def unambiguous(votes: IndexArray, threshold: int, margin: float | None = None) 
 
 
 def _most_of_rivals(votes: IndexArray, row: int, column: int) -> int:
+    """Return the most votes of the other pairs in a row and column."""
     others = np.concatenate([np.delete(votes[row], column), np.delete(votes[:, column], row)])
     return int(others.max(initial=0))

@@ -1,4 +1,4 @@
-"""Which images may show the same craters: preliminary matching after Cheng et al. (2003)."""
+"""Preliminary matching after Cheng et al. (2003): pairs of images that may show the same craters."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, Ground
-from estimators.craters.matching.located import Located, locate
+from estimators.craters.contract import CraterImage, GroundModel
+from estimators.craters.matching.transfer import LocatedCraters, locate_craters
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 
@@ -18,23 +18,23 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
-_AT_ONCE = 64
+_BLOCK_SIZE = 64  # landmarks compared with all others at once, to bound the memory
 
 
 class PreliminaryOptions(SpecModel):
-    """Which landmarks may be the same, and which images are worth matching."""
+    """Conditions on landmarks that may be the same, and on pairs of images worth matching."""
 
     gate_sigma: float = Field(3.5, gt=0.0, description="Of the distance of two landmarks by their uncertainty")
     height_sigma_m: float = Field(30.0, gt=0.0, description="Of the height of the a priori shape under a crater")
     size_ratio: float = Field(1.5, gt=1.0, description="Of the radii of two landmarks, either way")
     landmarks: int = Field(1, ge=1, description="Landmarks of an image pair that may be the same, at the least")
     overlap: float = Field(0.1, ge=0.0, le=1.0, description="Share of a lit region that the other image shows lit")
-    footprint: int = Field(8, ge=2, description="Points on a side of the grid that stands for an image")
+    footprint: int = Field(8, ge=2, description="Points on a side of the grid of lines of sight of an image")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePairs:
-    """Pairs of images that are likely to have craters in common.
+    """Pairs of images that are likely to share craters.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class ImagePairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Landmarks:
-    """All landmarks of all images side by side."""
+    """All landmarks of all images."""
 
     image: IndexArray
     points_m: FloatArray
@@ -63,43 +63,47 @@ class _Landmarks:
 
 
 def preliminary_pairs(
-    images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions | None = None
+    images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions | None = None
 ) -> ImagePairs:
     """Find the pairs of images whose landmarks may be the same and whose lit regions overlap."""
     options = options or PreliminaryOptions()
     if not images:
         return ImagePairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
     landmarks = _all_landmarks(images, ground, options)
-    couples = same_place(landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common)
+    couples = couples_at_same_place(
+        landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common
+    )
     ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
     between = landmarks.image[couples]
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
-    lit = [_lit(image, ground, options.footprint) for image in images]
+    lit = [_lit_points_of(image, ground, options.footprint) for image in images]
     shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])
     kept = (counts >= options.landmarks) & (shares >= options.overlap)
     return ImagePairs(pairs[kept], counts[kept], shares[kept])
 
 
-def same_place(
+def couples_at_same_place(
     points_m: FloatArray, covariances_m2: FloatArray, gate_sigma: float, by_common: FloatArray | None = None
 ) -> IndexArray:
-    """List couples (k, 2) of landmarks (n, 3) whose places agree within their uncertainty (n, 3, 3).
+    """List pairs (k, 2) of landmarks (n, 3) whose positions agree within their uncertainty (n, 3, 3).
 
-    ``by_common`` (n, 3, s), m, is what s errors of unit variance that all of them share do to their places: a part of
-    the uncertainty, of which only the difference tells places apart.
+    ``by_common`` (n, 3, s), m, is the effect of s errors of unit variance that all positions share: a part of their
+    uncertainty, of which only the difference between two positions separates them.
     """
     n = len(points_m)
     shared = np.zeros((n, 3, 0)) if by_common is None else by_common
     reach = gate_sigma * np.sqrt(np.trace(covariances_m2, axis1=1, axis2=2))
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for start in range(0, n, _AT_ONCE):
-        here = np.arange(start, min(start + _AT_ONCE, n))
+    for start in range(0, n, _BLOCK_SIZE):
+        here = np.arange(start, min(start + _BLOCK_SIZE, n))
         apart = np.linalg.norm(points_m[here, None] - points_m[None], axis=2)
+        # The distance alone excludes most pairs: few are left for the exact test.
         near = (apart < reach[here, None] + reach) & (np.arange(n) > here[:, None])
         rows, others = np.nonzero(near)
         rows = here[rows]
         offset = points_m[rows] - points_m[others]
+        # Cov(x1 - x2) = P1 + P2 - P12 - P21, with P12 from the errors that both share.
         cross = shared[rows] @ np.swapaxes(shared[others], 1, 2)
         together = covariances_m2[rows] + covariances_m2[others] - cross - np.swapaxes(cross, 1, 2)
         far = np.einsum("ki,ki->k", offset, np.linalg.solve(together, offset[..., None])[..., 0])
@@ -107,8 +111,8 @@ def same_place(
     return np.concatenate(found)
 
 
-def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: float) -> FloatArray:
-    """(n, 3, 3) m^2 covariance of located craters: of the pose, half a pixel of the centre, and the shape's height."""
+def landmark_covariances(image: CraterImage, located: LocatedCraters, height_sigma_m: float) -> FloatArray:
+    """Return (n, 3, 3) m^2 of located craters: from the pose, half a pixel of the centre, and the shape's height."""
     by_pose, by_height = located.by_pose(), located.by_height()
     ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
     pixel_m = 0.5 * ranges * image.camera.pixel_angle_rad
@@ -118,9 +122,9 @@ def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: f
 
 
 def lit_points(
-    camera: Camera, T_cam_body: Pose, sun_dir_body: FloatArray, ground: Ground, side: int
+    camera: Camera, T_cam_body: Pose, sun_dir_body: FloatArray, ground: GroundModel, side: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) points of the shape on a grid of lines of sight that face the Sun, and (k, 3) normals there."""
+    """Return (k, 3) sunlit points of the shape on a grid of lines of sight, and (k, 3) normals there."""
     steps = (np.arange(side) + 0.5) / side
     u, v = np.meshgrid(steps * camera.width_px, steps * camera.height_px)
     rays = T_cam_body.inverse().rotate(camera.unproject(np.column_stack([u.ravel(), v.ravel()])))
@@ -130,15 +134,17 @@ def lit_points(
     return points[lit], normals[lit]
 
 
-def _lit(image: CraterImage, ground: Ground, side: int) -> FloatArray:
+def _lit_points_of(image: CraterImage, ground: GroundModel, side: int) -> FloatArray:
+    """Return the sunlit points (k, 3) of an image."""
     pose = image.frame.prior_T_cam_body
     return lit_points(image.camera, pose, pose.rotation.T @ image.frame.sun_dir_cam, ground, side)[0]
 
 
-def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions) -> _Landmarks:
+def _all_landmarks(images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions) -> _Landmarks:
+    """Locate the craters of all images."""
     parts = []
     for number, image in enumerate(images):
-        located = locate(image, ground)
+        located = locate_craters(image, ground)
         known = located.on_body
         covariance = landmark_covariances(image, located, options.height_sigma_m)
         ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
@@ -151,12 +157,13 @@ def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: Preli
 
 
 def _overlap(first: CraterImage, second: CraterImage, here: FloatArray, there: FloatArray) -> float:
-    """Return the share of the points lit in one image that lie in the frame and the light of the other; the larger."""
-    shares = [_shown(there_image, points) for there_image, points in ((second, here), (first, there))]
+    """Return the share of the points lit in one image that are in the frame of the other; the larger of both."""
+    shares = [_share_in_frame(there_image, points) for there_image, points in ((second, here), (first, there))]
     return max(shares)
 
 
-def _shown(image: CraterImage, points_body_m: FloatArray) -> float:
+def _share_in_frame(image: CraterImage, points_body_m: FloatArray) -> float:
+    """Return the share of points in the frame of an image; 0 if there are none."""
     if len(points_body_m) == 0:
         return 0.0
     uv_px = image.camera.project(image.frame.prior_T_cam_body.transform(points_body_m))

@@ -1,4 +1,4 @@
-"""Matching with the a priori shape: a vote over the common offset, then what the offset's field foretells."""
+"""Matching with the a priori shape: an association of predicted craters that estimates the errors of both poses."""
 
 from __future__ import annotations
 
@@ -10,30 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.association import Association, AssociationOptions, Expected, associate, centre_noise
-from estimators.craters.matching.located import locate
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import joint_covariance, transfer
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.association import (
+    Association,
+    CraterAssociationOptions,
+    ExpectedCraters,
+    associate,
+    centre_noise,
+)
+from estimators.craters.matching.transfer import joint_covariance, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_PASSES = 3
-_ENOUGH_TO_RELY_ON = 3
+_PASSES = 3  # linearisations
+_MIN_PAIRS_TO_CORRECT = 3  # fewer pairs do not determine the errors of the poses
 
 
 class VoteOptions(SpecModel):
     """Options of the vote."""
 
-    association: AssociationOptions = AssociationOptions()
-    height_sigma_m: float = Field(30.0, ge=0.0, description="Of the height of the a priori shape under a crater")
+    association: CraterAssociationOptions = CraterAssociationOptions()
+    height_sigma_m: float = Field(30.0, ge=0.0, description="Uncertainty of the a priori shape's height under a crater")
 
 
 class VoteMatcher:
-    """Predicts the craters of one image in the other by the shape and lets the errors of the poses be found.
+    """Predicts the craters of one image in the other by the shape, and estimates the poses' errors with the matches.
 
     Beyond Cheng et al. (2003): no pixels are compared, so that the directions of the Sun may differ by any angle, and
     the craters need not lie in a plane.
@@ -50,14 +54,14 @@ class VoteMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(VoteOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by place, size and shape."""
-        if reason := too_few(first, second):
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         error = np.zeros(12)
         for _ in range(_PASSES):
             rows, found = self._associated(first, second, ground, error)
-            if found.reason or len(found.pairs) < _ENOUGH_TO_RELY_ON:
+            if found.reason or len(found.pairs) < _MIN_PAIRS_TO_CORRECT:
                 break
             error = found.error
         if found.reason:
@@ -65,24 +69,24 @@ class VoteMatcher:
         return CraterMatches(np.column_stack([rows[found.pairs[:, 0]], found.pairs[:, 1]]), found.probability)
 
     def _associated(
-        self, first: CraterImage, second: CraterImage, ground: Ground, error: FloatArray
+        self, first: CraterImage, second: CraterImage, ground: GroundModel, error: FloatArray
     ) -> tuple[IndexArray, Association]:
-        """Predict with the poses set right by a guess of their errors, and associate; also the rows predicted.
+        """Predict with poses corrected by an estimate of their errors, and associate; also return the predicted rows.
 
-        The guess moves but the place that is linearised about: the errors stay as likely as before.
+        The estimate only changes the point of linearisation: the prior of the errors stays the same.
         """
         options, covariance = self._options, joint_covariance(first, second)
-        one, other = moved(first, error[:6]), moved(second, error[6:])
-        expected = transfer(one, other, locate(one, ground), ground)
+        one, other = with_pose_error(first, error[:6]), with_pose_error(second, error[6:])
+        expected = transfer_craters(one, other, locate_craters(one, ground), ground)
         noise = centre_noise(expected.ellipses, options.association)
         noise += options.height_sigma_m**2 * np.einsum("ni,nj->nij", expected.by_height, expected.by_height)
-        field = Expected(expected.ellipses, expected.by_error, covariance, noise, -error)
+        field = ExpectedCraters(expected.ellipses, expected.by_error, covariance, noise, -error)
         area_px2 = float(second.camera.width_px * second.camera.height_px)
         found = associate(field, second.detections.ellipses, area_px2, options.association)
         return expected.rows, replace(found, error=error + found.error)
 
 
-def moved(image: CraterImage, error: FloatArray) -> CraterImage:
-    """Return an image whose prior pose is set right by its error, (6,) [rotation_rad, translation_m]."""
+def with_pose_error(image: CraterImage, error: FloatArray) -> CraterImage:
+    """Return an image whose prior pose is corrected by its error, (6,) [rotation_rad, translation_m]."""
     pose = image.frame.prior_T_cam_body.perturbed(error[:3], error[3:])
     return replace(image, frame=replace(image.frame, prior_T_cam_body=pose))

@@ -1,1 +1,1 @@
-"""The chain of Cheng et al. (2003) from detected craters to an orbit, and around again when it is not accepted."""
+"""The chain of crater navigation after Cheng et al. (2003): images in, an orbit out."""

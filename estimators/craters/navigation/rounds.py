@@ -1,9 +1,10 @@
-"""The chain from detected craters to an orbit: pairs, matches, data base, orbit; again where it is not accepted."""
+"""The chain from detected craters to an orbit: image pairs, matches, database, orbit; repeated until it is accepted."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -11,26 +12,34 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
-from estimators.craters.database.files import LANDMARKS, CraterDatabase
-from estimators.craters.database.landmarks import locate_landmarks
+from estimators.craters.contract import (
+    CraterDetections,
+    CraterDetector,
+    CraterImage,
+    CraterMatcher,
+    CraterMatches,
+    GroundModel,
+)
+from estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
+from estimators.craters.database.landmarks import landmarks_for_orbit, locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
-from estimators.craters.database.pictures import placed_pictures
+from estimators.craters.database.pictures import numbered_pictures, pictures_for_orbit
 from estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
-from estimators.craters.navigation.matched import believed, match_pairs, matching_key, placed_images
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory
+from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
 from estimators.craters.registry import crater_detector_class, crater_matcher_class
 from estimators.options import parse_options
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import OrbitEstimate
-from estimators.orbit.options import OrbitOptions
+from estimators.orbit.parameters import OrbitOptions
 from scenarios.errors import BoresightError
 from scenarios.observation import Frame
 from scenarios.orbits.data import OrbitData
 from scenarios.spec.base import SpecModel
+
+_MATCHING = "matching"
+_BLOCK = 50  # pairs of images in one file: so many are matched again after an interruption
 
 FloatArray = NDArray[np.float64]
 
@@ -39,32 +48,32 @@ class NavigationOptions(SpecModel):
     """Options of ``crater-navigation``."""
 
     detector: str = Field("crater-classic", description="Name of a detector of craters")
-    most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    most_detections: int = Field(20, ge=1, description="Most detections of an image")
     matcher: str = Field("hybrid", description="Name of a matcher of craters")
     agreeing: int = Field(
-        3, ge=1, description="Matches that a pair of images has at the least: one or two alone are no constellation"
+        3, ge=1, description="Least matches of a pair of images: one or two alone are no constellation"
     )
     preliminary: PreliminaryOptions = Field(
         PreliminaryOptions(), description="Which images are matched; heights are as uncertain as the a priori shape"
     )
-    orbit: OrbitOptions = Field(OrbitOptions(), description="Of the batch filter")
+    orbit: OrbitOptions = Field(OrbitOptions(), description="Options of the batch filter")
     rounds: int = Field(
         3, ge=1, le=10, description="How often matching and orbit determination are done at most, until one is accepted"
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
-    """One time around.
+class NavigationRound:
+    """One pass through the chain.
 
     Parameters
     ----------
     found
-        What the matcher said of each pair of images, by their places in the sequence.
+        Matches of each pair of images, by their places in the sequence.
     numbering
         Numbers of all detections.
     data
-        What orbit determination saw: the data base as it was read back.
+        The input of orbit determination, from the database as read back from its files.
     estimate
         The orbit; ``positions_m`` are those at ``data.wanted_s``.
     """
@@ -76,10 +85,10 @@ class Round:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Navigation:
-    """All rounds, and the time that each stage took, by its name."""
+class NavigationResult:
+    """All rounds, and the computing time of each stage by its name."""
 
-    rounds: tuple[Round, ...]
+    rounds: tuple[NavigationRound, ...]
     seconds: Mapping[str, float]
 
 
@@ -102,77 +111,119 @@ class CraterNavigation:
         return cls(chosen)
 
     def detect(self, frame: Frame, task: NavigationTask) -> tuple[CraterDetections, str]:
-        """Find the most confident craters of an image; none where nothing can be seen in it, and why."""
+        """Find the most confident craters of an image; none if the image is unusable, with the reason."""
         try:
             found = self.detector.detect(frame, task.knowledge.camera)
         except BoresightError as error:
             return CraterDetections.none(), str(error)
-        return self.chosen(found), ""
+        return self.most_confident(found), ""
 
-    def chosen(self, found: CraterDetections) -> CraterDetections:
+    def most_confident(self, found: CraterDetections) -> CraterDetections:
         """Keep the most confident detections."""
         kept = slice(0, self.options.most_detections)
         return CraterDetections(found.ellipses[kept], found.confidence[kept])
 
-    def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: Stages) -> Navigation:
-        """Go around until an orbit is accepted, no better trajectory comes of it, or the rounds are used up.
+    def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: StageFiles) -> NavigationResult:
+        """Repeat rounds until an orbit is accepted, none is found, or the limit on rounds is reached.
 
         Raises
         ------
         OrbitLostError
-            If the a priori orbit leads into the body.
+            If the a priori orbit hits the body.
         """
         times = np.array([exposure.time_s for exposure in exposures])
-        trajectory, rounds = Trajectory.known_before(task.knowledge, times), []
+        trajectory, rounds = Trajectory.a_priori(task.knowledge, times), []
         wanted = np.unique(np.concatenate([task.wanted_s, times]))
         spent: dict[str, float] = {}
         for _ in range(self.options.rounds):
-            images = placed_images(exposures, trajectory, task)
-            own = stages.below(f"{self.options.matcher}-{self._key(images, task)}")
+            images = images_along_trajectory(exposures, trajectory, task)
+            own = stages.subfolder(f"{self.options.matcher}-{self._key(images, task)}")
             rounds.append(self._round(images, task, wanted, own))
             for stage, seconds in own.seconds().items():
                 spent[stage] = spent.get(stage, 0.0) + seconds
             estimate = rounds[-1].estimate
             if estimate.status == "ok" or estimate.orbit is None:
                 break
+            # A rejected orbit has residuals larger than expected: its covariance is scaled by their chi-square.
             inflation = max(1.0, estimate.diagnostics["chi_square_per_freedom"])
-            trajectory = Trajectory.determined(estimate.orbit, times, wanted, inflation)
-        return Navigation(tuple(rounds), spent)
+            trajectory = Trajectory.from_orbit(estimate.orbit, times, wanted, inflation)
+        return NavigationResult(tuple(rounds), spent)
 
     def _key(self, images: Sequence[CraterImage], task: NavigationTask) -> str:
         options = self.options
         return matching_key(images, options.matcher, options.preliminary, task.shape.height_sigma_m)
 
     def _round(
-        self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: Stages
-    ) -> Round:
-        """Match, number, write the data base, read it back and determine the orbit."""
+        self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: StageFiles
+    ) -> NavigationRound:
+        """Match, number, write the database, read it back and determine the orbit."""
         options, ground = self.options, task.shape.ground
         preliminary = options.preliminary.model_copy(update={"height_sigma_m": task.shape.height_sigma_m})
         with stages.timed("preliminary"):
             pairs = preliminary_pairs(images, ground, preliminary).pairs
         matcher = crater_matcher_class(options.matcher).from_options(self._matcher_options(task))
-        found = believed(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
+        found = reject_small_matches(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
         numbering = number_craters([len(image.detections.ellipses) for image in images], found)
 
         def build(path: Path) -> None:
             landmarks = locate_landmarks(images, numbering, ground, task.shape.height_sigma_m)
-            CraterDatabase(placed_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
+            CraterDatabase(numbered_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
 
         place = f"database-{options.agreeing}/{LANDMARKS}"
-        database = stages.kept(place, "database", build, lambda path: CraterDatabase.load(path.parent))
+        database = stages.cached(place, "database", build, lambda path: CraterDatabase.load(path.parent))
         known = task.knowledge
         data = OrbitData(
             known,
-            sequence_of_pictures(database, known.camera, known.field.rotation),
-            places_of_landmarks(database, task.shape.centre_of_mass_m),
+            pictures_for_orbit(database.pictures, known.camera, known.field.rotation),
+            landmarks_for_orbit(database.landmarks, task.shape.centre_of_mass_m),
             task.radiometry,
             wanted_s,
         )
         with stages.timed("orbit"):
             estimate = self._filter.determine(data)
-        return Round(found, numbering, data, estimate)
+        return NavigationRound(found, numbering, data, estimate)
 
     def _matcher_options(self, task: NavigationTask) -> dict[str, object]:
-        """Tell a matcher that asks for it how uncertain the shape's height is."""
+        """Pass the uncertainty of the shape's height to the matcher that has an option for it."""
         return {"height_sigma_m": task.shape.height_sigma_m} if self.options.matcher == "vote" else {}
+
+
+def match_pairs(
+    images: Sequence[CraterImage],
+    pairs: NDArray[np.int64],
+    matcher: CraterMatcher,
+    ground: GroundModel,
+    stages: StageFiles,
+) -> tuple[PairMatches, ...]:
+    """Match the pairs (k, 2) of images, by their places in the sequence; finished blocks are read from files."""
+    found: list[PairMatches] = []
+    for start in range(0, len(pairs), _BLOCK):
+        block = pairs[start : start + _BLOCK]
+
+        def match(path: Path, block: NDArray[np.int64] = block) -> None:
+            ones = [PairMatches(i, j, matcher.match(images[i], images[j], ground)) for i, j in block.tolist()]
+            write_matches(path, ones)
+
+        found += stages.cached(f"pairs-{start // _BLOCK:05d}.txt", _MATCHING, match, read_matches)
+    return tuple(found)
+
+
+def reject_small_matches(found: Sequence[PairMatches], agreeing: int) -> tuple[PairMatches, ...]:
+    """Reject the pairs of images with fewer matches than ``agreeing``."""
+    return tuple(
+        replace(pair, matches=CraterMatches.none(f"{count} matches are fewer than the {agreeing} that have to agree"))
+        if 0 < (count := len(pair.matches.pairs)) < agreeing
+        else pair
+        for pair in found
+    )
+
+
+def matching_key(images: Sequence[CraterImage], *what: object) -> str:
+    """Hash poses, uncertainties and craters of images, and the repr of everything else their matches depend on."""
+    digest = hashlib.sha256(repr(what).encode())
+    for image in images:
+        pose, rims = image.frame.prior_T_cam_body, image.detections.ellipses
+        placed = (pose.rotation, pose.translation_m, image.frame.prior_covariance, image.common)
+        for part in (*placed, rims.centre_px, rims.semi_axes_px, rims.angle_rad):
+            digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What the stages of the chain leave behind: files in a folder, from which an interrupted chain goes on."""
+"""The result files of the stages of the chain, from which an interrupted chain continues."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _SECONDS = "seconds.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Stages:
-    """A folder of files that each stand for a finished piece of work, and of the time that the stages took."""
+class StageFiles:
+    """A folder with one file for each finished part of a stage, and the computing time of the stages."""
 
     folder: Path
 
-    def below(self, name: str) -> Stages:
-        """Return a folder within."""
-        return Stages(self.folder / name)
+    def subfolder(self, name: str) -> StageFiles:
+        """Return the files of a folder within."""
+        return StageFiles(self.folder / name)
 
-    def kept(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
-        """Read a file back, made first where it is not there; the time of making it counts for its stage."""
+    def cached(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
+        """Read a file; make it first if it does not exist, and add the time to that of the stage."""
         path = self.folder / name
         if not path.exists():
             with self.timed(stage):
@@ -39,7 +39,7 @@ class Stages:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of the work within to that of a stage, unless it fails."""
+        """Add the time of the block to that of a stage, unless it raises."""
         started = time.perf_counter()
         yield
         spent = self.seconds()

@@ -1,4 +1,4 @@
-"""What the chain is given: what is known before, the a priori shape, radiometric data, images with their craters."""
+"""The input of the navigation chain: a priori values and shape, radiometric data, images with their craters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class AprioriShape:
     ground
         In axes whose origin need not be the centre of mass.
     centre_of_mass_m
-        (3,) where that is in them.
+        (3,) in the same axes.
     height_sigma_m
         Standard deviation of the shape's height.
     """
@@ -35,14 +35,14 @@ class AprioriShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
-    """An image with its craters, without a place: that is what the trajectory tells.
+    """An image with its craters and its attitude; its position comes from the trajectory.
 
     Parameters
     ----------
     number, time_s
-        Of the image; the time counts from the epoch of the orbit.
+        Of the image; the time is relative to the epoch of the orbit.
     R_cam_inertial
-        (3, 3) attitude as telemetry tells it.
+        (3, 3) telemetered attitude.
     sun_dir_cam
         (3,) unit vector towards the Sun.
     pixels
@@ -61,16 +61,16 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationTask:
-    """All that the chain knows beside its images.
+    """The input of the chain other than the images.
 
     Parameters
     ----------
     knowledge, radiometry
-        As orbit determination takes them.
+        As in `OrbitData`.
     shape
         A priori.
     wanted_s
-        (E,) times at which the orbit is asked for; later than the last image for a prediction.
+        (E,) times at which the orbit is wanted; later than the last image for a prediction.
     """
 
     knowledge: Knowledge

@@ -1,15 +1,20 @@
-"""Where the spacecraft is thought to be: by the a priori orbit, or by one that was determined."""
+"""The trajectory that images get their prior poses from: the a priori orbit, or a determined one."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.craters.contract import CraterImage
+from estimators.craters.navigation.task import Exposure, NavigationTask
 from estimators.orbit.contract import Orbit
-from scenarios.dynamics.flight import flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_partials
+from scenarios.geometry import Pose, cross_matrix
+from scenarios.observation import Frame
 from scenarios.orbits.data import Knowledge
 
 FloatArray = NDArray[np.float64]
@@ -17,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Places at n times, about the centre of mass, inertial axes.
+    """Positions at n times, relative to the centre of mass, inertial axes.
 
     Parameters
     ----------
@@ -26,8 +31,8 @@ class Trajectory:
     positions_m, covariances_m2
         (n, 3) and (n, 3, 3).
     by_common_m
-        (n, 3, s) what s errors of unit variance, the same at all times, do to the places: the part of their
-        covariances by which they go together.
+        (n, 3, s) effect on the positions of s errors of unit variance that are the same at all times: the part of their
+        covariances that is correlated between times.
     """
 
     times_s: FloatArray
@@ -36,27 +41,57 @@ class Trajectory:
     by_common_m: FloatArray
 
     @classmethod
-    def known_before(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
-        """Map the a priori orbit forward, with the errors of the state at the epoch, of GM and of the Sun's pressure.
+    def a_priori(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
+        """Propagate the a priori orbit, with the errors of the state at the epoch, of GM and of the solar pressure.
 
         Raises
         ------
         OrbitLostError
-            If the a priori orbit leads into the body.
+            If the a priori orbit hits the body.
         """
-        flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
+        flown = propagate_partials(
+            knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
+        )
         sigma = np.repeat([knowledge.position_sigma_m, knowledge.velocity_sigma_m_s], 3)
         forces = flown.by_parameters[:, :3, :2] * [knowledge.gm_sigma, knowledge.light_sigma]
         spread = np.concatenate([flown.by_state[:, :3] * sigma, forces], axis=2)
         return cls(times_s, flown.states[:, :3], np.asarray(spread @ np.swapaxes(spread, 1, 2)), spread)
 
     @classmethod
-    def determined(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
-        """Take the places of an orbit at ``times_s``, which are among the times ``wanted_s`` that it was asked for.
+    def from_orbit(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
+        """Take the positions of an orbit at ``times_s``, which are among the times ``wanted_s`` it was computed for.
 
-        ``inflation`` multiplies its covariance: the chi-square of each degree of freedom of a solution whose residuals
-        are larger than they should be.
+        ``inflation`` multiplies its covariance: the chi-square per degree of freedom of a solution whose residuals are
+        larger than expected.
         """
         rows = np.searchsorted(wanted_s, times_s)
         covariances = inflation * orbit.position_covariances_m2[rows]
         return cls(times_s, orbit.positions_m[rows], covariances, np.zeros((len(rows), 3, 0)))
+
+
+def images_along_trajectory(
+    exposures: Sequence[Exposure], trajectory: Trajectory, task: NavigationTask
+) -> list[CraterImage]:
+    """Give each image its prior pose; the trajectory has one position for each exposure, in their order."""
+    turns, known = task.knowledge.field.rotation.at(trajectory.times_s), task.knowledge
+    images = []
+    for i, (exposure, turn, position) in enumerate(zip(exposures, turns, trajectory.positions_m, strict=True)):
+        attitude = exposure.R_cam_inertial
+        rotation = attitude @ turn.T
+        pose = Pose(rotation, -rotation @ (turn @ position + task.shape.centre_of_mass_m))
+        by_turn, by_place = _by_turn(pose), np.vstack([np.zeros((3, 3)), -attitude])
+        # Independent attitude error and common misalignment, both rotations of the camera, and the position.
+        covariance = (known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2) * by_turn @ by_turn.T
+        covariance += by_place @ trajectory.covariances_m2[i] @ by_place.T
+        common = np.hstack([known.misalignment_sigma_rad * by_turn, by_place @ trajectory.by_common_m[i]])
+        frame = Frame(exposure.pixels, exposure.sun_dir_cam, pose, covariance, exposure.time_s)
+        images.append(CraterImage(exposure.number, frame, known.camera, exposure.detections, common))
+    return images
+
+
+def _by_turn(pose: Pose) -> FloatArray:
+    """Return (6, 3) the error of `Pose.perturbed` caused by a rotation w of the camera about itself.
+
+    With x = R p + t it rotates t too, by w x t.
+    """
+    return np.vstack([np.eye(3), -cross_matrix(pose.translation_m)])

@@ -1,1 +1,1 @@
-"""The pose from matched landmarks: closed form, non-linear refinement and outlier rounds (section 3.4)."""
+"""Solve for the pose from matched landmarks: closed form, non-linear refinement and outlier removal (section 3.4)."""

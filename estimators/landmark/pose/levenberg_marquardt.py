@@ -1,4 +1,8 @@
-"""Covariance-weighted Levenberg-Marquardt for the pose: equations (15) to (24)."""
+"""Refine a pose by covariance-weighted Levenberg-Marquardt: equations (15) to (24).
+
+``stack.refine_poses`` runs the same algorithm on many problems at once. It sums in another order, so that the results
+agree to rounding and not bit for bit; the estimators of one image keep this version.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.pose.derivatives import image_jacobian, point_by_quaternion, point_by_rotation
-from estimators.landmark.pose.problem import PoseProblem
+from estimators.landmark.pose.problem import PoseProblem, image_jacobian, point_by_quaternion, point_by_rotation
 from scenarios.geometry import Pose
 from scenarios.spec.base import SpecModel
 
@@ -21,17 +24,17 @@ LAMBDA_MIN = 1e-9
 
 
 class MarquardtOptions(SpecModel):
-    """Parameters and end of the iteration."""
+    """Options of the pose refinement."""
 
     parameters: Literal["quaternion", "quaternion-as-printed", "minimal"] = Field(
         "quaternion",
-        description="The paper's seven numbers, renormalised without or with (as printed) a change of the image; or a"
-        " small rotation and a translation",
+        description="The paper's quaternion and translation, renormalised without or with (as printed) a change of the"
+        " image; or a small rotation and a translation",
     )
     damping: float = Field(1e-3, gt=0, description="First lambda")
     schedule: Literal["adaptive", "fixed"] = Field(
         "adaptive",
-        description="A tenth of lambda after success and ten times after failure, or the same lambda for every step",
+        description="Lambda divided by 10 after success and multiplied by 10 after failure, or constant",
     )
     tolerance: float = Field(
         1e-10, gt=0, lt=1, description="Done when chi-square changes by less than this, relatively"
@@ -52,7 +55,7 @@ class PoseFit:
     covariance
         (6, 6) of [rotation_rad, translation_m] in camera axes, by the inverse normal matrix; NaN where singular.
     iterations
-        Steps tried.
+        Number of steps tried.
     """
 
     T_cam_body: Pose
@@ -62,9 +65,9 @@ class PoseFit:
 
 
 def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) -> PoseFit:
-    """Minimise chi-square from ``start``; with adaptive damping the result is never worse than it.
+    """Minimise chi-square from ``start``; with adaptive damping it never increases.
 
-    With fixed damping every step is taken that leaves the landmarks in front of the camera.
+    With fixed damping every step that leaves the landmarks in front of the camera is accepted.
     """
     pose, chi2, damping = start, problem.chi2(start), options.damping
     adaptive = options.schedule == "adaptive"
@@ -97,8 +100,8 @@ def _updated(pose: Pose, step: FloatArray, parameters: str) -> Pose:
     """Apply x + delta and renormalise the quaternion.
 
     The R(q) of equation (8) scales the body by |q|**2, so that renormalising alone, as printed, changes the image and
-    takes back a part of the step. Where the translation is divided by the same factor, renormalising moves no pixel,
-    and the iteration converges quadratically.
+    undoes a part of the step. If the translation is divided by the same factor, the image does not change, and the
+    iteration converges quadratically.
     """
     if parameters == "minimal":
         return pose.perturbed(step[:3], step[3:])
@@ -126,6 +129,7 @@ def minimal_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
 def pose_covariance(problem: PoseProblem, pose: Pose) -> FloatArray:
     """Inverse of the normal matrix in the minimal parameters, (6, 6); NaN where it is singular."""
     normal, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
+    # Scaled to a unit diagonal: square radians and square metres differ by orders of magnitude.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
     scaled = normal * np.outer(scale, scale)
     if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1.0 / np.finfo(float).eps:

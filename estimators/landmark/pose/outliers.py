@@ -1,4 +1,4 @@
-"""Match, solve, match again, until the set of landmarks holds still: section 3.4.3."""
+"""Match landmarks and solve for the pose alternately, until the matches no longer change: section 3.4.3."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from pydantic import Field
 
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import Matches, inverse_2x2, match_landmarks
-from estimators.landmark.pose.epnp import solve_epnp
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, PoseFit, pose_covariance, refine_pose
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.projection import Projection, project_landmarks
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, solve_epnp
+from estimators.landmark.projection import Projection, project_landmarks, visible_landmarks
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 
@@ -23,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 class PoseOptions(SpecModel):
-    """How the pose is worked out of the matches."""
+    """Options of matching and solving."""
 
     method: Literal["both", "closed-form", "non-linear"] = Field(
         "both", description="EPnP and then Levenberg-Marquardt, or one of them alone"
@@ -34,21 +32,21 @@ class PoseOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
+class MatchingRound:
     """One round of matching and solving.
 
     Parameters
     ----------
     projection
-        All landmarks, seen from the pose that the round began with.
+        All landmarks, projected at the pose before the round.
     visible
-        (N,) landmarks that could be seen from there.
+        (N,) landmarks visible from that pose.
     matches
-        The pairs.
+        The matched landmarks and corners.
     closed_form
-        The pose by EPnP; None where it was not asked for or found none.
+        The pose by EPnP; None if not wanted or not found.
     fit
-        The pose after the round; None where there were too few pairs or no solution.
+        The pose after the round; None if there were too few matches or no solution.
     """
 
     projection: Projection
@@ -60,18 +58,18 @@ class Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSolution:
-    """All rounds, and the fit of the last; ``failure`` says why there is none."""
+    """All rounds and the fit of the last; ``failure`` is the reason if there is none."""
 
-    rounds: tuple[Round, ...]
+    rounds: tuple[MatchingRound, ...]
     stable: bool = False
     failure: str = ""
     fit: PoseFit | None = field(default=None)
 
 
 def solve_matches(problem: PoseProblem, start: Pose, options: PoseOptions) -> tuple[Pose | None, PoseFit | None]:
-    """Solve once: the closed-form pose (where asked for) and the fit.
+    """Solve once; return the closed-form pose, if wanted, and the fit.
 
-    Where EPnP finds no pose in front of the camera, the refinement begins at ``start`` instead.
+    If EPnP finds no pose with the landmarks in front of the camera, the refinement begins at ``start``.
     """
     closed_form = None if options.method == "non-linear" else solve_epnp(problem)
     if options.method == "closed-form":
@@ -94,15 +92,15 @@ def solve_pose(
     database
         Landmarks and mesh.
     camera, start
-        The camera, and the pose that landmarks are first predicted from.
+        The camera, and the pose from which landmarks are first predicted.
     corners_px
         (M, 2) corners of the image.
     options
-        Method, threshold and the greatest number of rounds.
+        Method, threshold and greatest number of rounds.
     """
     mesh = database.mesh()
     pose = start
-    rounds: list[Round] = []
+    rounds: list[MatchingRound] = []
     for _ in range(options.max_rounds):
         projection = project_landmarks(database, camera, pose)
         visible = visible_landmarks(mesh, camera, pose)
@@ -111,7 +109,7 @@ def solve_pose(
         )
         if rounds and rounds[-1].fit is not None and matches.same_pairs(rounds[-1].matches):
             return PoseSolution(tuple(rounds), True, "", rounds[-1].fit)
-        rounds.append(Round(projection, visible, matches))
+        rounds.append(MatchingRound(projection, visible, matches))
         if len(matches) < MIN_LANDMARKS:
             return PoseSolution(tuple(rounds), False, f"{len(matches)} landmarks recognised, {MIN_LANDMARKS} needed")
         problem = PoseProblem(
@@ -121,7 +119,7 @@ def solve_pose(
             camera,
         )
         closed_form, fit = solve_matches(problem, pose, options)
-        rounds[-1] = Round(projection, visible, matches, closed_form, fit)
+        rounds[-1] = MatchingRound(projection, visible, matches, closed_form, fit)
         if fit is None:
             return PoseSolution(tuple(rounds), False, f"{len(matches)} recognised landmarks fix no pose")
         pose = fit.T_cam_body

@@ -1,4 +1,4 @@
-"""The pose of greatest posterior probability from points seen in an image, robust against wrong ones."""
+"""Estimate the maximum a posteriori pose from points in an image, robust against outliers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
-from estimators.certainty import invertible
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import PoseProblem
+from estimators.landmark.pose.stack import PoseStack
+from estimators.prior import floor_variances
 from scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
@@ -19,28 +20,50 @@ FloatArray = NDArray[np.float64]
 _MAX_STEPS = 50
 _STEP_TOLERANCE = 1e-8
 _NU = 4.0
-# Mean of weight times square, a component, where the squares are chi-square of two: 3 (1 - 2 e^2 E1(2)).
+# Mean of weight times square per component, for squares with a chi-square distribution of two degrees of freedom.
 _GAUSSIAN_MEAN = 3.0 * (1.0 - 2.0 * float(np.exp(2.0) * exp1(2.0)))
-_UNKNOWN_POINTS = 3.0  # two components each: the six unknowns
+_UNKNOWN_POINTS = 3.0  # observations of two components that the six unknowns take up
 _LEAST_SCALE2 = 1e-4
 
 
+def pose_offset(mean: Pose, T_cam_body: Pose) -> FloatArray:
+    """Small motion (6,), [rotation_rad, translation_m], from ``mean`` to a pose: the argument of ``Pose.perturbed``."""
+    turn = Rotation.from_matrix(T_cam_body.rotation @ mean.rotation.T).as_rotvec()
+    return np.concatenate([turn, T_cam_body.translation_m - mean.translation_m])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class GaussianPose:
     """A pose with the covariance (6, 6) of its error, [rotation_rad, translation_m] in camera axes."""
 
     T_cam_body: Pose
     covariance: FloatArray
 
     def offset(self, T_cam_body: Pose) -> FloatArray:
-        """Small motion (6,) that takes the prior's pose to another: the argument of ``Pose.perturbed``."""
-        turn = Rotation.from_matrix(T_cam_body.rotation @ self.T_cam_body.rotation.T).as_rotvec()
-        return np.concatenate([turn, T_cam_body.translation_m - self.T_cam_body.translation_m])
+        """Offset (6,) of a pose from this one, see `pose_offset`."""
+        return pose_offset(self.T_cam_body, T_cam_body)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePrior:
+    """A Gaussian prior of the pose: its mean, and the inverse (6, 6) of the covariance of its `offset`."""
+
+    mean: Pose
+    information: FloatArray
+
+    def offset(self, T_cam_body: Pose) -> FloatArray:
+        """Offset (6,) of a pose from the mean, see `pose_offset`."""
+        return pose_offset(self.mean, T_cam_body)
+
+    def errors(self, poses: PoseStack) -> FloatArray:
+        """Offsets (B, 6) of several poses from the mean."""
+        turns = Rotation.from_matrix(poses.rotations @ self.mean.rotation.T).as_rotvec()
+        return np.concatenate([turns, poses.translations_m - self.mean.translation_m], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """The solution.
+    """A maximum a posteriori pose.
 
     Parameters
     ----------
@@ -49,11 +72,11 @@ class Posterior:
     covariance
         (6, 6) of its error, [rotation_rad, translation_m] in camera axes.
     bound
-        (6, 6) Cramer-Rao bound: the covariance of the best estimator, were the noise Gaussian.
+        (6, 6) Cramer-Rao bound: the covariance of the best estimator for Gaussian noise.
     d2
-        (N,) weighted squared residuals, by the covariances as they were given.
+        (N,) squared residuals, weighted by the given covariances.
     scale2
-        Factor on those covariances that the residuals ask for.
+        Estimated factor on those covariances.
     """
 
     T_cam_body: Pose
@@ -63,38 +86,40 @@ class Posterior:
     scale2: float
 
 
-def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArray) -> Posterior:
+def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: FloatArray) -> Posterior:
     """Maximise the posterior under a Gaussian prior and Student's t for the observations.
 
-    Iteratively reweighted Gauss-Newton: of nu degrees of freedom, an observation whose weighted square is x counts
-    (nu + 2) / (nu + x) times (Lange, Little and Taylor 1989). The scale of the covariances is estimated with the pose:
-    pictures of a shape that is not quite right differ by more than their noise. The covariance of the result is that
-    of an M-estimator (Huber 1981, section 7.6), with the residuals' own moments of weight and influence.
+    Iteratively reweighted Gauss-Newton: with nu degrees of freedom, an observation whose weighted square is x has the
+    weight (nu + 2) / (nu + x) (Lange, Little and Taylor 1989). The scale of the covariances is estimated with the pose,
+    because errors of the shape add to the noise of the image. The covariance of the result is that of an M-estimator
+    (Huber 1981, section 7.6), with the moments of weight and influence from the residuals.
 
     Parameters
     ----------
     problem
-        Points and where they are seen.
+        Points and their observed positions.
     prior, start
-        What is known beforehand, and where to begin.
+        The prior, and the initial pose.
     shared
-        (N, N) share of the pixels that each two observations rest on together, 1 on the diagonal: the correlation of
-        their errors. The information of all is divided by the number that tell the same.
+        (N, N) share of the pixels that each two observations have in common, 1 on the diagonal: the correlation of
+        their errors, see `window_overlap`. The total information is divided by the mean redundancy that follows.
     """
     redundancy = float(shared.sum()) / len(shared)
     independent = len(shared) / redundancy
-    pose, known = start, np.linalg.inv(invertible(prior.covariance))
+    pose, known = start, np.linalg.inv(floor_variances(prior.covariance))
     for _ in range(_MAX_STEPS):
         residuals = problem.residuals_px(pose)
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)
         scale2 = _scale2(d2, independent)
         jacobian = minimal_jacobian(problem, pose)
+        # Redundant observations count once: correlated errors do not average out.
         share = _weights(d2 / scale2) / (scale2 * redundancy)
         matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
         step = np.asarray(np.linalg.solve(matrix + known, vector - known @ prior.offset(pose)), dtype=np.float64)
         pose = pose.perturbed(step[:3], step[3:])
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
+    # Sandwich covariance of an M-estimator: gain scatter gain^T, plus the prior's part.
     full, _ = problem.normal_equations(jacobian, residuals)
     best = full / (scale2 * redundancy)
     influence, slope = _moments(d2 / scale2, independent)
@@ -103,17 +128,37 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArra
     return Posterior(pose, gain @ (scatter + known) @ gain, np.linalg.inv(best + known), d2, scale2)
 
 
+def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
+    """Return the common area (N, N) of each two windows over the geometric mean of their areas.
+
+    This is the correlation of two observations' errors if these come from white noise in the pixels of the windows. As
+    the Gram matrix of the windows it is positive semidefinite.
+
+    Parameters
+    ----------
+    first_px, last_px
+        (N, 2) columns and rows of the windows' first corners and of their opposite corners.
+    """
+    low = np.maximum(first_px[:, None], first_px[None])
+    high = np.minimum(last_px[:, None], last_px[None])
+    common = np.clip(high - low, 0.0, None).prod(axis=2)
+    root = np.sqrt(np.diag(common))
+    share: FloatArray = common / np.outer(root, root)
+    return share
+
+
 def _weights(x: FloatArray) -> FloatArray:
+    """Weights of Student's t for the squared residuals x over the scale."""
     return (_NU + 2.0) / (_NU + x)
 
 
 def _free(n: float) -> float:
-    """Independent observations over those that the unknowns leave free."""
+    """Factor n / (n - p/2) for the observations that the six unknowns take up, of n independent ones."""
     return n / max(1.0, n - _UNKNOWN_POINTS)
 
 
 def _scale2(d2: FloatArray, independent: float) -> float:
-    """Scale of the weighted squares (N,): their variance where they are Gaussian, hardly moved by outliers."""
+    """Robust scale of the weighted squares (N,); for Gaussian residuals it is their variance."""
     scale2 = max(float(np.median(d2)) / 2.0, _LEAST_SCALE2)
     for _ in range(_MAX_STEPS):
         mean = float((_weights(d2 / scale2) * d2).mean()) / 2.0
@@ -124,7 +169,7 @@ def _scale2(d2: FloatArray, independent: float) -> float:
 
 
 def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
-    """E[psi^2] and E[psi'], a component, of the influence psi over the weighted squares (N,)."""
+    """E[psi^2] and E[psi'] per component, of the influence function psi, over the weighted squares (N,)."""
     weights = _weights(x)
     influence = _free(independent) * float((weights**2 * x).mean()) / 2.0
     slope = float((weights - (_NU + 2.0) * x / (_NU + x) ** 2).mean())
@@ -132,7 +177,7 @@ def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
 
 
 def _scores_covariance(information: FloatArray, jacobian: FloatArray, shared: FloatArray) -> FloatArray:
-    """Covariance (P, P) of J^T S^-1/2 e for errors e, of unit variance, that are correlated as ``shared`` says."""
+    """Covariance (P, P) of J^T S^-1/2 e for errors e of unit variance with the correlation ``shared``."""
     values, vectors = np.linalg.eigh(information)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     white = root @ jacobian

@@ -1,14 +1,15 @@
-"""Matched landmarks as a least-squares problem: equations (15) to (20)."""
+"""The least-squares problem of the pose from matched landmarks, its Jacobians and EPnP: equations (15) to (23)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose
+from scenarios.geometry import Camera, Pose, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 
@@ -17,7 +18,7 @@ MIN_LANDMARKS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseProblem:
-    """N landmarks with their observed positions.
+    """Landmarks in the body frame with their observed positions in the image.
 
     Parameters
     ----------
@@ -63,3 +64,76 @@ class PoseProblem:
         matrix: FloatArray = np.einsum("nip,niq->pq", jacobian, weighted)
         vector: FloatArray = np.einsum("nip,ni->p", weighted, residuals_px)
         return matrix, vector
+
+
+def solve_epnp(problem: PoseProblem) -> Pose | None:
+    """Solve for the pose in closed form by OpenCV's EPnP (Lepetit, Moreno-Noguer and Fua 2009).
+
+    Returns
+    -------
+    T_cam_body, or None where there is no solution with all landmarks in front of the camera.
+    """
+    camera = problem.camera
+    matrix = camera.matrix
+    matrix[:2, 2] = pixel_to_opencv(matrix[:2, 2])
+    found, rotation_vector, translation = cv2.solvePnP(
+        problem.points_body_m, pixel_to_opencv(problem.uv_px), matrix, None, flags=cv2.SOLVEPNP_EPNP
+    )
+    if not found or not (np.isfinite(rotation_vector).all() and np.isfinite(translation).all()):
+        return None
+    pose = Pose(cv2.Rodrigues(rotation_vector)[0], translation.ravel())
+    return pose if (pose.transform(problem.points_body_m)[:, 2] > 0.0).all() else None
+
+
+def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: FloatArray) -> FloatArray:
+    """Differentiate the projections by attitude and translation.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    points_cam_m
+        (..., N, 3) landmarks in camera axes.
+    point_by_attitude
+        (..., N, 3, A) their derivatives by the A attitude parameters.
+
+    Returns
+    -------
+    (..., N, 2, A + 3).
+    """
+    by_point = camera.jacobian(points_cam_m)
+    return np.concatenate([by_point @ point_by_attitude, by_point], axis=-1)  # eqs. (21), (22)
+
+
+def point_by_quaternion(quat_wxyz: FloatArray, points_body_m: FloatArray) -> FloatArray:
+    """Differentiate R(q) x by the components of a unit quaternion, without renormalisation.
+
+    Parameters
+    ----------
+    quat_wxyz
+        (..., 4) attitudes.
+    points_body_m
+        (..., N, 3) landmarks.
+
+    Returns
+    -------
+    (..., N, 3, 4).
+    """
+    q0, q1, q2, q3 = np.moveaxis(quat_wxyz, -1, 0)
+    entries = [  # eq. (23): entry [k, i, j] is half the derivative of R_ij by q_k
+        [[q0, -q3, q2], [q3, q0, -q1], [-q2, q1, q0]],
+        [[q1, q2, q3], [q2, -q1, -q0], [q3, q0, -q1]],
+        [[-q2, q1, q0], [q1, q2, q3], [-q0, q3, -q2]],
+        [[-q3, -q0, q1], [q0, -q3, q2], [q1, q2, q3]],
+    ]
+    by_q = 2.0 * np.ascontiguousarray(np.moveaxis(np.array(entries), (0, 1, 2), (-3, -2, -1)))
+    point_by_q: FloatArray = np.einsum("...kij,...nj->...nik", by_q, points_body_m)
+    return point_by_q
+
+
+def point_by_rotation(rotated_m: FloatArray) -> FloatArray:
+    """Differentiate exp(w) R x by the small rotation w, (..., N, 3, 3), at R x = ``rotated_m`` (..., N, 3)."""
+    x, y, z = np.moveaxis(rotated_m, -1, 0)
+    zero = np.zeros_like(x)
+    columns = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1)
+    return columns.reshape(*x.shape, 3, 3)

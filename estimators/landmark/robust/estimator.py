@@ -1,61 +1,92 @@
-"""The estimator ``landmark-ransac``: image to pose by consensus of all corners."""
+"""The estimator ``landmark-ransac``: the pose by consensus of all corners."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from estimators.certainty import invertible
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.image import image_fault
-from estimators.landmark.centroid import Alignment, MeshView, align_translation
-from estimators.landmark.consistency import centroid_residual_px, inconsistency
-from estimators.landmark.corners import detect_corners
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    centroid_residual_px,
+    consistency_failure,
+)
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matched import MatchedFrame, matched_table
-from estimators.landmark.recognizer import MEASURES, borrow_database
-from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses, Step
-from estimators.landmark.robust.options import ConsensusOptions
-from estimators.landmark.robust.sampling import sampled_hypotheses
-from estimators.landmark.robust.search import best_hypotheses, refined
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.matching import MatchedFrame, matched_table
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.landmark.pose.stack import PoseStack
+from estimators.landmark.projection import visible_landmarks
+from estimators.landmark.recognizer import POINT_PAIRS, landmark_database
+from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
+from estimators.landmark.robust.search import SearchOptions, best_hypotheses, refine_hypotheses, sampled_hypotheses
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
+from estimators.prior import floor_variances
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
-_MATCHED_D2 = 11.83
+_MATCHED_D2 = 11.83  # 3-sigma quantile (99.73 %) of chi-square with two degrees of freedom
 _FEWEST = 4
+
+
+class ConsensusOptions(SpecModel):
+    """Options of ``landmark-ransac``."""
+
+    database: DatabaseOptions = DatabaseOptions()
+    corners: CornerOptions = Field(
+        CornerOptions(count=250, min_relative_strength=1e-5), description="Corners of the observed image"
+    )
+    alignment: Literal["centroid", "image"] = Field("image", description="Method of the first alignment")
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+    alignment_sigma_px: float = Field(3.6, gt=0, description="Standard deviation of that alignment, each axis")
+    mixture: MixtureOptions = MixtureOptions()
+    search: SearchOptions = SearchOptions()
+    covariance_scale: float = Field(
+        1.8,
+        gt=0,
+        description="Factor on the covariance of the result, as errors of neighbours are correlated",
+    )
+    consistency_max_px: float | None = Field(
+        None,
+        gt=0,
+        description="Largest distance of the brightness centroids of image and rendered solution",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """A pose, and what it rests on."""
+    """A pose with the landmarks, corners and evaluated mixture that it was estimated from."""
 
     alignment: Alignment
     pose: Pose
-    step: Step
+    evaluation: MixtureEvaluation
     visible: NDArray[np.intp]
     corners_px: FloatArray
     centroid_residual_px: float | None = None
 
     def matched(self) -> MatchedFrame:
-        """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
-        rows, likely = np.arange(len(self.visible)), self.step.squares[0].argmin(axis=1)
-        sure = self.step.squares[0, rows, likely] < _MATCHED_D2
-        corner = self.step.candidates[0, rows, likely][sure]
-        return MatchedFrame(self.pose, self.visible[sure], self.corners_px[corner])
+        """Return the landmarks with a corner within their 3-sigma region (two degrees of freedom) as matches."""
+        rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
+        near = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
+        corner = self.evaluation.candidates[0, rows, likely][near]
+        return MatchedFrame(self.pose, self.visible[near], self.corners_px[corner])
 
 
 class ConsensusRecognizer:
-    """All corners as candidates, the whole prior searched, maximum a posteriori."""
+    """Searches the whole prior for the maximum a posteriori pose, with all corners as candidates."""
 
     name: ClassVar[str] = "landmark-ransac"
     version: ClassVar[int] = 3
@@ -68,23 +99,23 @@ class ConsensusRecognizer:
 
     @property
     def database(self) -> LandmarkDatabase:
-        """The landmarks that are looked for."""
+        """The data base whose landmarks are recognised."""
         return self._database
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(ConsensusOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         return cls(database, assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; only minimal sets, where asked for, need ``rng``."""
+        """Estimate the pose; only hypotheses from minimal sets use ``rng``."""
         clock = Stopwatch()
         solution = self._solve(observation.frame, observation.camera, clock, rng)
         if isinstance(solution, str):
             return Estimate("failed", solution, timings_s=clock.seconds)
-        bound, matched = np.linalg.inv(solution.step.hessian[0]), solution.matched()
+        bound, matched = np.linalg.inv(solution.evaluation.hessian[0]), solution.matched()
         return Estimate(
             "ok",
             pose=solution.pose,
@@ -97,18 +128,14 @@ class ConsensusRecognizer:
         )
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
-        """Solve the frame, or say why there is no pose."""
+        """Solve for the pose, or return the reason why there is none."""
         options, prior = self._options, frame.prior_T_cam_body
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        with clock("centroid"):
-            observed = extract_signal(frame.image)
-        if observed.empty:
-            return "the image is black: nothing above its background"
+        observed = observed_signal(frame, camera, clock)
+        if isinstance(observed, str):
+            return observed
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        measure = MEASURES[options.alignment]
-        alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
+        measure = POINT_PAIRS[options.alignment]
+        alignment = align_translation(observed, prior, view, measure, options.alignment_loop, clock)
         if alignment.failure:
             return alignment.failure
         with clock("feature_extraction"):
@@ -118,8 +145,8 @@ class ConsensusRecognizer:
         if isinstance(solution, str):
             return solution
         with clock("consistency"):
-            residual_px = centroid_residual_px(observed.image, solution.pose, view)
-        failure = inconsistency(residual_px, options.consistency_max_px)
+            residual_px = centroid_residual_px(observed, solution.pose, view)
+        failure = consistency_failure(residual_px, options.consistency_max_px)
         return failure or replace(solution, centroid_residual_px=residual_px)
 
     def _recognise(
@@ -130,7 +157,7 @@ class ConsensusRecognizer:
         if min(len(visible), len(corners_px)) < _FEWEST:
             return f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
         sigma_px = options.mixture.corner_sigma_px
-        turn_sigma_rad = float(np.sqrt(np.diag(invertible(frame.prior_covariance))[:3].max()))
+        turn_sigma_rad = float(np.sqrt(np.diag(floor_variances(frame.prior_covariance))[:3].max()))
         prior = _prior_after_alignment(frame, start, camera, options)
         first = self._mixture(visible, corners_px, camera, prior)
         if options.search.hypotheses == "prior":
@@ -139,12 +166,12 @@ class ConsensusRecognizer:
             hypotheses = sampled_hypotheses(first, prior, start, corners_px, camera, options.search, rng)
         if not len(hypotheses):
             return "no three landmarks have a corner within their matching radius"
-        pose = refined(first, hypotheses, sigma_px, options.search)
-        # A turn of some degrees brings other landmarks into view.
+        pose = refine_hypotheses(first, hypotheses, sigma_px, options.search)
+        # A rotation of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
         last = self._mixture(visible, corners_px, camera, prior)
-        poses = last.climb(_single(pose), sigma_px, options.search.max_iterations, 1e-3)
-        return _Solution(alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
+        poses = last.maximise(PoseStack.of([pose]), sigma_px, options.search.max_iterations, 1e-3)
+        return _Solution(alignment, poses.pose(0), last.evaluate(poses, sigma_px), visible, corners_px)
 
     def _mixture(self, visible: NDArray[np.intp], corners_px: FloatArray, camera: Camera, prior: PosePrior) -> Mixture:
         means, covariances = self._database.means_m[visible], self._database.covariances_m2[visible]
@@ -153,17 +180,13 @@ class ConsensusRecognizer:
         return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
 
 
-def _single(pose: Pose) -> Poses:
-    return Poses(pose.rotation[None], pose.translation_m[None])
-
-
 def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options: ConsensusOptions) -> PosePrior:
-    """Put what the alignment says of the translation across the line of sight in the place of the prior's.
+    """Update the prior with the aligned translation across the line of sight.
 
-    The prior's own information is kept: the aligned translation is a measurement of x and y with the error
-    ``alignment_sigma_px``; along the boresight and in attitude the prior stands alone.
+    The aligned translation is a measurement of x and y with the standard deviation ``alignment_sigma_px``; along the
+    boresight and in attitude there is only the prior.
     """
-    prior_information = np.linalg.inv(invertible(frame.prior_covariance))
+    prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
     sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
     measured = np.zeros((6, 6))
     measured[3, 3] = measured[4, 4] = sigma_m**-2
@@ -180,6 +203,6 @@ def _diagnostics(solution: _Solution, n_landmarks: int) -> dict[str, float | int
         "n_landmarks": n_landmarks,
         "n_predicted": len(solution.visible),
         "n_corners": len(solution.corners_px),
-        "log_posterior": float(solution.step.log_posterior[0]),
+        "log_posterior": float(solution.evaluation.log_posterior[0]),
         **({} if residual_px is None else {"centroid_residual_px": residual_px}),
     }

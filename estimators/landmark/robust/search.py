@@ -1,21 +1,79 @@
-"""The best of all poses that the prior admits."""
+"""Search the prior for the pose of greatest posterior probability, from a grid or from random minimal sets."""
 
 from __future__ import annotations
+
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.robust.mixture import Mixture, Poses
-from estimators.landmark.robust.options import SearchOptions
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.landmark.pose.problem import image_jacobian, point_by_rotation
+from estimators.landmark.pose.stack import PoseStack
+from estimators.landmark.robust.mixture import Mixture
 from scenarios.geometry import Camera, Pose
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
+IndexArray = NDArray[np.intp]
 
-def turns_within(radius_rad: float, step_rad: float, most: int) -> FloatArray:
-    """Rotation vectors (H, 3) on a cubic grid in a ball; the step grows until there are at most ``most``."""
+_SET = 3
+_MATCHING_SIGMA = 6.0
+
+
+class SearchOptions(SpecModel):
+    """Options of the hypotheses and of the refinement of the best.
+
+    Hypotheses are rotations about the body's origin over the whole prior, each with shifts across the line of sight, or
+    the poses of random minimal sets of landmarks and corners, as in RANSAC.
+    """
+
+    hypotheses: Literal["prior", "minimal-sets"] = Field("prior", description="Source of the hypotheses")
+    draws: int = Field(20_000, ge=1, le=1_000_000, description="Minimal sets drawn")
+    reach_sigma: float = Field(3.45, gt=0, le=10, description="Radius of the ball of rotations, in the prior's sigmas")
+    step_px: float = Field(1.7, gt=0, le=20, description="Step of the rotations, as motion of the surface in pixels")
+    max_turns: int = Field(4000, ge=1, le=100_000, description="Most rotations; the step grows until there are no more")
+    shift_px: int = Field(2, ge=0, le=20, description="Shifts up to this many pixels along rows and columns")
+    blur_px: float = Field(1.8, gt=0, le=20, description="Blur of the corner map on which hypotheses are scored")
+    refined: int = Field(25, ge=1, le=1000, description="Best hypotheses that are refined")
+    anneal_px: tuple[Annotated[float, Field(gt=0, le=20)], ...] = Field(
+        (1.5, 0.8), min_length=1, description="Corner errors of the successive stages of refinement"
+    )
+    iterations: int = Field(4, ge=1, le=100, description="Iterations at each of them")
+    finalists: int = Field(4, ge=1, le=100, description="Hypotheses iterated to convergence")
+    max_iterations: int = Field(30, ge=1, le=1000, description="Most iterations to convergence")
+
+
+def best_hypotheses(
+    mixture: Mixture, start: Pose, turn_sigma_rad: float, corners_px: FloatArray, camera: Camera, options: SearchOptions
+) -> PoseStack:
+    """Score rotations and shifts of ``start`` on a blurred map of the corners, and return the best.
+
+    The score of a hypothesis is the log likelihood of `Mixture`, with the isotropic covariance of the map's blur and
+    landmarks rounded to pixels, plus the log prior of its rotation.
+    """
+    size_m = float(np.median(np.linalg.norm(mixture.points_m, axis=1)))
+    pixel_m = float(np.linalg.norm(start.translation_m)) * camera.pixel_angle_rad
+    turns = rotation_grid(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
+    rotations = Rotation.from_rotvec(turns).as_matrix() @ start.rotation
+    poses = PoseStack(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
+    shifts = np.arange(-options.shift_px, options.shift_px + 1)
+    du, dv = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
+    # Log prior of the rotation alone: the shifts lie within the error of the alignment.
+    prior = -0.5 * np.square(turns).sum(axis=1) / turn_sigma_rad**2
+    scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
+    best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
+    turn, shift = np.divmod(best, len(du))
+    across_m = np.stack([du[shift], dv[shift], np.zeros(len(best))], axis=1) * pixel_m
+    return PoseStack(rotations[turn], start.translation_m + across_m)
+
+
+def rotation_grid(radius_rad: float, step_rad: float, most: int) -> FloatArray:
+    """Return rotation vectors (H, 3) on a cubic grid in a ball; the step grows until there are at most ``most``."""
     while True:
         count = int(np.floor(radius_rad / step_rad))
         axis = step_rad * np.arange(-count, count + 1)
@@ -26,55 +84,33 @@ def turns_within(radius_rad: float, step_rad: float, most: int) -> FloatArray:
         step_rad *= 1.1
 
 
-def corner_map(corners_px: FloatArray, camera: Camera, blur_px: float) -> NDArray[np.float32]:
-    """Density of corners an image, (H, W) px^-2, blurred."""
-    counts = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
-    column, row = np.clip(np.floor(corners_px), 0, [camera.width_px - 1, camera.height_px - 1]).astype(int).T
-    np.add.at(counts, (row, column), 1.0)
-    return np.asarray(cv2.GaussianBlur(counts, (0, 0), blur_px), dtype=np.float32)
-
-
-def best_hypotheses(
-    mixture: Mixture, start: Pose, turn_sigma_rad: float, corners_px: FloatArray, camera: Camera, options: SearchOptions
-) -> Poses:
-    """Score turns and shifts of the start on a blurred map of the corners, and return the best.
-
-    The score of a hypothesis is the log likelihood of `Mixture` with isotropic covariances of the map's blur, taken at
-    the pixel of each landmark, and the log prior of its turn.
-    """
-    size_m = float(np.median(np.linalg.norm(mixture.points_m, axis=1)))
-    pixel_m = float(np.linalg.norm(start.translation_m)) * camera.pixel_angle_rad
-    turns = turns_within(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
-    rotations = Rotation.from_rotvec(turns).as_matrix() @ start.rotation
-    poses = Poses(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
-    shifts = np.arange(-options.shift_px, options.shift_px + 1)
-    du, dv = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
-    prior = -0.5 * np.square(turns).sum(axis=1) / turn_sigma_rad**2
-    scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
-    best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
-    turn, shift = np.divmod(best, len(du))
-    across_m = np.stack([du[shift], dv[shift], np.zeros(len(best))], axis=1) * pixel_m
-    return Poses(rotations[turn], start.translation_m + across_m)
-
-
 def map_scores(
     mixture: Mixture,
-    poses: Poses,
+    poses: PoseStack,
     corners_px: FloatArray,
     camera: Camera,
     blur_px: float,
     du: NDArray[np.int_],
     dv: NDArray[np.int_],
 ) -> FloatArray:
-    """Log likelihoods (H, S) of poses, shifted by whole pixels, on a blurred map of the corners."""
+    """Log likelihoods (H, S) of H poses with S shifts by whole pixels, on a blurred map of the corners."""
     log_density = np.log1p(mixture.odds_px2 * corner_map(corners_px, camera, blur_px))
     return _scores(log_density, mixture.project(poses), du, dv)
+
+
+def corner_map(corners_px: FloatArray, camera: Camera, blur_px: float) -> NDArray[np.float32]:
+    """Blurred density of corners in the image, (H, W) px^-2."""
+    counts = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
+    column, row = np.clip(np.floor(corners_px), 0, [camera.width_px - 1, camera.height_px - 1]).astype(int).T
+    np.add.at(counts, (row, column), 1.0)
+    return np.asarray(cv2.GaussianBlur(counts, (0, 0), blur_px), dtype=np.float32)
 
 
 def _scores(
     log_density: NDArray[np.float32], uv_px: FloatArray, du: NDArray[np.int_], dv: NDArray[np.int_]
 ) -> FloatArray:
-    """Sum the map over the landmarks, (H, S), for each shift; landmarks out of the image add nothing."""
+    """Sum the map over the landmarks for each shift, (H, S); landmarks outside the image add nothing."""
+    # Flat indices into a map padded by the largest shift: a shift is then a constant offset.
     reach = int(np.abs(np.concatenate([du, dv])).max())
     padded = np.pad(log_density, reach + 1)
     height, width = log_density.shape
@@ -88,11 +124,71 @@ def _scores(
     )
 
 
-def refined(mixture: Mixture, hypotheses: Poses, corner_sigma_px: float, options: SearchOptions) -> Pose:
-    """Climb from each hypothesis while the corner error shrinks, and return the pose of the greatest posterior."""
+def sampled_hypotheses(
+    mixture: Mixture,
+    prior: PosePrior,
+    start: Pose,
+    corners_px: FloatArray,
+    camera: Camera,
+    options: SearchOptions,
+    rng: np.random.Generator,
+) -> PoseStack:
+    """Draw minimal sets, solve each for its pose under the prior, and return the best; none where nothing matches.
+
+    A set is three landmarks, each with a corner within 6 sigma of its prediction, drawn by its likelihood under the
+    prior. Its pose is the linear maximum a posteriori about ``start``; its score is that of `best_hypotheses`. RANSAC:
+    M. Fischler and R. Bolles (Communications of the ACM 24, 1981), with the guided sampling and local optimisation of
+    R. Raguram et al. (USAC, IEEE Transactions on Pattern Analysis and Machine Intelligence 35, 2013).
+    """
+    points_cam_m = start.transform(mixture.points_m)
+    jacobian = image_jacobian(camera, points_cam_m, point_by_rotation(start.rotate(mixture.points_m)))
+    predicted_px = camera.project(points_cam_m)
+    sigma_px = options.anneal_px[0]
+    likelihood = _likelihoods(corners_px - predicted_px[:, None], jacobian, prior, sigma_px)
+    landmark, corner = _draw(likelihood, options.draws, rng)
+    if not len(landmark):
+        return PoseStack(np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    residuals = corners_px[corner] - predicted_px[landmark]
+    by_pose = jacobian[landmark]
+    normal = np.einsum("hkip,hkiq->hpq", by_pose, by_pose) / sigma_px**2 + prior.information
+    here = prior.errors(PoseStack.of([start]))[0]
+    vector = np.einsum("hkip,hki->hp", by_pose, residuals) / sigma_px**2 - prior.information @ here
+    steps = np.linalg.solve(normal, vector[..., None])[..., 0]
+    copies = np.repeat(start.rotation[None], len(steps), 0), np.repeat(start.translation_m[None], len(steps), 0)
+    poses = PoseStack(*copies).perturbed(steps)
+    none = np.zeros(1, dtype=np.int_)
+    errors = prior.errors(poses)
+    scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, none, none)[:, 0]
+    scores -= 0.5 * np.einsum("hp,pq,hq->h", errors, prior.information, errors)
+    return poses.rows(np.argsort(-scores, kind="stable")[: options.refined])
+
+
+def _likelihoods(offsets_px: FloatArray, jacobian: FloatArray, prior: PosePrior, sigma_px: float) -> FloatArray:
+    """Likelihood (N, C) of each corner for each landmark, under the prior; 0 outside the matching radius."""
+    spread = jacobian @ np.linalg.inv(prior.information) @ np.swapaxes(jacobian, 1, 2) + sigma_px**2 * np.eye(2)
+    d2 = np.einsum("nci,nij,ncj->nc", offsets_px, np.linalg.inv(spread), offsets_px)
+    return np.where(d2 <= _MATCHING_SIGMA**2, np.exp(-0.5 * d2), 0.0)
+
+
+def _draw(likelihood: FloatArray, draws: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
+    """Draw sets of three different landmarks and a corner for each, (H, 3) both, H <= ``draws``."""
+    total = np.cumsum(likelihood, axis=1)
+    matched = np.flatnonzero(total[:, -1] > 0.0)
+    if len(matched) < _SET:
+        return np.zeros((0, _SET), dtype=np.intp), np.zeros((0, _SET), dtype=np.intp)
+    landmark = matched[rng.integers(0, len(matched), (draws, _SET))]
+    ordered = np.sort(landmark, axis=1)
+    landmark = landmark[(np.diff(ordered, axis=1) > 0).all(axis=1)]
+    share = rng.random(landmark.shape) * total[landmark, -1]
+    corner = np.stack([(total[landmark[:, k]] <= share[:, k, None]).sum(axis=1) for k in range(_SET)], axis=1)
+    return landmark, np.minimum(corner, likelihood.shape[1] - 1)
+
+
+def refine_hypotheses(mixture: Mixture, hypotheses: PoseStack, corner_sigma_px: float, options: SearchOptions) -> Pose:
+    """Maximise from each hypothesis with decreasing corner error, and return the pose of greatest posterior."""
     poses = hypotheses
     for sigma_px in options.anneal_px:
-        poses = mixture.climb(poses, sigma_px, options.iterations)
-    order = np.argsort(-mixture.step(poses, options.anneal_px[-1]).log_posterior, kind="stable")
-    last = mixture.climb(poses.take(order[: options.finalists]), corner_sigma_px, options.max_iterations, 1e-3)
-    return last.pose(int(np.argmax(mixture.step(last, corner_sigma_px).log_posterior)))
+        poses = mixture.maximise(poses, sigma_px, options.iterations)
+    order = np.argsort(-mixture.evaluate(poses, options.anneal_px[-1]).log_posterior, kind="stable")
+    last = mixture.maximise(poses.rows(order[: options.finalists]), corner_sigma_px, options.max_iterations, 1e-3)
+    return last.pose(int(np.argmax(mixture.evaluate(last, corner_sigma_px).log_posterior)))

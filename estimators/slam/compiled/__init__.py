@@ -1,1 +1,9 @@
-"""The windowed adjustment as machine code: numba kernels over flat arrays, strict IEEE arithmetic, one thread."""
+"""Numba kernels of the windowed adjustment on flat arrays: strict IEEE arithmetic, one thread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenarios.compiled import compiler
+
+kernel = compiler(Path(__file__).parent)

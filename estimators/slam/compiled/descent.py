@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.compiled import kernel
 from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, dense, eliminate, factorise, solve
 from estimators.slam.compiled.equations import FlatEquations, linearise
-from estimators.slam.compiled.flat import FlatProblem
-from estimators.slam.compiled.jit import kernel
-from estimators.slam.compiled.layout import FlatLayout, make_layout
-from estimators.slam.compiled.sight import SIGHT_ROWS, look
+from estimators.slam.compiled.problem import FlatOrdering, FlatProblem, make_ordering
+from estimators.slam.compiled.residuals import RESIDUAL_ROWS, evaluate_residuals
 
 __all__ = ["block_of_inverse", "dense", "eliminate", "factorise", "minimise", "reduced_at"]
 
@@ -20,31 +19,31 @@ IndexArray = NDArray[np.int64]
 
 @kernel
 def reduced(
-    system: FlatEquations, layout: FlatLayout, damping: float
+    system: FlatEquations, ordering: FlatOrdering, damping: float
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
-    """Reduced matrix in its envelope, right side (3n,), inverted blocks (e, 6) of the eliminated landmarks.
+    """Reduced matrix in its envelope, right-hand side (3n,), inverse blocks (e, 6) of the eliminated landmarks.
 
-    The first is False if a landmark is not determined.
+    The first value is False if a landmark is not determined.
     """
     matrix, right = system.kept.copy(), -system.kept_gradient.ravel()
-    add_diagonal(matrix, layout.shape, damping)
-    inverse = np.empty((len(layout.gone), 6))
-    for g in range(len(layout.gone)):
-        if not _invert(system.gone, layout.gone[g], damping, inverse, g):
+    add_diagonal(matrix, ordering.shape, damping)
+    inverse = np.empty((len(ordering.eliminated), 6))
+    for g in range(len(ordering.eliminated)):
+        if not _invert(system.eliminated, ordering.eliminated[g], damping, inverse, g):
             return False, matrix, right, inverse
-    _take_landmarks(system, layout, inverse, matrix, right)
+    _subtract_landmarks(system, ordering, inverse, matrix, right)
     return True, matrix, right, inverse
 
 
 @kernel
-def _take_landmarks(
-    system: FlatEquations, layout: FlatLayout, inverse: FloatArray, matrix: FloatArray, right: FloatArray
+def _subtract_landmarks(
+    system: FlatEquations, ordering: FlatOrdering, inverse: FloatArray, matrix: FloatArray, right: FloatArray
 ) -> None:
-    """Subtract what the eliminated landmarks couple from the reduced system, in place."""
-    link, slots, terms = layout.link, layout.link_slot, system.terms
-    for g in range(len(layout.gone)):
-        begin, end, own = layout.link_begin[g], layout.link_begin[g + 1], np.uintp(layout.gone[g])
-        px, py, pz = system.gone[own, 6], system.gone[own, 7], system.gone[own, 8]
+    """Subtract the Schur complement's coupling terms W V^-1 W' and W V^-1 g of the eliminated landmarks, in place."""
+    link, slots, terms = ordering.link, ordering.link_slot, system.terms
+    for g in range(len(ordering.eliminated)):
+        begin, end, own = ordering.link_begin[g], ordering.link_begin[g + 1], np.uintp(ordering.eliminated[g])
+        px, py, pz = system.eliminated[own, 6], system.eliminated[own, 7], system.eliminated[own, 8]
         i0, i1, i2, i3, i4, i5 = six(inverse, g)
         for a in range(begin, end):
             slot = slots[a]
@@ -55,20 +54,20 @@ def _take_landmarks(
             right[3 * slot] -= x0 * px + y0 * py + z0 * pz
             right[3 * slot + 1] -= x1 * px + y1 * py + z1 * pz
             right[3 * slot + 2] -= x2 * px + y2 * py + z2 * pz
-            width = layout.shape.width[slot]
-            corner = layout.shape.begin[slot] - 3 * slot
+            width = ordering.shape.width[slot]
+            corner = ordering.shape.begin[slot] - 3 * slot
             for b in range(begin, end):
                 if slots[b] >= slot:
                     at = corner + 3 * slots[b]
                     other = six(terms, link[b])
-                    _take_row(matrix, at, times(other, x0, y0, z0))
-                    _take_row(matrix, at + width, times(other, x1, y1, z1))
-                    _take_row(matrix, at + 2 * width, times(other, x2, y2, z2))
+                    _subtract(matrix, at, times(other, x0, y0, z0))
+                    _subtract(matrix, at + width, times(other, x1, y1, z1))
+                    _subtract(matrix, at + 2 * width, times(other, x2, y2, z2))
 
 
 @kernel
-def _take_row(matrix: FloatArray, at: int, taken: tuple[float, float, float]) -> None:
-    """Subtract from three numbers that follow each other."""
+def _subtract(matrix: FloatArray, at: int, taken: tuple[float, float, float]) -> None:
+    """Subtract from three consecutive numbers; an unsigned index saves the test of its sign."""
     k = np.uintp(at)
     matrix[k] -= taken[0]
     matrix[k + np.uintp(1)] -= taken[1]
@@ -77,22 +76,22 @@ def _take_row(matrix: FloatArray, at: int, taken: tuple[float, float, float]) ->
 
 @kernel
 def back_substitute(
-    system: FlatEquations, layout: FlatLayout, step: FloatArray, inverse: FloatArray, gone_step: FloatArray
+    system: FlatEquations, ordering: FlatOrdering, step: FloatArray, inverse: FloatArray, eliminated_step: FloatArray
 ) -> None:
-    """Write the steps (e, 3) of the eliminated landmarks, given (3n,) those of the kept variables."""
-    for g in range(len(layout.gone)):
-        own = system.gone[layout.gone[g]]
+    """Compute the steps (e, 3) of the eliminated landmarks from those (3n,) of the kept variables."""
+    for g in range(len(ordering.eliminated)):
+        own = system.eliminated[ordering.eliminated[g]]
         x, y, z = -own[6], -own[7], -own[8]
-        for a in range(layout.link_begin[g], layout.link_begin[g + 1]):
-            at = 3 * layout.link_slot[a]
-            i, j, k = times(six(system.terms, layout.link[a]), step[at], step[at + 1], step[at + 2])
+        for a in range(ordering.link_begin[g], ordering.link_begin[g + 1]):
+            at = 3 * ordering.link_slot[a]
+            i, j, k = times(six(system.terms, ordering.link[a]), step[at], step[at + 1], step[at + 2])
             x, y, z = x + i, y + j, z + k
-        gone_step[g, 0], gone_step[g, 1], gone_step[g, 2] = times(six(inverse, g), x, y, z)
+        eliminated_step[g, 0], eliminated_step[g, 1], eliminated_step[g, 2] = times(six(inverse, g), x, y, z)
 
 
 @kernel
 def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: int) -> bool:
-    """Invert a symmetric block plus a multiple of the identity; False unless it is positive definite."""
+    """Invert a symmetric 3 x 3 block plus ``damping`` times the identity; False unless it is positive definite."""
     a, b, c = sums[k, 0] + damping, sums[k, 1], sums[k, 2]
     d, e, f = sums[k, 3] + damping, sums[k, 4], sums[k, 5] + damping
     if not a > 0.0:
@@ -114,7 +113,7 @@ def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: in
 
 @kernel
 def six(rows: FloatArray, k: int) -> tuple[float, float, float, float, float, float]:
-    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an index without a sign saves the look at it."""
+    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an unsigned index saves the test of its sign."""
     i = np.uintp(k)
     return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4], rows[i, 5]
 
@@ -132,33 +131,34 @@ def times(
 def minimise(
     problem: FlatProblem, positions: FloatArray, points: FloatArray, step_m: float, iterations: int
 ) -> tuple[FloatArray, FloatArray, float, int, bool]:
-    """Minimise from a state: what `levenberg.minimise` does, step by step."""
-    sights = np.empty((SIGHT_ROWS, len(problem.seen_view)))
-    value = look(problem, positions, points, sights)
+    """Minimise from a state by Levenberg-Marquardt: positions, points, cost, steps, and whether it converged."""
+    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
+    value = evaluate_residuals(problem, positions, points, residuals)
     if not np.isfinite(value):
         return positions, points, value, 0, False
-    layout = make_layout(problem)
+    ordering = make_ordering(problem)
     damping = -1.0
     for iteration in range(1, iterations + 1):
-        system = linearise(problem, layout, positions, points, sights)
+        system = linearise(problem, ordering, positions, points, residuals)
         if damping < 0.0:
-            damping = _first_damping(system, layout)
+            damping = _first_damping(system, ordering)
         accepted, longest, best = False, 0.0, value
         for _ in range(25):
-            solved, kept_step, gone_step = _step(system, layout, damping)
+            solved, kept_step, eliminated_step = _step(system, ordering, damping)
             if solved:
-                longest = _longest(kept_step, gone_step)
-                ahead = _moved(positions, layout.view_slot, kept_step)
-                points_ahead = _moved(points, layout.point_slot, kept_step)
-                _move(points_ahead, layout.gone, gone_step)
-                best = look(problem, ahead, points_ahead, sights)
+                longest = _longest(kept_step, eliminated_step)
+                ahead = _stepped_rows(positions, ordering.view_slot, kept_step)
+                points_ahead = _stepped_rows(points, ordering.point_slot, kept_step)
+                _add_steps(points_ahead, ordering.eliminated, eliminated_step)
+                best = evaluate_residuals(problem, ahead, points_ahead, residuals)
+                # Near the minimum the cost may increase by rounding; it is infinite with a landmark behind its camera.
                 if best <= value + 1e-12 * abs(value) + 1e-18:
                     positions, points, value = ahead, points_ahead, best
                     accepted = True
                     break
             damping *= 10.0
         damping *= 0.1
-        if not accepted:
+        if not accepted:  # no decrease at any damping: converged if rounding is the cause, with a short last step
             return positions, points, value, iteration, longest <= 1e3 * step_m
         if longest <= step_m:
             return positions, points, value, iteration, True
@@ -168,55 +168,55 @@ def minimise(
 @kernel
 def reduced_at(
     problem: FlatProblem, positions: FloatArray, points: FloatArray
-) -> tuple[bool, FloatArray, FloatArray, FlatLayout]:
-    """Reduced matrix and right side at a state; the first is False if a landmark is not determined."""
-    sights = np.empty((SIGHT_ROWS, len(problem.seen_view)))
-    look(problem, positions, points, sights)
-    layout = make_layout(problem)
-    determined, matrix, right, _ = reduced(linearise(problem, layout, positions, points, sights), layout, 0.0)
-    return determined, matrix, right, layout
+) -> tuple[bool, FloatArray, FloatArray, FlatOrdering]:
+    """Reduced matrix and right-hand side at a state; the first value is False if a landmark is not determined."""
+    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
+    evaluate_residuals(problem, positions, points, residuals)
+    ordering = make_ordering(problem)
+    determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points, residuals), ordering, 0.0)
+    return determined, matrix, right, ordering
 
 
 @kernel
-def _first_damping(system: FlatEquations, layout: FlatLayout) -> float:
-    """Return a millionth of the mean diagonal."""
-    total, shape = 0.0, layout.shape
-    n, e = len(shape.reach), len(layout.gone)
+def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
+    """Return 1e-6 of the mean diagonal of the normal matrix."""
+    total, shape = 0.0, ordering.shape
+    n, e = len(shape.reach), len(ordering.eliminated)
     if n + e == 0:
         return 1.0
     for i in range(n):
         for row in range(3):
             total += system.kept[shape.begin[i] + row * (shape.width[i] + 1)]
-    for j in layout.gone:
-        total += system.gone[j, 0] + system.gone[j, 3] + system.gone[j, 5]
+    for j in ordering.eliminated:
+        total += system.eliminated[j, 0] + system.eliminated[j, 3] + system.eliminated[j, 5]
     return 1e-6 * total / (3 * (n + e))
 
 
 @kernel
-def _step(system: FlatEquations, layout: FlatLayout, damping: float) -> tuple[bool, FloatArray, FloatArray]:
+def _step(system: FlatEquations, ordering: FlatOrdering, damping: float) -> tuple[bool, FloatArray, FloatArray]:
     """Solve equation (4) for the steps (3n,) of the kept and (e, 3) of the eliminated variables."""
-    gone_step = np.empty((len(layout.gone), 3))
-    solved, matrix, step, inverse = reduced(system, layout, damping)
-    if not solved or not factorise(matrix, layout.shape):
-        return False, step, gone_step
-    solve(matrix, layout.shape, step)
-    back_substitute(system, layout, step, inverse, gone_step)
-    return True, step, gone_step
+    eliminated_step = np.empty((len(ordering.eliminated), 3))
+    solved, matrix, step, inverse = reduced(system, ordering, damping)
+    if not solved or not factorise(matrix, ordering.shape):
+        return False, step, eliminated_step
+    solve(matrix, ordering.shape, step)
+    back_substitute(system, ordering, step, inverse, eliminated_step)
+    return True, step, eliminated_step
 
 
 @kernel
-def _longest(kept_step: FloatArray, gone_step: FloatArray) -> float:
+def _longest(kept_step: FloatArray, eliminated_step: FloatArray) -> float:
     """Return the largest coordinate of all steps."""
     longest = 0.0
     for k in range(len(kept_step)):
         longest = max(longest, abs(kept_step[k]))
-    for step in gone_step.flat:
+    for step in eliminated_step.flat:
         longest = max(longest, abs(step))
     return longest
 
 
 @kernel
-def _moved(rows: FloatArray, slots: IndexArray, step: FloatArray) -> FloatArray:
+def _stepped_rows(rows: FloatArray, slots: IndexArray, step: FloatArray) -> FloatArray:
     """Return positions or points after the steps (3n,) of their slots."""
     ahead = rows.copy()
     for i in range(len(rows)):
@@ -227,8 +227,8 @@ def _moved(rows: FloatArray, slots: IndexArray, step: FloatArray) -> FloatArray:
 
 
 @kernel
-def _move(rows: FloatArray, which: IndexArray, steps: FloatArray) -> None:
-    """Move some rows by steps of theirs."""
+def _add_steps(rows: FloatArray, which: IndexArray, steps: FloatArray) -> None:
+    """Add steps (e, 3) to some rows in place."""
     for k in range(len(which)):
         for axis in range(3):
             rows[which[k], axis] += steps[k, axis]

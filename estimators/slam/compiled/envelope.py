@@ -1,7 +1,8 @@
-"""A symmetric matrix of 3 x 3 blocks within an envelope, and its Cholesky factor, which stays within it.
+"""Envelope (skyline) storage of a symmetric matrix of 3 x 3 blocks, and its Cholesky factor with the same envelope.
 
-Of block row ``i`` the upper triangle is stored as far as block column ``reach[i]``, which never decreases with ``i``.
-Landmarks are seen for a while and then lost, so that a matrix over many views is a band; a small window fills it.
+Of block row ``i`` the upper triangle is stored up to block column ``reach[i]``, which never decreases with ``i``.
+Landmarks are in view for a limited time, so that the reduced matrix of many views is banded; that of a small window is
+full.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.jit import kernel
+from estimators.slam.compiled import kernel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
 class Envelope(NamedTuple):
-    """(n,) last block column of each block row, (n,) numbers in one of its three rows, (n + 1,) where it begins."""
+    """(n,) last block column of each block row, (n,) length of each of its three rows, (n + 1,) index of its first."""
 
     reach: IndexArray
     width: IndexArray
@@ -27,7 +28,7 @@ class Envelope(NamedTuple):
 
 @kernel
 def make_envelope(reach: IndexArray) -> Envelope:
-    """Return the envelope that holds the couplings: (n,) last block that each is coupled with."""
+    """Return the envelope for ``reach`` (n,), the last block column that each block row is coupled with."""
     n = len(reach)
     width, begin = np.empty(n, np.int64), np.zeros(n + 1, np.int64)
     last = 0
@@ -72,19 +73,19 @@ def add_diagonal(values: FloatArray, shape: Envelope, added: float) -> None:
 
 @kernel
 def factorise(values: FloatArray, shape: Envelope) -> bool:
-    """Replace the matrix by U, where U'U is the matrix; False, with rubbish, if it is not positive definite."""
+    """Replace the matrix U'U by its Cholesky factor U; False, with undefined values, if it is not positive definite."""
     for i in range(len(shape.reach)):
         begin, width = shape.begin[i], shape.width[i]
         if not _factorise_rows(values, begin, width):
             return False
         for j in range(i + 1, shape.reach[i] + 1):
-            _take(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
+            _subtract_multiples(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
     return True
 
 
 @kernel
 def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
-    """Finish the three rows of a block in place."""
+    """Factorise the three rows of a block row in place."""
     for row in range(3):
         own = _part(values, begin + row * width, width)
         for above in range(row):
@@ -103,10 +104,12 @@ def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
 
 
 @kernel
-def _take(values: FloatArray, target: int, target_width: int, source: int, width: int, column: int) -> None:
-    """Subtract from the three rows of a block the multiples of three finished rows that these hold from ``column`` on.
+def _subtract_multiples(
+    values: FloatArray, target: int, target_width: int, source: int, width: int, column: int
+) -> None:
+    """Subtract multiples of three factorised rows, from ``column`` on, from the three rows of a later block row.
 
-    What that leaves below the diagonal is not used.
+    The values below the diagonal that this leaves are not used.
     """
     count = width - column
     x = _part(values, source + column, count)
@@ -124,7 +127,7 @@ def _take(values: FloatArray, target: int, target_width: int, source: int, width
 
 @kernel
 def _part(values: FloatArray, begin: int, count: int) -> FloatArray:
-    """Return a view of a part: its indices are seen to be positive, and so several are taken at a time."""
+    """Return a slice; a loop over it from 0 has no negative indices, so that the compiler can vectorise it."""
     return values[begin : begin + count]
 
 
@@ -168,7 +171,7 @@ def block_of_inverse(factor: FloatArray, shape: Envelope, i: int) -> FloatArray:
 
 @kernel
 def dense(values: FloatArray, shape: Envelope) -> FloatArray:
-    """Lay the matrix out as (3n, 3n)."""
+    """Return the matrix as a dense array (3n, 3n)."""
     n = len(shape.reach)
     matrix = np.zeros((3 * n, 3 * n))
     for i in range(n):
@@ -182,9 +185,9 @@ def dense(values: FloatArray, shape: Envelope) -> FloatArray:
 
 @kernel
 def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
-    """Leave the Schur complement of the first rows in the others, and in ``right`` (n,).
+    """Eliminate the first ``count`` rows: the other rows and ``right`` (n,) become their Schur complement.
 
-    False, with rubbish, if their part is not positive definite.
+    False if the eliminated part is not positive definite; the values are then undefined.
     """
     n = len(matrix)
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Normal equations of an adjustment: the same sums as `normal`, measurement by measurement."""
+"""Normal equations of an adjustment: the sums of `estimators.slam.normal`, measurement by measurement."""
 
 from __future__ import annotations
 
@@ -7,65 +7,74 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.compiled import kernel
 from estimators.slam.compiled.envelope import Envelope, add_entry, add_symmetric
-from estimators.slam.compiled.flat import FlatProblem
-from estimators.slam.compiled.jit import kernel
-from estimators.slam.compiled.layout import FlatLayout, prior_slots
-from estimators.slam.compiled.sight import drift, line, prior_offset, prior_pull, turned
+from estimators.slam.compiled.problem import FlatOrdering, FlatProblem, prior_slots
+from estimators.slam.compiled.residuals import (
+    RESIDUAL_ROWS,
+    evaluate_residuals,
+    line_of_sight,
+    motion_residual,
+    prior_offset,
+    prior_pull,
+    to_camera_axes,
+)
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
 class FlatEquations(NamedTuple):
-    """Kept matrix and gradient (n, 3), eliminated (L, 9) by landmark, and what each measurement adds (m, 9).
+    """Kept matrix and gradient (n, 3), sums by landmark (L, 9), and the terms of each measurement (m, 9).
 
     Nine numbers are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,).
     """
 
     kept: FloatArray
     kept_gradient: FloatArray
-    gone: FloatArray
+    eliminated: FloatArray
     terms: FloatArray
 
 
 @kernel
 def linearise(
-    problem: FlatProblem, layout: FlatLayout, positions: FloatArray, points: FloatArray, sights: FloatArray
+    problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, points: FloatArray, residuals: FloatArray
 ) -> FlatEquations:
-    """Return J' W J and J' W f of equation (3) by blocks; ``sights`` are those of `look` at the same state."""
-    shape, seen = layout.shape, len(problem.seen_view)
+    """Return J' W J and J' W f of equation (3) by blocks, given the ``residuals`` at the same state."""
+    shape, seen = ordering.shape, len(problem.seen_view)
     n = len(shape.reach)
     kept, kept_gradient = np.zeros(shape.begin[n]), np.zeros((n, 3))
     by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
-    terms = measured_terms(problem, positions, points, sights)
+    terms = measured_terms(problem, positions, points, residuals)
     sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
     sum_terms(terms, problem.ranged_view, problem.ranged_point, seen, by_view, by_point)
-    _scatter(by_view, layout.view_slot, -1.0, shape, kept, kept_gradient)
-    _scatter(by_point, layout.point_slot, 1.0, shape, kept, kept_gradient)
-    if len(shape.reach) > layout.views:
-        _join_kept_points(problem, layout, terms, kept)
-    _add_motions(problem, layout, positions, kept, kept_gradient)
+    _scatter(by_view, ordering.view_slot, -1.0, shape, kept, kept_gradient)
+    _scatter(by_point, ordering.point_slot, 1.0, shape, kept, kept_gradient)
+    if len(shape.reach) > ordering.views:
+        _couple_kept_points(problem, ordering, terms, kept)
+    _add_motions(problem, ordering, positions, kept, kept_gradient)
     if len(problem.prior_gradient) > 0:
-        _add_prior(problem, layout, positions, points, kept, kept_gradient)
+        _add_prior(problem, ordering, positions, points, kept, kept_gradient)
     return FlatEquations(kept, kept_gradient, by_point, terms)
 
 
 @kernel
-def measured_terms(problem: FlatProblem, positions: FloatArray, points: FloatArray, sights: FloatArray) -> FloatArray:
-    """(m, 9) A'A and A'r of each measurement, A by the landmark; ``sights`` are those of `look` at the same state."""
+def measured_terms(
+    problem: FlatProblem, positions: FloatArray, points: FloatArray, residuals: FloatArray
+) -> FloatArray:
+    """(m, 9) A'A and A'r of each measurement, A by the landmark, given the ``residuals`` at the same state."""
     terms = np.empty((len(problem.seen_view) + len(problem.ranged_view), 9))
     frozen_positions = _merged(problem.frozen_positions_m, positions)
     frozen_points = _merged(problem.frozen_points_m, points)
-    rows = _scaled(problem, sights, frozen_positions, frozen_points)
-    _sightings(problem.attitudes, problem.seen_view, rows, terms)
-    _distances(problem, (positions, points, frozen_positions, frozen_points), terms)
+    rows = _scaled(problem, residuals, frozen_positions, frozen_points)
+    _pixel_terms(problem.attitudes, problem.seen_view, rows, terms)
+    _distance_terms(problem, (positions, points, frozen_positions, frozen_points), terms)
     return terms
 
 
 @kernel
 def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
-    """Return where derivatives are taken: at the frozen values where there are any."""
+    """Return the points of linearisation: the frozen values where there are any, else the present ones."""
     if len(frozen) == 0:
         return present
     merged = np.empty_like(present)
@@ -77,25 +86,25 @@ def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
 
 @kernel
 def _scaled(
-    problem: FlatProblem, sights: FloatArray, frozen_positions: FloatArray, frozen_points: FloatArray
+    problem: FlatProblem, residuals: FloatArray, frozen_positions: FloatArray, frozen_points: FloatArray
 ) -> FloatArray:
-    """(6, k) f_x / (z sigma), f_y / (z sigma), x / z, y / z where derivatives are taken, and the residuals in sigma."""
-    rows = np.empty_like(sights)
+    """(6, k) f_x / (z sigma), f_y / (z sigma), x / z, y / z at the linearisation point, and residuals u, v in sigma."""
+    rows = np.empty_like(residuals)
     fx, fy, _, _ = problem.pinhole
-    sigma_px, at = problem.seen_sigma_px, sights
+    sigma_px, at = problem.seen_sigma_px, residuals
     if len(problem.frozen_points_m) > 0 or len(problem.frozen_positions_m) > 0:
         at = np.empty((3, len(sigma_px)))
-        turned(problem.attitudes, problem.seen_view, problem.seen_point, frozen_positions, frozen_points, at)
+        to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, frozen_positions, frozen_points, at)
     for k in range(len(sigma_px)):
         x, y, z, sigma = at[0, k], at[1, k], at[2, k], sigma_px[k]
         rows[0, k], rows[1, k], rows[2, k], rows[3, k] = fx / (z * sigma), fy / (z * sigma), x / z, y / z
-        rows[4, k], rows[5, k] = sights[3, k] / sigma, sights[4, k] / sigma
+        rows[4, k], rows[5, k] = residuals[3, k] / sigma, residuals[4, k] / sigma
     return rows
 
 
 @kernel
-def _sightings(R: FloatArray, view: IndexArray, rows: FloatArray, terms: FloatArray) -> None:
-    """A'A and A'r of all sightings, A by the landmark."""
+def _pixel_terms(R: FloatArray, view: IndexArray, rows: FloatArray, terms: FloatArray) -> None:
+    """Write A'A and A'r of all pixels, A by the landmark: du (R_0 - x/z R_2), dv (R_1 - y/z R_2), rows R_i of R."""
     for k in range(len(view)):
         i = view[k]
         du, dv, p, q, u, v = rows[0, k], rows[1, k], rows[2, k], rows[3, k], rows[4, k], rows[5, k]
@@ -108,19 +117,19 @@ def _sightings(R: FloatArray, view: IndexArray, rows: FloatArray, terms: FloatAr
 
 
 @kernel
-def _distances(
+def _distance_terms(
     problem: FlatProblem, at: tuple[FloatArray, FloatArray, FloatArray, FloatArray], terms: FloatArray
 ) -> None:
-    """A'A and A'r of all distances, A by the landmark: the last row of equation (5).
+    """Write A'A and A'r of all distances, A by the landmark: the last row of equation (5).
 
-    ``at`` are positions and landmarks, and the same where derivatives are taken.
+    ``at`` are positions and landmarks, and those of the linearisation point.
     """
     positions, points, frozen_positions, frozen_points = at
     for own in range(len(problem.ranged_view)):
         i, j, sigma = problem.ranged_view[own], problem.ranged_point[own], problem.range_sigma_m[own]
-        x, y, z = line(positions, i, points, j)
+        x, y, z = line_of_sight(positions, i, points, j)
         residual = (np.sqrt(x * x + y * y + z * z) - problem.range_m[own]) / sigma
-        x, y, z = line(frozen_positions, i, frozen_points, j)
+        x, y, z = line_of_sight(frozen_positions, i, frozen_points, j)
         length = np.sqrt(x * x + y * y + z * z) * sigma
         x, y, z = x / length, y / length, z / length
         k = len(problem.seen_view) + own
@@ -133,7 +142,7 @@ def _distances(
 def sum_terms(
     terms: FloatArray, view: IndexArray, point: IndexArray, first: int, by_view: FloatArray, by_point: FloatArray
 ) -> None:
-    """Add the terms of measurements, from ``first`` on, to those of their views and landmarks."""
+    """Add the terms of measurements, from row ``first`` on, to the sums of their views and landmarks."""
     for k in range(len(view)):
         i, j = view[k], point[k]
         for entry in range(9):
@@ -145,7 +154,7 @@ def sum_terms(
 def _scatter(
     sums: FloatArray, slots: IndexArray, sign: float, shape: Envelope, kept: FloatArray, gradient: FloatArray
 ) -> None:
-    """Lay the sums of views or landmarks into the kept system; ``sign`` is that of the derivative."""
+    """Add the sums of views or landmarks to the kept system; ``sign`` is that of the derivative."""
     for i in range(len(slots)):
         slot = slots[i]
         if slot >= 0:
@@ -155,35 +164,35 @@ def _scatter(
 
 
 @kernel
-def _join_kept_points(problem: FlatProblem, layout: FlatLayout, terms: FloatArray, kept: FloatArray) -> None:
-    """Couple views with the landmarks that are kept."""
+def _couple_kept_points(problem: FlatProblem, ordering: FlatOrdering, terms: FloatArray, kept: FloatArray) -> None:
+    """Add the coupling blocks between free views and kept landmarks."""
     seen = len(problem.seen_view)
     for k in range(len(terms)):
         i = problem.seen_view[k] if k < seen else problem.ranged_view[k - seen]
         j = problem.seen_point[k] if k < seen else problem.ranged_point[k - seen]
-        a, b = layout.view_slot[i], layout.point_slot[j]
+        a, b = ordering.view_slot[i], ordering.point_slot[j]
         if a >= 0 and b >= 0:
-            add_symmetric(kept, layout.shape, a, b, terms, k, -1.0)
+            add_symmetric(kept, ordering.shape, a, b, terms, k, -1.0)
 
 
 @kernel
 def _add_motions(
-    problem: FlatProblem, layout: FlatLayout, positions: FloatArray, kept: FloatArray, gradient: FloatArray
+    problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, kept: FloatArray, gradient: FloatArray
 ) -> None:
-    """Add predicted motions."""
+    """Add the predicted motions to the kept system."""
     for k in range(len(problem.motion_start)):
-        a, b = layout.view_slot[problem.motion_start[k]], layout.view_slot[problem.motion_end[k]]
+        a, b = ordering.view_slot[problem.motion_start[k]], ordering.view_slot[problem.motion_end[k]]
         for row in range(3):
             pull = 0.0
             for column in range(3):
                 information = problem.motion_information[k, row, column]
-                pull += information * drift(problem, k, column, positions)
+                pull += information * motion_residual(problem, k, column, positions)
                 if a >= 0:
-                    add_entry(kept, layout.shape, a, row, a, column, information)
+                    add_entry(kept, ordering.shape, a, row, a, column, information)
                 if b >= 0:
-                    add_entry(kept, layout.shape, b, row, b, column, information)
+                    add_entry(kept, ordering.shape, b, row, b, column, information)
                 if a >= 0 and b >= 0:
-                    add_entry(kept, layout.shape, min(a, b), row, max(a, b), column, -information)
+                    add_entry(kept, ordering.shape, min(a, b), row, max(a, b), column, -information)
             if a >= 0:
                 gradient[a, row] -= pull
             if b >= 0:
@@ -193,14 +202,14 @@ def _add_motions(
 @kernel
 def _add_prior(
     problem: FlatProblem,
-    layout: FlatLayout,
+    ordering: FlatOrdering,
     positions: FloatArray,
     points: FloatArray,
     kept: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Add the prior's quadratic."""
-    slots, shape = prior_slots(problem, layout.view_slot, layout.point_slot), layout.shape
+    """Add the prior to the kept system."""
+    slots, shape = prior_slots(problem, ordering.view_slot, ordering.point_slot), ordering.shape
     pull = prior_pull(problem.prior_information, prior_offset(problem, positions, points), problem.prior_gradient)
     for i in range(len(slots)):
         a = slots[i]
@@ -212,3 +221,60 @@ def _add_prior(
                 if slots[j] >= a:
                     for column in range(3):
                         kept[begin + 3 * slots[j] + column] += information[3 * j + column]
+
+
+@kernel
+def residual_squares(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
+    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
+    evaluate_residuals(problem, positions, points, residuals)
+    return np.where(residuals[2] > 0.0, residuals[5], np.nan)
+
+
+@kernel
+def landmark_information(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
+    """(L, 3, 3) sum of A'A of each landmark over its pixels and distances, 1/m^2."""
+    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
+    evaluate_residuals(problem, positions, points, residuals)
+    terms = measured_terms(problem, positions, points, residuals)
+    by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
+    sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
+    sum_terms(terms, problem.ranged_view, problem.ranged_point, len(problem.seen_view), by_view, by_point)
+    information = np.empty((len(points), 3, 3))
+    for j in range(len(points)):
+        for row, entry in ((0, 0), (1, 3), (2, 5)):
+            information[j, row, row] = by_point[j, entry]
+        information[j, 0, 1] = information[j, 1, 0] = by_point[j, 1]
+        information[j, 0, 2] = information[j, 2, 0] = by_point[j, 2]
+        information[j, 1, 2] = information[j, 2, 1] = by_point[j, 4]
+    return information
+
+
+@kernel
+def pixel_squares(
+    pinhole: FloatArray, R: FloatArray, lines: FloatArray, uv_px: FloatArray, sigma_px: float, own: FloatArray
+) -> FloatArray:
+    """(n,) squared Mahalanobis distances of measured from predicted pixels; NaN behind the camera.
+
+    ``lines`` (n, 3) are landmark minus camera, body frame, with covariances ``own`` (n, 3, 3), m^2.
+    """
+    fx, fy, cx, cy = pinhole
+    squares = np.empty(len(lines))
+    for k in range(len(lines)):
+        line_of_sight = lines[k]
+        x = R[0, 0] * line_of_sight[0] + R[0, 1] * line_of_sight[1] + R[0, 2] * line_of_sight[2]
+        y = R[1, 0] * line_of_sight[0] + R[1, 1] * line_of_sight[1] + R[1, 2] * line_of_sight[2]
+        z = R[2, 0] * line_of_sight[0] + R[2, 1] * line_of_sight[1] + R[2, 2] * line_of_sight[2]
+        u, v = uv_px[k, 0] - fx * x / z - cx, uv_px[k, 1] - fy * y / z - cy
+        a = c = sigma_px**2
+        b = 0.0
+        for i in range(3):
+            by_u, by_v = fx / z * (R[0, i] - x / z * R[2, i]), fy / z * (R[1, i] - y / z * R[2, i])
+            for j in range(3):
+                other_u, other_v = fx / z * (R[0, j] - x / z * R[2, j]), fy / z * (R[1, j] - y / z * R[2, j])
+                a += by_u * own[k, i, j] * other_u
+                b += by_u * own[k, i, j] * other_v
+                c += by_v * own[k, i, j] * other_v
+        square = (c * u * u - 2.0 * b * u * v + a * v * v) / max(a * c - b * b, 1e-18)
+        squares[k] = square if z > 0.0 else np.nan
+    return squares

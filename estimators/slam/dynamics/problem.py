@@ -1,4 +1,4 @@
-"""What an adjustment with dynamics solves for, and what joins its views beside their landmarks."""
+"""Adjustment with orbital dynamics: state, arcs of free motion between views, and prior."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.field import Field
-from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
-from estimators.slam.state import Adjustment, State
+from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
+from estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -23,17 +22,17 @@ _WHITE_FLOOR = 1e-8
 class DynamicState:
     """Positions and landmarks in the body frame, velocities (V, 3) in inertial axes, parameters (2,); all in m.
 
-    Velocities and parameters are in the units of a `Field`.
+    Velocities and parameters are in the units of a `ForceModel`.
     """
 
-    places: State
+    vision: State
     velocities_m: FloatArray
     parameters_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arcs:
-    """Free motion (k,) from a view to another, its durations (k,) in T, and the inverse covariances (k, 6, 6)."""
+    """Free motion (k,) from view to view, its durations (k,) in T, and the inverse covariances (k, 6, 6)."""
 
     start: IndexArray
     end: IndexArray
@@ -41,7 +40,7 @@ class Arcs:
     information: FloatArray
 
     def of_view(self, view: int) -> Arcs:
-        """Return those that begin or end at a view."""
+        """Return the arcs that begin or end at a view."""
         rows = (self.start == view) | (self.end == view)
         return Arcs(self.start[rows], self.end[rows], self.duration[rows], self.information[rows])
 
@@ -65,32 +64,32 @@ class DynamicPrior:
     gradient: FloatArray
 
     def offset(self, state: DynamicState) -> FloatArray:
-        """(n,) how far ``state`` is from where the quadratic was made."""
-        return gathered(state, self.views, self.points) - self.origin_m
+        """(n,) x - x0 at ``state``."""
+        return gather(state, self.views, self.points) - self.origin_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicAdjustment:
-    """Sightings and distances of views that are joined by their motion.
+    """Least-squares problem of views that are coupled by their orbital motion.
 
     Parameters
     ----------
     vision
-        Sightings and distances; it has neither motions nor a prior of its own. Its ``kept_points`` are those of
-        `prior`, and its ``frozen`` says where derivatives by positions and landmarks are taken.
+        Pixels and distances, without motions or a prior. Its ``kept_points`` are those of `prior`, and its ``frozen``
+        are the first estimates of positions and landmarks.
     R_body_inertial
         (V, 3, 3) of each view.
     field, arcs
-        How they move.
+        Force model and arcs of free motion.
     free_velocities, free_parameters
         (V,), (2,): what is solved for.
     frozen_velocities_m, frozen_parameters_m
-        (V, 3), (2,): where derivatives are taken for what the prior knows; NaN elsewhere.
+        (V, 3), (2,): first estimates of the variables in the prior, where derivatives are taken; NaN elsewhere.
     """
 
     vision: Adjustment
     R_body_inertial: FloatArray
-    field: Field
+    field: ForceModel
     arcs: Arcs
     free_velocities: BoolArray
     free_parameters: BoolArray
@@ -99,31 +98,31 @@ class DynamicAdjustment:
     prior: DynamicPrior | None = None
 
     def linearisation_point(self, state: DynamicState) -> DynamicState:
-        """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
+        """Return ``state`` with the frozen variables at their first estimates."""
         v, p = self.frozen_velocities_m, self.frozen_parameters_m
         return DynamicState(
-            self.vision.linearisation_point(state.places),
+            self.vision.linearisation_point(state.vision),
             np.where(np.isnan(v), state.velocities_m, v),
             np.where(np.isnan(p), state.parameters_m, p),
         )
 
     def inertial(self, state: DynamicState) -> FloatArray:
         """(V, 6) positions and velocities in inertial axes."""
-        positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.places.positions_m)
+        positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.vision.positions_m)
         return np.concatenate([positions, state.velocities_m], axis=1)
 
     def arc_residuals(self, state: DynamicState) -> FloatArray:
-        """(k, 6) where arcs end less where their motion leads, inertial axes, not whitened."""
+        """(k, 6) state at the end of each arc minus the propagated one, inertial axes, not whitened."""
         at, arcs = self.inertial(state), self.arcs
         return np.asarray(
-            at[arcs.end] - propagated(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
+            at[arcs.end] - propagate(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
         )
 
     def arc_jacobians(self, state: DynamicState) -> FloatArray:
         """(k, 6, 14) of `arc_residuals` by positions of start and end (body), their velocities, and the parameters."""
         where, arcs = self.linearisation_point(state), self.arcs
         start = self.inertial(where)[arcs.start]
-        _, moved = propagated_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
+        _, moved = propagate_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
         turned = np.swapaxes(self.R_body_inertial, 1, 2)
         rows = np.zeros((len(arcs.start), 6, 14))
         rows[:, :, 0:3] = -moved[:, :, 0:3] @ turned[arcs.start]
@@ -134,26 +133,26 @@ class DynamicAdjustment:
         return rows
 
 
-def gathered(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatArray:
+def gather(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatArray:
     """(6 a + 2 + 3 b,) the values of some views, the parameters, and some landmarks, in the order of a prior."""
-    places = state.places
+    vision = state.vision
     return np.concatenate(
         [
-            places.positions_m[views].ravel(),
+            vision.positions_m[views].ravel(),
             state.velocities_m[views].ravel(),
             state.parameters_m,
-            places.points_m[points].ravel(),
+            vision.points_m[points].ravel(),
         ]
     )
 
 
 def arc_information(durations: FloatArray, acceleration_m: float, length_m: float) -> FloatArray:
-    """(k, 6, 6) inverse covariances of what an acceleration that is unknown, but constant over an arc, does to its end.
+    """(k, 6, 6) inverse covariances of the state at the end of an arc, due to a constant unknown acceleration.
 
-    The discrete covariance of piecewise constant acceleration (Bar-Shalom et al. 2001, section 6.3.2); the gradient of
-    gravity changes it by less than a thousandth over 2 deg of an orbit. It has rank 3 of 6: what it says of position
-    and velocity together is sharpened to 5 % of each alone and to 1e-8 of the distance, not to nothing, so that it
-    can be inverted.
+    This is the discrete covariance of piecewise constant acceleration (Bar-Shalom et al. 2001, section 6.3.2); the
+    gravity gradient changes it by less than 0.1 % over 2 deg of an orbit. It has rank 3 of 6, since the errors of
+    position and velocity are fully correlated. White noise of 5 % of each sigma, at least 1e-8 of the distance, makes
+    it invertible.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""The vision layer of sequences: images in, tracks out. It sees images, known attitude and predicted motion alone."""
+"""Vision layer of sequences: images, known attitude and predicted motion in, tracks out."""

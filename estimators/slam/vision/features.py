@@ -18,18 +18,18 @@ from scenarios.geometry import pixel_from_opencv
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_BRIGHT_LEVEL = 200.0  # leaves room for what is brighter than the 99th percentile of the body
+_BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
 _FULL_SCALE_PERCENTILE = 99.0
-_LEAST_STRENGTH = 1e-6  # of a blob, in an image scaled to 0..1: some ten times what the detector's noise makes
+_LEAST_STRENGTH = 1e-6  # of a blob, image scaled to 0..1: about ten times the response to the sensor's noise
 _LEAST_CONTRAST = 0.01
 _FAST_THRESHOLD = 5
-# A feature counts if the body's edge is farther than this many of its scales: edges move over the ground.
+# Least distance from the body's edge in units of the feature's scale: the limb and the terminator move over the ground.
 _CLEAR_SCALES = 5.0
 _OPENING_PX = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class ImageFeatures:
     """Features of one image, the strongest first.
 
     Parameters
@@ -51,8 +51,8 @@ class Features:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """What a detector returns: positions, descriptors, strength, and scales, px."""
+class _Detections:
+    """Result of a detector: positions, descriptors, strengths, and scales, px."""
 
     uv_px: FloatArray
     descriptors: NDArray[np.float32] | NDArray[np.uint8]
@@ -60,13 +60,13 @@ class _Found:
     scale_px: FloatArray
 
 
-def find_features(image: Image, detector: str, count: int) -> Features:
-    """Find the strongest features that lie well within the lit body.
+def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
+    """Find the strongest features well within the lit part of the body.
 
     Parameters
     ----------
     image
-        (H, W) any linear measure of radiance; it is scaled to the bright level of the body first.
+        (H, W) linear radiance in any unit; it is scaled by the 99th percentile of the body.
     detector
         ``surf``, ``sift`` or ``orb``.
     count
@@ -81,15 +81,15 @@ def find_features(image: Image, detector: str, count: int) -> Features:
     clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * found.scale_px
     rows = np.flatnonzero(clear)
     rows = rows[np.argsort(-found.strength[rows], kind="stable")][:count]
-    return Features(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
+    return ImageFeatures(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
 
 
-def _none(found: _Found) -> Features:
-    return Features(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
+def _none(found: _Detections) -> ImageFeatures:
+    return ImageFeatures(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
 
 
 def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
-    """(M,) distance to the nearest pixel that is not of the lit body, specks of either kind left out."""
+    """(M,) distance to the nearest pixel outside the lit body, after a median filter that removes specks."""
     mask = np.asarray(cv2.medianBlur(body.astype(np.uint8), _OPENING_PX))
     distance = np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
     height, width = mask.shape
@@ -98,7 +98,7 @@ def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
     return clearance
 
 
-def _surf(image: Image) -> _Found:
+def _surf(image: Image) -> _Detections:
     """Fast-Hessian blobs, interpolated, with the descriptors of `mahotas`.
 
     The detector of `mahotas` does not interpolate: its positions are off by most of a pixel.
@@ -110,7 +110,7 @@ def _surf(image: Image) -> _Found:
         [peaks + offsets[:, ::-1], blobs.scale_px[strong], blobs.strength[strong], np.ones(len(peaks))]
     )
     described = surf.descriptors(image.astype(np.float64), points) if len(points) else np.empty((0, 70))
-    return _Found(
+    return _Detections(
         uv_px=pixel_from_opencv(described[:, 1::-1]),
         descriptors=described[:, 6:].astype(np.float32),
         strength=described[:, 3],
@@ -118,26 +118,26 @@ def _surf(image: Image) -> _Found:
     )
 
 
-def _sift(image: Image) -> _Found:
+def _sift(image: Image) -> _Detections:
     # Without the precise upscaling OpenCV's positions are off by a quarter of a pixel.
     detector = cv2.SIFT.create(contrastThreshold=_LEAST_CONTRAST, enable_precise_upscale=True)
     # The size of a feature is twice its scale.
     return _by_opencv(detector, image, 128, 0.5)
 
 
-def _orb(image: Image) -> _Found:
+def _orb(image: Image) -> _Detections:
     height, width = image.shape
     detector = cv2.ORB.create(nfeatures=height * width // 16, fastThreshold=_FAST_THRESHOLD)
-    # A patch of 31 pixels in its octave; the clearance of a corner is half of that.
+    # The size is that of the patch, 31 pixels in its octave; a corner needs a clearance of half of it.
     return _by_opencv(detector, image, 32, 0.5 / _CLEAR_SCALES)
 
 
-def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Found:
+def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Detections:
     grey = np.clip(np.rint(_BRIGHT_LEVEL * image), 0, 255).astype(np.uint8)
     keypoints, described = detector.detectAndCompute(grey, None)
     if described is None or not keypoints:
         described = np.empty((0, width), dtype=np.uint8)
-    return _Found(
+    return _Detections(
         uv_px=pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)),
         descriptors=np.asarray(described),
         strength=np.array([point.response for point in keypoints], dtype=np.float64),
@@ -145,4 +145,4 @@ def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size:
     )
 
 
-_DETECTORS: Mapping[str, Callable[[Image], _Found]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})
+_DETECTORS: Mapping[str, Callable[[Image], _Detections]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})

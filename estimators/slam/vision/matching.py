@@ -1,4 +1,10 @@
-"""Descriptors of two images matched."""
+"""Match features between images: by descriptors, by epipolar RANSAC, and guided by an estimator's prediction.
+
+Guided matching searches each landmark's feature in its predicted error ellipse. The main error, that of the camera's
+position, is shared by all landmarks, so that one correct match determines where the others are. Each landmark's best
+match is a hypothesis; the one with which most others agree is chosen, as in the 1-point RANSAC of Civera et al. (2010).
+Conditioned on all that agree, the ellipses are small, and the best descriptor in each is taken.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +12,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.features import Features
+from estimators.slam.vision.features import ImageFeatures
+from scenarios.tracks import Prediction
 
+FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+Descriptors = NDArray[np.float32] | NDArray[np.uint8]
+
+_GATE = 3.0
+_LEAST_AGREEMENT = 3
+_SLACK = 2.0  # factor on the noise in the last search, for nonlinearity
+_MOST_DISTANCE = 3.0  # largest descriptor distance, in medians of those that agree
+
+_FUNDAMENTAL_LEAST = 8
+_CONFIDENCE = 0.999
+_MOST_ITERATIONS = 10_000
+_SAMPLES = 300
+_REFITS = 3
 
 
-def matched(before: Features, after: Features, ratio_max: float) -> IndexArray:
+def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: float) -> IndexArray:
     """Match features that are each other's nearest and clearly nearer than the second nearest (Lowe 2004).
 
     Returns
@@ -30,3 +52,179 @@ def matched(before: Features, after: Features, ratio_max: float) -> IndexArray:
         if first.distance < ratio_max * second.distance and nearest[first.trainIdx] == first.queryIdx
     ]
     return np.array(clear, dtype=np.int64).reshape(-1, 2)
+
+
+def fundamental_inliers(before_px: FloatArray, after_px: FloatArray, limit_px: float) -> BoolArray:
+    """(K,) which matches (K, 2) and (K, 2) are inliers of the best fundamental matrix: RANSAC by OpenCV (MAGSAC)."""
+    if len(before_px) < _FUNDAMENTAL_LEAST:
+        return np.zeros(len(before_px), dtype=np.bool_)
+    matrix, mask = cv2.findFundamentalMat(before_px, after_px, cv2.USAC_MAGSAC, limit_px, _CONFIDENCE, _MOST_ITERATIONS)
+    if matrix is None or mask is None:
+        return np.zeros(len(before_px), dtype=np.bool_)
+    return np.asarray(mask).ravel().astype(np.bool_)
+
+
+def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, rng: np.random.Generator) -> BoolArray:
+    """(K,) which matches are inliers of the best direction of motion, with known attitude: RANSAC.
+
+    Epipolar constraint: two rays to one point and the baseline are coplanar, ``t . (r1 x r2) = 0``. Two matches
+    determine t, so that a few hundred samples are enough for any useful share of correct matches.
+
+    Parameters
+    ----------
+    before, after
+        (K, 3) unit directions from the camera in common axes.
+    limit_rad
+        Largest angle of the second ray from its epipolar plane.
+    rng
+        Generator of the samples.
+    """
+    if len(before) < 3:
+        return np.zeros(len(before), dtype=np.bool_)
+    pairs = np.array([rng.choice(len(before), 2, replace=False) for _ in range(_SAMPLES)])
+    planes = np.cross(before, after)
+    directions = np.cross(planes[pairs[:, 0]], planes[pairs[:, 1]])
+    lengths = np.linalg.norm(directions, axis=1)
+    directions = directions[lengths > 0.0] / lengths[lengths > 0.0, None]
+    if len(directions) == 0:
+        return np.zeros(len(before), dtype=np.bool_)
+    counts = [int(np.sum(np.abs(off_plane(before, after, d)) < limit_rad)) for d in directions]
+    inlier = np.abs(off_plane(before, after, directions[int(np.argmax(counts))])) < limit_rad
+    for _ in range(_REFITS):
+        if inlier.sum() < 2:
+            break
+        inlier = np.abs(off_plane(before, after, fitted_direction(before[inlier], after[inlier]))) < limit_rad
+    return inlier
+
+
+def fitted_direction(before: FloatArray, after: FloatArray) -> FloatArray:
+    """(3,) direction of motion, up to its sign, with the least squared angles from the epipolar planes."""
+    planes = np.cross(before, after)
+    direction = np.linalg.eigh(planes.T @ planes)[1][:, 0]
+    for _ in range(_REFITS):  # weights turn the triple product into the angle from the plane
+        weights = 1.0 / np.maximum(np.linalg.norm(np.cross(before, direction), axis=1), 1e-9)
+        weighted = planes * weights[:, None]
+        direction = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
+    return np.asarray(direction, dtype=np.float64)
+
+
+def off_plane(before: FloatArray, after: FloatArray, direction: FloatArray) -> FloatArray:
+    """(K,) signed angle, rad, of the second rays from their epipolar planes."""
+    normals = np.cross(direction, before)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.arcsin(np.clip(np.einsum("ki,ki->k", normals, after), -1.0, 1.0)), dtype=np.float64)
+
+
+def guided_rows(
+    prediction: Prediction, descriptors: Descriptors, features: ImageFeatures, sigma_px: float
+) -> IndexArray:
+    """(n,) row of the feature that each predicted landmark is matched with; -1 for none.
+
+    Parameters
+    ----------
+    descriptors
+        (n, D) of the landmarks, from their last image.
+    features
+        Of the new image.
+    sigma_px
+        Noise of a feature's coordinate.
+    """
+    none = np.full(len(prediction.tracks), -1, dtype=np.int64)
+    if len(features) == 0 or len(none) < _LEAST_AGREEMENT:
+        return none
+    apart = _descriptor_distances(descriptors, features.descriptors)
+    covariance = prediction.covariance_px2 + sigma_px**2 * np.eye(2 * len(none))
+    best = _best(prediction.uv_px, covariance, apart, features.uv_px)
+    agree = _consensus(prediction.uv_px, covariance, best, features.uv_px)
+    innovation = np.where((best >= 0)[:, None], features.uv_px[best] - prediction.uv_px, 0.0)
+    agree = _snooped(covariance, innovation, agree)
+    if agree.sum() < _LEAST_AGREEMENT:
+        return none
+    where, spread = _conditioned(prediction.uv_px, covariance, agree, features.uv_px[best[agree]], sigma_px)
+    limit = _MOST_DISTANCE * np.median(apart[np.flatnonzero(agree), best[agree]])
+    rows = _best(where, spread + (_SLACK * sigma_px) ** 2 * np.eye(len(spread)), apart, features.uv_px)
+    rows[(rows >= 0) & (apart[np.arange(len(rows)), rows] > limit)] = -1
+    return _each_once(rows, apart)
+
+
+def _descriptor_distances(ours: Descriptors, theirs: Descriptors) -> FloatArray:
+    """(n, M) Euclidean distances, or Hamming distances of packed bits."""
+    if ours.dtype == np.uint8 and ours.shape[1] <= 64:
+        bits = np.unpackbits(np.bitwise_xor(ours[:, None], theirs), axis=2)
+        return np.asarray(bits.sum(axis=2), dtype=np.float64)
+    a, b = ours.astype(np.float64), theirs.astype(np.float64)
+    squares = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)), dtype=np.float64)
+
+
+def _blocks(covariance: FloatArray) -> FloatArray:
+    """(n, 2, 2) covariances of single pixels."""
+    n = len(covariance) // 2
+    return covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)]
+
+
+def _best(where: FloatArray, covariance: FloatArray, apart: FloatArray, uv_px: FloatArray) -> IndexArray:
+    """(n,) feature with the nearest descriptor in the ellipse of each landmark; -1 if the ellipse has none."""
+    offset = uv_px - where[:, None]
+    inverse = np.linalg.inv(_blocks(covariance))
+    inside = np.einsum("nmi,nij,nmj->nm", offset, inverse, offset) <= _GATE**2
+    rows = np.where(inside, apart, np.inf).argmin(axis=1).astype(np.int64)
+    return np.where(inside.any(axis=1), rows, -1)
+
+
+def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_px: FloatArray) -> BoolArray:
+    """(n,) landmarks whose best matches agree with the hypothesis that has the most agreement."""
+    n = len(best)
+    found = best >= 0
+    innovation = np.where(found[:, None], uv_px[best] - where, 0.0)
+    wide = covariance.reshape(n, 2, n, 2)
+    own = _blocks(covariance)
+    agreement = np.zeros((n, n), dtype=np.bool_)
+    for one in np.flatnonzero(found).tolist():
+        gain = np.einsum("nik,kj->nij", wide[:, :, one], np.linalg.inv(own[one]))
+        left = innovation - gain @ innovation[one]
+        spread = own - np.einsum("nij,njk->nik", gain, np.swapaxes(wide[:, :, one], 1, 2))
+        spread[one] = own[one]
+        squared = np.einsum("ni,ni->n", left, np.linalg.solve(spread, left[..., None])[..., 0])
+        agreement[one] = found & (squared <= _GATE**2)
+    return np.asarray(agreement[int(agreement.sum(axis=1).argmax())], dtype=np.bool_)
+
+
+def _snooped(covariance: FloatArray, innovation: FloatArray, agree: BoolArray) -> BoolArray:
+    """(n,) landmarks that agree with each other: the one that the others contradict most is removed, repeatedly.
+
+    Data snooping, W. Baarda (1968): the test statistic of an observation against all others is S^-1 v, of covariance
+    S^-1.
+    """
+    kept = agree.copy()
+    while kept.sum() >= _LEAST_AGREEMENT:
+        rows = (2 * np.flatnonzero(kept)[:, None] + np.arange(2)).ravel()
+        inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        part = (inverse @ innovation[kept].ravel()).reshape(-1, 2)
+        squared = np.einsum("ni,ni->n", part, np.linalg.solve(_blocks(inverse), part[..., None])[..., 0])
+        if squared.max() <= _GATE**2:
+            break
+        kept[np.flatnonzero(kept)[int(squared.argmax())]] = False
+    return kept
+
+
+def _conditioned(
+    where: FloatArray, covariance: FloatArray, agree: BoolArray, seen_px: FloatArray, sigma_px: float
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted pixels (n, 2) of all landmarks and their covariance (2 n, 2 n), conditioned on the matched ones."""
+    rows = (2 * np.flatnonzero(agree)[:, None] + np.arange(2)).ravel()
+    cross = covariance[:, rows].copy()
+    cross[rows, np.arange(len(rows))] -= sigma_px**2
+    gain = np.linalg.solve(covariance[np.ix_(rows, rows)], cross.T).T
+    expected = where + (gain @ (seen_px - where[agree]).ravel()).reshape(-1, 2)
+    without = covariance - sigma_px**2 * np.eye(len(covariance))
+    return expected, np.asarray(without - gain @ cross.T, dtype=np.float64)
+
+
+def _each_once(rows: IndexArray, apart: FloatArray) -> IndexArray:
+    """Assign a feature that several landmarks claim to the one with the nearest descriptor."""
+    kept = rows.copy()
+    for row in np.unique(rows[rows >= 0]).tolist():
+        claims = np.flatnonzero(rows == row)
+        kept[claims[apart[claims, row] > apart[claims, row].min()]] = -1
+    return kept

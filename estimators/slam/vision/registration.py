@@ -1,7 +1,7 @@
-"""Patches of the first sighting registered to later images: inverse compositional alignment.
+"""Registration of patches to later images by inverse compositional alignment (Lucas-Kanade).
 
 S. Baker, I. Matthews: Lucas-Kanade 20 years on, IJCV 56 (2004) 221, with an affine warp and with gain and offset of the
-brightness taken out. A patch is always held against the image of its first sighting, so that its place does not drift.
+brightness removed. The reference is always the first image of a patch, so that its position does not drift.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CONVERGED_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class TrackPatches:
     """Patches about n points, of P = (2 HALF_PX + 1)^2 pixels.
 
     Parameters
@@ -31,30 +31,31 @@ class Patches:
     values
         (n, P) brightness, of mean 0 and length 1.
     steps
-        (n, 6, P): what turns a misfit of the brightness into a step of the warp, [derivatives (4), shift (2)].
+        (n, 6, P): pseudo-inverse of the steepest-descent images: brightness misfit to step of the warp, [linear part
+        (4), shift (2)].
     """
 
     values: FloatArray
     steps: FloatArray
 
-    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Patches:
-        return Patches(self.values[rows], self.steps[rows])
+    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> TrackPatches:
+        return TrackPatches(self.values[rows], self.steps[rows])
 
-    def joined(self, other: Patches) -> Patches:
-        """Append others."""
-        return Patches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
+    def joined(self, other: TrackPatches) -> TrackPatches:
+        """Append other patches."""
+        return TrackPatches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Warps:
-    """Maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the place t (n, 2), px."""
+class AffineWarps:
+    """Affine maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the position t (n, 2), px."""
 
     linear: FloatArray
     place_px: FloatArray
 
 
 class Spline:
-    """An image (H, W) as a cubic spline, about the places (n, 2) that matter; beyond them it is like their edge."""
+    """Cubic spline of an image (H, W), computed about the given pixels (n, 2) and constant beyond that area."""
 
     def __init__(self, image: NDArray[np.float32], places_px: FloatArray) -> None:
         height, width = image.shape
@@ -79,7 +80,7 @@ def grid() -> FloatArray:
     return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
-def cut(image: Spline, places_px: FloatArray) -> Patches:
+def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
     """Cut patches about (n, 2) places."""
     offsets = grid()
     at = places_px[:, None] + offsets
@@ -88,21 +89,22 @@ def cut(image: Spline, places_px: FloatArray) -> Patches:
     x, y = offsets.T
     rows = [slopes[0] * x, slopes[0] * y, slopes[1] * x, slopes[1] * y, *slopes]
     steepest = np.stack(rows, axis=1)
-    # What a gain or an offset explains is no step of the warp.
+    # Project out gain and offset of the brightness, so that they cause no step of the warp.
     steepest = steepest - steepest.mean(axis=2, keepdims=True)
     steepest = steepest - np.einsum("nip,np->ni", steepest, values)[..., None] * values[:, None]
+    # Inverse compositional: the Gauss-Newton matrix is that of the patch, computed once; damped for flat patches.
     normal = np.einsum("nip,njp->nij", steepest, steepest)
     damping = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-    return Patches(values, np.linalg.solve(normal + damping, steepest))
+    return TrackPatches(values, np.linalg.solve(normal + damping, steepest))
 
 
-def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, FloatArray]:
-    """Find the warps that bring patches to agree with an image.
+def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -> tuple[AffineWarps, FloatArray]:
+    """Register patches to an image.
 
     Returns
     -------
-    Warps
-        As far as 15 steps lead.
+    AffineWarps
+        After at most 15 steps.
     ndarray
         (n,) correlation of patch and image there.
     """
@@ -112,7 +114,7 @@ def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, Floa
         seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
         step = np.einsum("nip,np->ni", patches.steps, seen - patches.values)
         turn = np.eye(2) + step[:, :4].reshape(-1, 2, 2)
-        good = np.abs(np.linalg.det(turn)) > 0.1
+        good = np.abs(np.linalg.det(turn)) > 0.1  # a nearly singular step has no inverse: skip it
         turn[~good] = np.eye(2)
         linear = linear @ np.linalg.inv(turn)
         shift = np.einsum("nij,nj->ni", linear, np.where(good[:, None], step[:, 4:], 0.0))
@@ -120,7 +122,7 @@ def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, Floa
         if np.abs(shift).max(initial=0.0) < _CONVERGED_PX:
             break
     seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
-    return Warps(linear, place), np.einsum("np,np->n", seen, patches.values)
+    return AffineWarps(linear, place), np.einsum("np,np->n", seen, patches.values)
 
 
 def _mapped(linear: FloatArray, place: FloatArray, offsets: FloatArray) -> FloatArray:
@@ -128,7 +130,7 @@ def _mapped(linear: FloatArray, place: FloatArray, offsets: FloatArray) -> Float
 
 
 def _normalised(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Take mean and length off (n, P); the length (n, 1) is returned too."""
+    """Normalise (n, P) to mean 0 and length 1; return the lengths (n, 1) as well."""
     centred = values - values.mean(axis=1, keepdims=True)
     length = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-12)
     return centred / length, length

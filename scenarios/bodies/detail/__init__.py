@@ -1,13 +1,11 @@
-"""The detail stage: a smooth refinement of a coarse shape, with boulders, craters, roughness and albedo on it."""
+"""Surface detail: refine a coarse shape smoothly and add boulders, craters, roughness and albedo variation."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.detail.features import boulder_heights, crater_heights
-from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.placement import Ground
-from scenarios.bodies.detail.redrawn import Redrawn
+from scenarios.bodies.detail.features import RefinedSurface, boulder_heights, crater_heights
+from scenarios.bodies.detail.noise import Band, SmallScaleSeed, fractal_field
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
 from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
 from scenarios.errors import BoresightError
@@ -17,7 +15,7 @@ from scenarios.spec.body import AlbedoSpec, DetailSpec
 __all__ = ["DETAIL_VERSION", "add_detail"]
 
 DETAIL_VERSION = 1
-"""Part of every detailed body's key: raise it when the same spec gives another mesh."""
+"""Part of the digest of every detailed body: increase it when the same spec gives another mesh."""
 
 _MAX_SMOOTHING_ROUNDS = 100
 _ALBEDO_HURST = 0.5
@@ -29,20 +27,20 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     """Refine a closed mesh and displace its vertices; the same seed gives the same body, bit for bit.
 
     The refined surface is Loop's, fitted so that it passes through the coarse vertices (see
-    `interpolating_control`). Vertices then move along one direction each, the coarse surface's normal smoothed
-    over twice the height of the relief, by the sum of boulders, craters and roughness. Being a height field, the
-    relief has no overhangs. Features smaller than two edges of the refined mesh are left out.
+    `interpolating_control`). Each vertex is then displaced along one direction, the coarse surface's normal smoothed
+    over twice the height of the relief, by the sum of boulders, craters and roughness. The relief is a height field
+    and has no overhangs. Features smaller than two edges of the refined mesh are left out.
 
     Parameters
     ----------
     mesh
         The coarse shape, closed and outward.
     spec
-        What to add.
+        Features to add.
 
     Returns
     -------
-    The detailed mesh, and one note for each kind of feature of which some were left out.
+    The detailed mesh, and one note for each kind of feature of which some are too small for the mesh.
     """
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
@@ -75,15 +73,17 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
 
 
-def _redrawn(spec: DetailSpec) -> list[Redrawn | None]:
-    """Where small boulders, craters and octaves of roughness are drawn from instead; None where they are not."""
+def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
+    """Return the separate seeds of small boulders, craters and roughness; None where there is none."""
     if spec.redrawn is None:
         return [None, None, None]
-    return [Redrawn(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]]
+    return [
+        SmallScaleSeed(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]
+    ]
 
 
-def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, FloatArray | None]:
-    """Smooth surface with its directions of displacement, its faces, and the refined albedo where there is one."""
+def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:
+    """Return the refined surface with its displacement directions, its faces, and the refined albedo or None."""
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
     edges = find_edges(coarse_faces)
     coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())
@@ -93,7 +93,7 @@ def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, Fl
     control = interpolating_control(coarse_m, coarse_faces) if rounds else coarse_m
     columns = [control, up] if mesh.albedo is None else [control, up, mesh.albedo[:, None]]
     fine, faces = refine(np.hstack(columns), coarse_faces, rounds)
-    ground = Ground(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)
+    ground = RefinedSurface(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)
     return ground, faces, None if mesh.albedo is None else fine[:, 6]
 
 
@@ -104,7 +104,7 @@ def _relief_m(spec: DetailSpec) -> float:
     return max(boulders, craters, 3.0 * spec.roughness.rms_m if spec.roughness else 0.0)
 
 
-def _albedo(spec: AlbedoSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+def _albedo(spec: AlbedoSpec, ground: RefinedSurface, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
     """Factor (V,) on the reflectance, and the number of octaves left out."""
     shortest_m = spec.wavelength_m / 2 ** (_ALBEDO_OCTAVES - 1)
     band = Band(spec.wavelength_m, shortest_m, _ALBEDO_HURST)

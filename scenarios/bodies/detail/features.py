@@ -1,33 +1,116 @@
-"""Boulders and craters as heights over the smooth surface."""
+"""Boulders and craters as height fields over a smooth surface: placement, sizes and profiles."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from scenarios.bodies.detail.placement import (
-    Ground,
-    Patches,
-    find_patches,
-    power_law_diameters,
-    tangent_axes,
-)
-from scenarios.bodies.detail.redrawn import Redrawn
-from scenarios.bodies.topology import FloatArray, IndexArray
+from scenarios.bodies.detail.noise import SmallScaleSeed
+from scenarios.bodies.topology import FloatArray, IndexArray, IntArray, tangent_axes
 from scenarios.spec.body import BoulderSpec, CraterSpec
 
 _SIDES = 7
 _TOPS = 3
-_WALL = 0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 its foot is at 67 deg
-_RIM_WIDTH = 0.4  # in crater radii: a rim rounded by rubble, not a knife edge
+_WALL = (
+    0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 the slope at its foot is 67 deg
+)
+_RIM_WIDTH = 0.4  # width of the rounded rim, in crater radii
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
+
+_PAIRS_AT_ONCE = 4_000_000
+# A ball about a feature may include the opposite side of a thin part; this cosine between normals excludes it.
+_LEAST_FACING = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedSurface:
+    """The refined smooth surface that features are added to.
+
+    Parameters
+    ----------
+    points_m
+        (V, 3) vertices.
+    up
+        (V, 3) unit vectors along which vertices are displaced.
+    edge_m
+        Mean length of an edge.
+    coarse_m, coarse_faces
+        The surface before refinement: features are placed on it, so that their positions do not depend on the
+        number of facets.
+    """
+
+    points_m: FloatArray
+    up: FloatArray
+    edge_m: float
+    coarse_m: FloatArray
+    coarse_faces: IntArray
+
+    @property
+    def resolution_m(self) -> float:
+        """Smallest feature that the mesh resolves: two edges."""
+        return 2.0 * self.edge_m
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Search tree over the points."""
+        return cKDTree(self.points_m, balanced_tree=False, compact_nodes=False)
+
+    def draw_places(self, count: int, rng: np.random.Generator) -> IndexArray:
+        """Draw vertex indices (count,), uniformly over the area of the coarse surface."""
+        corners = self.coarse_m[self.coarse_faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        face = np.searchsorted(np.cumsum(area), rng.uniform(0.0, area.sum(), count))
+        weights = rng.dirichlet(np.ones(3), count)  # uniform over each triangle
+        places = np.einsum("nk,nki->ni", weights, corners[np.minimum(face, len(area) - 1)])
+        return np.asarray(self.tree.query(places)[1], dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureVertices:
+    """Pairs of a feature and a vertex within its radius of influence.
+
+    Parameters
+    ----------
+    feature, vertex
+        (P,) indices.
+    offset_m
+        (P, 3) from the feature's centre to the vertex.
+    """
+
+    feature: IndexArray
+    vertex: IndexArray
+    offset_m: FloatArray
+
+
+def power_law_diameters(
+    count: int, low_m: float, high_m: float, exponent: float, rng: np.random.Generator
+) -> FloatArray:
+    """Draw diameters between two bounds whose cumulative number falls as D**-exponent, largest first."""
+    least, most = high_m**-exponent, low_m**-exponent
+    return np.sort(rng.uniform(least, most, count) ** (-1.0 / exponent))[::-1]
+
+
+def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: FloatArray) -> Iterator[FeatureVertices]:
+    """Yield the vertices within ``reach_m`` (N,) of each vertex of ``places`` (N,), in blocks of bounded memory."""
+    pairs = np.cumsum(4.0 * (reach_m / ground.edge_m) ** 2 + 1.0)
+    block = (pairs / _PAIRS_AT_ONCE).astype(np.int64)
+    for features in np.split(np.arange(len(places)), np.flatnonzero(np.diff(block)) + 1):
+        found = ground.tree.query_ball_point(ground.points_m[places[features]], reach_m[features], return_sorted=True)
+        feature = np.repeat(features, [len(vertices) for vertices in found])
+        vertex = np.fromiter((v for vertices in found for v in vertices), np.int64, len(feature))
+        facing = np.einsum("ni,ni->n", ground.up[vertex], ground.up[places[feature]]) > _LEAST_FACING
+        feature, vertex = feature[facing], vertex[facing]
+        yield FeatureVertices(feature, vertex, ground.points_m[vertex] - ground.points_m[places[feature]])
 
 
 def boulder_heights(
-    spec: BoulderSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+    spec: BoulderSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
-    """Heights (V,) of angular blocks that stand on the surface; where two overlap the higher one shows.
+    """Heights (V,) of boulders on the surface; where two overlap the maximum counts.
 
     Returns
     -------
@@ -36,13 +119,13 @@ def boulder_heights(
     places, diameters_m, kept, rng = _scatter(spec, ground, seed, small)
     blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
     heights = np.zeros(len(ground.points_m))
-    for patches in find_patches(ground, places[:kept], 0.5 * diameters_m[:kept]):
+    for patches in find_feature_vertices(ground, places[:kept], 0.5 * diameters_m[:kept]):
         np.maximum.at(heights, patches.vertex, blocks.heights_m(patches))
     return heights, spec.count - kept
 
 
 def crater_heights(
-    spec: CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+    spec: CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
     """Heights (V,) of bowls with raised rims; where several overlap they add up.
 
@@ -52,7 +135,7 @@ def crater_heights(
     """
     places, diameters_m, kept, _ = _scatter(spec, ground, seed, small)
     heights = np.zeros(len(ground.points_m))
-    for patches in find_patches(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
+    for patches in find_feature_vertices(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
         diameter_m = diameters_m[patches.feature]
         radii = np.linalg.norm(patches.offset_m, axis=1) / (0.5 * diameter_m)
         heights += np.bincount(patches.vertex, diameter_m * _crater_profile(radii, spec), len(heights))
@@ -60,18 +143,20 @@ def crater_heights(
 
 
 def _scatter(
-    spec: BoulderSpec | CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None
+    spec: BoulderSpec | CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None
 ) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
-    """Draw places and diameters, largest first, and count those that the mesh can carry."""
+    """Draw positions and diameters, largest first, and count those that the mesh resolves."""
     rng = np.random.default_rng(seed)
-    diameters_m, places = _strewn(spec, ground, rng)
+    diameters_m, places = _draw_sizes_and_places(spec, ground, rng)
     if small is not None:
-        _, elsewhere = _strewn(spec, ground, np.random.default_rng(small.seed))
+        _, elsewhere = _draw_sizes_and_places(spec, ground, np.random.default_rng(small.seed))
         places = np.where(diameters_m < small.below_m, elsewhere, places)
     return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
 
 
-def _strewn(spec: BoulderSpec | CraterSpec, ground: Ground, rng: np.random.Generator) -> tuple[FloatArray, IndexArray]:
+def _draw_sizes_and_places(
+    spec: BoulderSpec | CraterSpec, ground: RefinedSurface, rng: np.random.Generator
+) -> tuple[FloatArray, IndexArray]:
     diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
     return diameters_m, ground.draw_places(spec.count, rng)
 
@@ -88,16 +173,16 @@ def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Blocks with a rounded polygonal footprint, steep walls and a top of several tilted planes.
+    """Boulders with a rounded polygonal footprint, steep walls and a top of several tilted planes.
 
     Parameters
     ----------
     axes_per_m
-        (N, 2, 3) two directions across the surface, over the half-widths along them.
+        (N, 2, 3) two tangent unit vectors, divided by the half-widths along them.
     sides
-        (N, 7, 2) outward directions of the footprint's sides over their distances.
+        (N, 7, 2) outward normals of the footprint's sides, divided by their distances from the centre.
     tops
-        (N, 3, 3) planes (constant, slope, slope) over the footprint; the lowest one counts.
+        (N, 3, 3) planes (constant, two slopes) over the footprint; the minimum of the planes is the top.
     height_m
         (N,) height of the block.
     """
@@ -107,11 +192,11 @@ class _Blocks:
     tops: FloatArray
     height_m: FloatArray
 
-    def heights_m(self, patches: Patches) -> FloatArray:
+    def heights_m(self, patches: FeatureVertices) -> FloatArray:
         """Height of the block over each pair's vertex."""
         block = patches.feature
         x, y = (np.einsum("ni,ni->n", self.axes_per_m[block, k], patches.offset_m) for k in range(2))
-        # The norm with exponent 8 rounds the polygon's corners; the circle in it bounds the footprint.
+        # An L8 norm of the side distances rounds the polygon's corners; its circular term bounds the footprint.
         norm = (x * x + y * y) ** 4
         for k in range(_SIDES):
             side = np.maximum(self.sides[block, k, 0] * x + self.sides[block, k, 1] * y, 0.0)
@@ -124,7 +209,7 @@ class _Blocks:
 
 
 def _draw_blocks(
-    spec: BoulderSpec, ground: Ground, places: IndexArray, diameters_m: FloatArray, rng: np.random.Generator
+    spec: BoulderSpec, ground: RefinedSurface, places: IndexArray, diameters_m: FloatArray, rng: np.random.Generator
 ) -> _Blocks:
     count = len(diameters_m)
     first, second = tangent_axes(ground.up[places], rng.uniform(0.0, 2.0 * np.pi, count))

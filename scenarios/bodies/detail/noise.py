@@ -8,15 +8,22 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from scenarios.bodies.detail.redrawn import Redrawn
 from scenarios.bodies.topology import FloatArray
 
 _LATTICE = 96
 
 
 @dataclass(frozen=True, slots=True)
+class SmallScaleSeed:
+    """Separate random seed for the features of one kind that are smaller than ``below_m``."""
+
+    below_m: float
+    seed: np.random.SeedSequence
+
+
+@dataclass(frozen=True, slots=True)
 class Band:
-    """Octaves from ``longest_m`` to ``shortest_m``, each at least half as long as the one before.
+    """Octaves of wavelength from ``longest_m`` to ``shortest_m``, each at least half as long as the previous one.
 
     Their amplitudes are proportional to wavelength**hurst.
     """
@@ -39,13 +46,17 @@ class Band:
 
 
 def fractal_field(
-    points_m: FloatArray, band: Band, resolution_m: float, seed: np.random.SeedSequence, small: Redrawn | None = None
+    points_m: FloatArray,
+    band: Band,
+    resolution_m: float,
+    seed: np.random.SeedSequence,
+    small: SmallScaleSeed | None = None,
 ) -> tuple[FloatArray, int]:
     """Sum the octaves of a band at points (N, 3).
 
-    Octaves below ``resolution_m`` cannot be carried by the mesh and are left out; those that stay are the same
-    without them, so that a body keeps its hills when it gets more facets. Those shorter than ``small`` says are drawn
-    from its seed.
+    Octaves shorter than ``resolution_m`` cannot be resolved by the mesh and are left out; each octave has its own
+    random stream, so that the long ones do not depend on the number of facets. Octaves shorter than
+    ``small.below_m`` are drawn from ``small.seed``.
 
     Returns
     -------
@@ -65,7 +76,7 @@ def fractal_field(
     return (field * np.sqrt(variance) / field.std() if variance else field), omitted
 
 
-def _streams(band: Band, seed: np.random.SeedSequence, small: Redrawn | None) -> list[np.random.SeedSequence]:
+def _streams(band: Band, seed: np.random.SeedSequence, small: SmallScaleSeed | None) -> list[np.random.SeedSequence]:
     streams = seed.spawn(len(band.wavelengths_m))
     if small is None:
         return streams
@@ -75,9 +86,9 @@ def _streams(band: Band, seed: np.random.SeedSequence, small: Redrawn | None) ->
 
 
 def _lattice_noise(points: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Cubic B-spline of random values at points (N, 3) in lattice steps; it repeats after 96 steps.
+    """Evaluate a cubic B-spline of random values at points (N, 3) in lattice steps; its period is 96 steps.
 
-    Each octave lies turned and shifted at random, so that the repetitions of different octaves never meet.
+    Each octave is rotated and shifted at random, so that the periods of different octaves do not coincide.
     """
     lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32)
     turn = Rotation.random(rng=rng).as_matrix()

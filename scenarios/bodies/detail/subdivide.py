@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.topology import Edges, FloatArray, IntArray, find_edges
+from scenarios.bodies.topology import FloatArray, IntArray, MeshEdges, find_edges
 
 _FIT_ROUNDS = 8
 
 
 def rounds_for(n_faces: int, wanted: int) -> int:
-    """Count the subdivisions, each into four, that give at least ``wanted`` faces."""
+    """Return the number of 1-to-4 subdivisions that give at least ``wanted`` faces."""
     rounds = 0
     while n_faces * 4**rounds < wanted:
         rounds += 1
@@ -20,8 +20,8 @@ def rounds_for(n_faces: int, wanted: int) -> int:
 def refine(vertices: FloatArray, faces: IntArray, rounds: int) -> tuple[FloatArray, IntArray]:
     """Subdivide a closed mesh ``rounds`` times; each face becomes four.
 
-    ``vertices`` (V, k) may carry any quantities beside the position; all are refined alike. The original
-    vertices stay first in the result.
+    ``vertices`` (V, k) may hold further quantities after the position; all are refined alike. The original
+    vertices come first in the result.
     """
     for _ in range(rounds):
         edges = find_edges(faces)
@@ -33,9 +33,9 @@ def refine(vertices: FloatArray, faces: IntArray, rounds: int) -> tuple[FloatArr
 def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Control points (V, 3) whose Loop surface passes through the given vertices.
 
-    Loop's surface shrinks from its control points, so that a body would lose volume. Adding what the surface
-    is short of, a few times over, brings it back (Chen et al. 2008, "Progressive interpolation using Loop
-    subdivision surfaces").
+    Loop's surface lies inside its control points, so that a body would lose volume. Adding the difference between the
+    vertices and the limit surface converges to interpolation (Chen et al. 2008, "Progressive interpolation using
+    Loop subdivision surfaces").
     """
     edges = find_edges(faces)
     control = vertices
@@ -44,7 +44,7 @@ def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return control
 
 
-def smoothed(values: FloatArray, edges: Edges, rounds: int) -> FloatArray:
+def smoothed(values: FloatArray, edges: MeshEdges, rounds: int) -> FloatArray:
     """Replace each vertex's values (V, k) by the mean over itself and its neighbours, ``rounds`` times."""
     valence = _valence(edges, len(values))[:, None]
     for _ in range(rounds):
@@ -52,11 +52,11 @@ def smoothed(values: FloatArray, edges: Edges, rounds: int) -> FloatArray:
     return values
 
 
-def _valence(edges: Edges, n_vertices: int) -> FloatArray:
+def _valence(edges: MeshEdges, n_vertices: int) -> FloatArray:
     return np.bincount(edges.ends.ravel(), minlength=n_vertices).astype(np.float64)
 
 
-def _neighbour_sum(values: FloatArray, edges: Edges) -> FloatArray:
+def _neighbour_sum(values: FloatArray, edges: MeshEdges) -> FloatArray:
     here, there = edges.ends.T
     here, there = np.concatenate([here, there]), np.concatenate([there, here])
     return np.stack([np.bincount(here, column[there], len(values)) for column in values.T], axis=1)
@@ -67,28 +67,28 @@ def _beta(valence: FloatArray) -> FloatArray:
     return (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / valence)) ** 2) / valence  # Loop 1987
 
 
-def _moved(values: FloatArray, edges: Edges) -> FloatArray:
+def _moved(values: FloatArray, edges: MeshEdges) -> FloatArray:
     valence = _valence(edges, len(values))[:, None]
     beta = _beta(valence)
     return (1.0 - valence * beta) * values + beta * _neighbour_sum(values, edges)
 
 
-def limit(values: FloatArray, edges: Edges) -> FloatArray:
-    """Take the values (V, k) of vertices to what they become after infinitely many subdivisions."""
+def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
+    """Return the limits of vertex values (V, k) after infinitely many subdivisions."""
     valence = _valence(edges, len(values))[:, None]
     weight = 1.0 / (0.375 / _beta(valence) + valence)
     return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)
 
 
-def _edge_points(values: FloatArray, faces: IntArray, edges: Edges) -> FloatArray:
-    """3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
+def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
+    """Return the new vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
     opposite = np.roll(faces, 1, axis=1).ravel()
     edge = edges.of_face.ravel()
     wings = np.stack([np.bincount(edge, column[opposite], len(edges.ends)) for column in values.T], axis=1)
     return 0.375 * (values[edges.ends[:, 0]] + values[edges.ends[:, 1]]) + 0.125 * wings
 
 
-def _split(faces: IntArray, edges: Edges, n_old: int) -> IntArray:
+def _split(faces: IntArray, edges: MeshEdges, n_old: int) -> IntArray:
     a, b, c = faces.astype(np.int64).T
     ab, bc, ca = edges.of_face.T + n_old
     children = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)

@@ -1,4 +1,4 @@
-"""Shape readers: from a file to vertices and faces, or one clear line about what is wrong with it."""
+"""Shape readers: convert a file to vertices and faces, or raise an error that names file and line."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from scenarios.bodies.readers.grid import read_grid
 from scenarios.bodies.readers.icq import read_icq
 from scenarios.bodies.readers.meshfile import read_obj, read_ply
-from scenarios.bodies.readers.plates import read_plates
+from scenarios.bodies.readers.pds import read_grid, read_plates
 from scenarios.bodies.readers.source import RawShape, ShapeFile
 
 __all__ = ["READERS", "READER_VERSION", "RawShape", "ShapeFile", "detect_format", "read_shape"]
 
 READER_VERSION = 1
-"""Part of every body's key: raise it when the same file gives another mesh."""
+"""Part of the digest of every body: increase it when the same file gives another mesh."""
 
 READERS: Mapping[str, Callable[[ShapeFile], RawShape]] = MappingProxyType(
     {
@@ -31,14 +30,14 @@ _SNIFFED_BYTES = 4096
 
 
 def read_shape(path: Path, file_format: str = "auto", *, west_longitudes: bool = False) -> RawShape:
-    """Read a shape file in the unit that its numbers have.
+    """Read a shape file; coordinates keep the unit of the file.
 
     Parameters
     ----------
     path
         The file.
     file_format
-        ``obj``, ``ply``, ``pds-plates``, ``pds-grid``, ``icq``, or ``auto`` to look at the file.
+        ``obj``, ``ply``, ``pds-plates``, ``pds-grid``, ``icq``, or ``auto`` to detect it.
     west_longitudes
         Whether the longitudes of a ``pds-grid`` grow westward.
 
@@ -57,7 +56,7 @@ def read_shape(path: Path, file_format: str = "auto", *, west_longitudes: bool =
 
 
 def detect_format(source: ShapeFile) -> str:
-    """Tell the format from the first bytes and, for OBJ and ICQ, from the suffix."""
+    """Detect the format by the first bytes and, for OBJ and ICQ, by the suffix."""
     head = source.data[:_SNIFFED_BYTES]
     suffix = source.path.suffix.lower()
     if head.startswith(b"ply"):

@@ -1,4 +1,4 @@
-"""OBJ and PLY, parsed by trimesh; what trimesh forgives in silence is refused here first."""
+"""Readers of OBJ and PLY by trimesh, after checks for faults that trimesh accepts silently."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAX_HEADER_BYTES = 1 << 16
 
 
 def read_obj(source: ShapeFile) -> RawShape:
-    """Read a Wavefront OBJ file; polygons are cut into triangles, groups and materials are joined."""
+    """Read a Wavefront OBJ file; polygons are split into triangles, groups and materials are ignored."""
     text = "\n".join(source.lines()).replace("\\\n", " ").encode()
     bad = _BAD_OBJ_LINE.search(text)
     if bad:
@@ -43,7 +43,7 @@ def read_obj(source: ShapeFile) -> RawShape:
 
 
 def read_ply(source: ShapeFile) -> RawShape:
-    """Read a PLY file: text, binary little endian or binary big endian; polygons are cut into triangles."""
+    """Read a PLY file: text, binary little endian or binary big endian; polygons are split into triangles."""
     _check_ply_header(source)
     return _parse(source, source.data, "ply")
 
@@ -69,7 +69,7 @@ def _parse(source: ShapeFile, data: bytes, file_type: str) -> RawShape:
 
 
 def _check_ply_header(source: ShapeFile) -> None:
-    """Refuse a header that promises more than the file holds, before anything is allocated for it."""
+    """Raise an error if the header declares more data than the file holds, before memory is allocated."""
     head, mark, _ = source.data[:_MAX_HEADER_BYTES].partition(b"end_header")
     lines = head.decode("ascii", errors="replace").splitlines()
     if not mark or not head.startswith(b"ply"):
@@ -88,7 +88,7 @@ def _check_ply_header(source: ShapeFile) -> None:
 
 
 def _ply_elements(source: ShapeFile, lines: list[str]) -> tuple[dict[str, int], dict[str, int]]:
-    """Find the number of records and least number of bytes of a binary record, by element."""
+    """Return the number of records and the minimum size of a binary record in bytes, by element."""
     counts: dict[str, int] = {}
     sizes: dict[str, int] = {}
     element = ""

@@ -1,4 +1,4 @@
-"""What every shape reader needs: the file's bytes or lines, tables of numbers, and errors that name the place."""
+"""Common parts of the shape readers: file content, tables of numbers, and errors with file and line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IndexArray = NDArray[np.int64]
 
 
 class RawShape(NamedTuple):
-    """A shape as its file states it.
+    """Vertices and faces of a shape file before any check of the mesh.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class RawShape(NamedTuple):
 
 
 class ShapeFile:
-    """The content of a shape file, with errors that name it.
+    """The content of a shape file, and errors that name it.
 
     Parameters
     ----------
     path
-        Where the file lies; named in every error.
+        Path of the file; named in every error.
     data
         Its bytes.
     """
@@ -48,7 +48,7 @@ class ShapeFile:
 
     @classmethod
     def open(cls, path: Path) -> ShapeFile:
-        """Read the whole file; a missing, unreadable or empty one is refused."""
+        """Read the whole file; raise `BoresightError` if it is missing, unreadable or empty."""
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -58,7 +58,7 @@ class ShapeFile:
         return cls(path, data)
 
     def lines(self) -> list[str]:
-        """Decode the lines of a text file; line n of the file is item n - 1."""
+        """Decode the file as UTF-8 lines; line n of the file is item n - 1."""
         if b"\0" in self.data:
             raise self.fault("a text format was expected, but the file is binary; check body.format")
         try:
@@ -68,14 +68,14 @@ class ShapeFile:
             raise self.fault("a text format was expected, but this is not text; check body.format", line) from error
 
     def filled(self, lines: Sequence[str]) -> list[int]:
-        """Find the lines (from 0) that are not blank; there must be some."""
+        """Return the indices (from 0) of the lines that are not blank; raise an error if there are none."""
         rows = [i for i, line in enumerate(lines) if line.strip()]
         if not rows:
             raise self.fault("the shape file is empty; give a file with vertices and faces")
         return rows
 
     def fault(self, what: str, line: int | None = None) -> BoresightError:
-        """Word an error about this file, with the line number (from 1) where there is one."""
+        """Return an error about this file, with the line number (from 1) if given."""
         place = f"{self.path}:{line}" if line else str(self.path)
         return BoresightError(f"{place}: {what}")
 
@@ -85,7 +85,7 @@ class ShapeFile:
         Raises
         ------
         BoresightError
-            Naming the first line where a column is missing, is no number or is not finite.
+            With the first line in which a column is missing, not a number or not finite.
         """
         if not rows:
             return np.empty((0, len(columns)))
@@ -108,7 +108,7 @@ class ShapeFile:
         return self.fault("the table cannot be read as numbers; check body.format")
 
     def shape(self, vertices: FloatArray, faces: FloatArray | IndexArray) -> RawShape:
-        """Check that the numbers make a shape: some faces, finite vertices, indices (from 0) that exist."""
+        """Check that there are faces, finite vertices and valid indices (from 0), and return the shape."""
         if not len(vertices) or not len(faces):
             raise self.fault(f"{len(vertices)} vertices and {len(faces)} faces; a shape needs both")
         if vertices.ndim != 2 or vertices.shape[1] != 3:

@@ -19,9 +19,9 @@ from campaign.kinds.sequence.images import OrbitImages
 from campaign.kinds.sequence.tracks import ImageTracks
 from campaign.kinds.sequence.trial import ground_of
 from campaign.kinds.single_image.trial import SingleImage
-from campaign.products import Shelf
+from campaign.products import BuiltAssets
 from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.stages import StageFiles
 from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
@@ -45,12 +45,12 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         return imaging_fingerprint(scenario) if imaged else orbit_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
-    parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
+    parts = [*lent(BuiltAssets(scenario, file.parent / "products", 0, variant))]
     if world.ground is not None:
         parts.append(world.ground.rims.crest_m.tobytes())
     for trial in range(3):
         try:
-            sight = world.source.sight(3, trial)
+            sight = world.source.trial_image(3, trial)
         except BoresightError as error:
             parts.append(str(error).encode())
             continue
@@ -93,8 +93,8 @@ def imaging_fingerprint(scenario: LoadedScenario) -> str:
     world = open_orbit_world(scenario, 3)
     sights = open_sights(scenario, imaging_of(world), choose_variant().name)
     with tempfile.TemporaryDirectory() as folder:
-        taken = NavigationTrial.take(world, sights, 3, 0, Stages(Path(folder)))
-        searched = taken.search(CraterNavigation.from_options({}), Stages(Path(folder)))
+        taken = NavigationTrial.take(world, sights, 3, 0, StageFiles(Path(folder)))
+        searched = taken.search(CraterNavigation.from_options({}), StageFiles(Path(folder)))
     arrays = [taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m]
     for view, image in zip(taken.views, searched, strict=True):
         shown, rims = image.exposure, image.exposure.detections.ellipses
@@ -147,10 +147,10 @@ def pairs_fingerprint(scenario: LoadedScenario) -> str:
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
-def lent(shelf: Shelf) -> Iterator[bytes]:
+def lent(assets: BuiltAssets) -> Iterator[bytes]:
     """Yield what estimators borrow: the camera, the shape, and an image of it in the BRDF that is believed in."""
-    shape = shelf.shape()
-    yield repr(shelf.camera).encode()
+    shape = assets.shape()
+    yield repr(assets.camera).encode()
     yield np.ascontiguousarray(shape.vertices_m).tobytes()
-    view = View(shelf.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
-    yield np.ascontiguousarray(shelf.mesh_renderer(shape).render(view)).tobytes()
+    view = View(assets.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
+    yield np.ascontiguousarray(assets.mesh_renderer(shape).render(view)).tobytes()

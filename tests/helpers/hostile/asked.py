@@ -7,13 +7,13 @@ from importlib import resources
 from pathlib import Path
 
 from campaign.runs.resolve import CATALOG as CAMPAIGNS
-from estimators.landmark.robust.options import ConsensusOptions
+from estimators.landmark.robust.estimator import ConsensusOptions
 from estimators.options import parse_options
 from estimators.slam.options import BundleOptions
 from hostile.target import Target
 from reports.published import parse as parse_published
 from scenarios.data.datasets import load_dataset
-from scenarios.designs import cells
+from scenarios.designs import grid_cells
 from scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from scenarios.load.yaml_text import parse_yaml
 
@@ -126,7 +126,7 @@ def _scenario(content: bytes, folder: Path) -> object:
 
 def _campaign(content: bytes, folder: Path) -> object:
     spec = load_campaign(_laid(content, folder), CAMPAIGNS).spec
-    return canonical_json(spec), digest(spec), None if spec.grid is None else cells(spec.grid)
+    return canonical_json(spec), digest(spec), None if spec.grid is None else grid_cells(spec.grid)
 
 
 def _data_set(content: bytes, folder: Path) -> object:

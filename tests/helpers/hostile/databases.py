@@ -9,17 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.data.craters.named_craters import GAZETTEER, read_gazetteer
+from campaign.data.named_craters import GAZETTEER, read_gazetteer
 from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import CraterDatabase, read_landmarks, read_matches, read_pictures, write_matches
+from estimators.craters.database.files import (
+    CraterDatabase,
+    ImageDetections,
+    read_detections,
+    read_landmarks,
+    read_matches,
+    read_pictures,
+    write_detections,
+    write_matches,
+)
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import Picture
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
+from estimators.craters.database.pictures import SequencePicture
 from estimators.craters.learned.detector import read_network
-from estimators.craters.learned.patches import OUTPUTS, SCALARS
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import PlannedImage
+from estimators.craters.learned.network import OUTPUTS, SCALARS
+from estimators.craters.planning import PlannedImage, read_plan, write_plan
 from estimators.descriptors.database import FILE as DESCRIPTORS
 from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
 from estimators.landmark.database import LandmarkDatabase
@@ -156,8 +163,10 @@ def _rims(n: int) -> Ellipses:
 
 def _pictures(folder: Path) -> None:
     camera = Camera(64, 48, 100.0, 100.0, 32.0, 24.0)
-    pictures: Sequence[Picture] = [
-        Picture(i, 60.0 * i, camera, Pose(np.eye(3), np.array([0, 0, 9.0])), np.eye(3)[2], np.arange(2), _rims(2))
+    pictures: Sequence[SequencePicture] = [
+        SequencePicture(
+            i, 60.0 * i, camera, Pose(np.eye(3), np.array([0, 0, 9.0])), np.eye(3)[2], np.arange(2), _rims(2)
+        )
         for i in range(2)
     ]
     covariance = np.stack([np.eye(3)] * 2)
@@ -166,7 +175,7 @@ def _pictures(folder: Path) -> None:
 
 
 def _detections(folder: Path) -> None:
-    write_detections(folder / "1.txt", DetectedImage(1, 60.0, CraterDetections(_rims(3), np.array([0.9, 0.8, 0.7]))))
+    write_detections(folder / "1.txt", ImageDetections(1, 60.0, CraterDetections(_rims(3), np.array([0.9, 0.8, 0.7]))))
 
 
 def _matches(folder: Path) -> None:

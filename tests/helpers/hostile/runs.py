@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 
 from campaign.cli.bench import read_ratios
 from campaign.data.fetch import state
-from campaign.imaging.image_store import KeptImage, read_chunk, write_images
+from campaign.imaging.image_store import StoredImage, read_chunk, write_images
 from hostile import recipes
 from hostile.target import Target
 from renderers.spice.instruments import INSTRUMENTS
-from renderers.spice.kernels import loaded
+from renderers.spice.kernels import loaded_kernels
 from scenarios.data.datasets import DataSetSpec
 
 
@@ -63,7 +63,7 @@ def _written_chunk() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "images.parquet"
         image = np.array([[0.0, 0.5], [0.25, 0.0]], dtype=np.float32)
-        write_images(path, {0: KeptImage(image, b"view"), 1: KeptImage(image.T, b"view")})
+        write_images(path, {0: StoredImage(image, b"view"), 1: StoredImage(image.T, b"view")})
         return path.read_bytes()
 
 
@@ -92,5 +92,5 @@ def _bench(content: bytes, folder: Path) -> object:
 
 def _kernel(content: bytes, folder: Path) -> object:
     instrument = INSTRUMENTS["hayabusa-amica"]
-    with loaded([_laid(content, folder / "x.ti")]):
+    with loaded_kernels([_laid(content, folder / "x.ti")]):
         return instrument.camera(instrument.constants())

@@ -10,7 +10,7 @@ import trimesh
 
 from hostile.target import Target
 from scenarios.bodies import load_body
-from scenarios.bodies.cubegrid import lattice
+from scenarios.bodies.readers.icq import cube_lattice
 from scenarios.spec.body import BodySpec
 
 _VERTICES = ("1 0 0", "0 1 0", "0 0 1", "-1 -1 -1")
@@ -67,7 +67,7 @@ def _grid() -> bytes:
 
 
 def _icq(q: int) -> bytes:
-    points = lattice(q) / (0.5 * q) - 1.0
+    points = cube_lattice(q) / (0.5 * q) - 1.0
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
     return "\n".join([str(q), *(" ".join(f"{x:.6f}" for x in row) for row in points), ""]).encode()
 

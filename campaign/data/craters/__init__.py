@@ -1,1 +1,0 @@
-"""Detection of craters in a real image, beside the places where named craters should be."""

@@ -1,0 +1,310 @@
+"""Assets of estimators: camera, shape, renderers, and products that are built once and stored in the run folder."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
+
+from campaign.draft import drafted
+from campaign.imaging.world import believed
+from campaign.products import crater_database, descriptors, landmark_database, maplets
+from campaign.products.databases import (
+    content_key,
+    drawn_per_database,
+    with_database_craters,
+    with_database_knowledge,
+    with_database_seed,
+)
+from estimators.contract import ImageRenderer, NoProductError
+from renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from scenarios.atomic import explain_write_error
+from scenarios.bodies import load_body
+from scenarios.cache import default_cache
+from scenarios.errors import BoresightError, MachineError, text_of
+from scenarios.geometry import Camera, TriangleMesh
+from scenarios.load import LoadedScenario
+from scenarios.spec.base import SpecModel
+
+_FAILURE = "unmade.txt"
+"""File with the reason why a product cannot be built, in place of the product."""
+
+_TRACE = "traceback.txt"
+"""File with the traceback, if the build failed by an unexpected exception."""
+
+
+class ProductKind(Protocol):
+    """Functions of a module of this folder that builds one kind of product.
+
+    A product is built once from the believed scenario, stored in a folder, cached by the hash of everything that it
+    depends on, and used by estimators.
+    """
+
+    def parse(self, options: Mapping[str, object]) -> SpecModel:
+        """Validate the options given by an estimator."""
+        ...
+
+    def versions(self) -> list[int]:
+        """Return the versions of all code that the product depends on, except the renderer."""
+        ...
+
+    def announcement(self, options: SpecModel) -> str:
+        """Describe the effort of a build."""
+        ...
+
+    def build(
+        self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str
+    ) -> Mapping[str, object] | None:
+        """Build the product into an empty folder; return facts about the build to report, if any."""
+        ...
+
+    def load(self, folder: Path) -> object:
+        """Read a stored product."""
+        ...
+
+    def about(self, folder: Path) -> dict[str, object]:
+        """Describe a stored product for the manifest, in plain values."""
+        ...
+
+
+_KINDS: Mapping[str, ProductKind] = MappingProxyType(
+    {module.KIND: module for module in (landmark_database, maplets, descriptors, crater_database)}
+)
+
+
+def product_kind(name: str) -> ProductKind:
+    """Look up a kind.
+
+    Raises
+    ------
+    BoresightError
+        If there is none of that name.
+    """
+    if name not in _KINDS:
+        raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
+    return _KINDS[name]
+
+
+def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
+    """Return the hash of everything that determines a product."""
+    return content_key(scenario, kind, options, product_kind(kind).versions(), variant)
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltProduct:
+    """A product used by an estimator.
+
+    Its kind, scenario and estimator, its folder below ``RUN/products``, and the number of its data base.
+    """
+
+    kind: str
+    scenario: str
+    estimator: str
+    folder: str
+    database: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MissingProduct:
+    """A product that cannot be built: its scenario and estimator, and the reason."""
+
+    scenario: str
+    estimator: str
+    reason: str
+
+
+class BuiltAssets:
+    """Assets of the estimators of a scenario: camera, shape, renderers of meshes, and products in the run folder.
+
+    All of them come from the believed scenario, which equals the truth except for the section ``onboard``.
+
+    Parameters
+    ----------
+    scenario
+        The true scenario.
+    folder
+        ``RUN/products``, with one folder for each product, so that a run is self-contained.
+    jobs
+        Number of workers for builds; 0 where nothing may be built (in a worker).
+    variant
+        The Mitsuba variant.
+    report
+        Called with a message before and after each build.
+    draft
+        Fraction of the images of data bases, see `campaign.draft`.
+    database
+        Number of the data base, see `campaign.products.databases`.
+    """
+
+    def __init__(
+        self,
+        scenario: LoadedScenario,
+        folder: Path,
+        jobs: int,
+        variant: str,
+        report: Callable[[str], None] | None = None,
+        draft: float = 1.0,
+        database: int = 0,
+    ) -> None:
+        self._true_scenario = scenario
+        self._database = database
+        self._scenario = believed(with_database_knowledge(with_database_craters(scenario, database), database))
+        self._folder = folder
+        self._jobs = jobs
+        self._variant = variant
+        self._report = report
+        self._draft = draft
+        self._used: list[tuple[str, str]] = []
+        self._uses_shape = False
+
+    def for_database(self, database: int = 0) -> BuiltAssets:
+        """Return the same assets for a data base, with no product used yet."""
+        return BuiltAssets(
+            self._true_scenario, self._folder, self._jobs, self._variant, self._report, self._draft, database
+        )
+
+    @property
+    def depends_on_database(self) -> bool:
+        """Whether the assets used so far differ between data bases."""
+        drawn = drawn_per_database(self._true_scenario)
+        return bool(self._used) or "world" in drawn or ("knowledge" in drawn and self._uses_shape)
+
+    @property
+    def camera(self) -> Camera:
+        """Pinhole camera that the spacecraft assumes, to which the images of estimators are resampled."""
+        return self._scenario.spec.camera.camera().pinhole
+
+    def shape(self) -> TriangleMesh:
+        """Return the full believed shape."""
+        self._uses_shape = True
+        return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
+
+    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
+        """Return a renderer of ``mesh`` with the believed BRDF."""
+        return MitsubaRenderer(
+            mesh,
+            self._scenario.spec.brdf,
+            samples_per_pixel=samples_per_pixel,
+            shading="flat",
+            variant=choose_variant(self._variant),
+        )
+
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        """Return a product, building it if it is missing and builds are allowed.
+
+        Raises
+        ------
+        NoProductError
+            If it cannot be built from the scenario; the reason is stored in place of the product.
+        MachineError
+            If the machine cannot build, store or read it.
+        """
+        product = product_kind(kind)
+        wanted = with_database_seed(drafted(product.parse(options), self._draft), self._database)
+        folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
+        if not folder.exists():
+            self._build(kind, wanted, folder)
+        if (folder / _FAILURE).exists():
+            raise self._stored_failure(kind, folder)
+        self._used.append((kind, folder.name))
+        try:
+            return product.load(folder)
+        except BoresightError as error:
+            raise MachineError(str(error)) from error
+
+    def _stored_failure(self, kind: str, folder: Path) -> NoProductError:
+        """Read the stored reason why a product cannot be built."""
+        reason = (folder / _FAILURE).read_text(encoding="utf-8")
+        error = NoProductError(f"the {_in_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
+        if (folder / _TRACE).exists():
+            error.add_note((folder / _TRACE).read_text(encoding="utf-8"))
+        return error
+
+    def products_of(self, estimator: str) -> list[BuiltProduct]:
+        """Return the products used so far, attributed to an estimator."""
+        name = self._scenario.spec.name
+        return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._used]
+
+    def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
+        if self._jobs == 0:
+            raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
+        product, start_s = product_kind(kind), time.perf_counter()
+
+        def build(place: Path) -> None:
+            if self._report is not None:
+                name = self._scenario.spec.name
+                number = f", number {self._database}" if self._database else ""
+                self._report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
+            try:
+                facts = product.build(self._scenario, options, place, self._jobs, self._variant) or {}
+            except NoProductError as error:
+                (place / _FAILURE).write_text(str(error), encoding="utf-8")
+                return
+            seconds = {"seconds": time.perf_counter() - start_s}
+            (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
+            if self._report is not None and facts:
+                self._report("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
+
+        try:
+            cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
+        except (KeyboardInterrupt, MachineError):
+            raise
+        except BaseException as error:  # noqa: BLE001  a failed product must not end the run
+            _raise_machine_error(folder, error)
+            # Not cached: a later run may have more memory, or a corrected version of the code.
+            _store_failure(folder, error, options)
+            return
+        _copy_into_run(cached, folder)
+
+
+def _in_words(kind: str) -> str:
+    return kind.replace("-", " ")
+
+
+def _raise_machine_error(folder: Path, error: BaseException) -> None:
+    """Raise `MachineError` for a fault of the machine, such as a full disk: the same command can succeed later."""
+    if isinstance(error, OSError):
+        raise MachineError(explain_write_error(error.filename or folder, error)) from error
+    if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
+        raise MachineError(str(error)) from error
+
+
+def _copy_into_run(cached: Path, folder: Path) -> None:
+    """Copy a cached product into the run folder."""
+
+    def copy(place: Path) -> None:
+        for file in sorted(cached.iterdir()):
+            shutil.copy2(file, place)
+
+    _write_folder(folder, copy)
+
+
+def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> None:
+    """Store in the run folder why a product could not be built."""
+    given = options.model_dump_json(exclude_defaults=True)
+    listed = "the defaults" if given == "{}" else f"{given}, others the defaults"
+
+    def write(place: Path) -> None:
+        (place / _FAILURE).write_text(f"{text_of(error)}; its options are {listed}", encoding="utf-8")
+        (place / _TRACE).write_text("".join(traceback.format_exception(error)), encoding="utf-8", errors="replace")
+
+    _write_folder(folder, write)
+
+
+def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Write a folder of the run atomically."""
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    try:
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir(parents=True)
+        fill(temporary)
+        temporary.replace(folder)
+    except OSError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise MachineError(explain_write_error(folder, error)) from error

@@ -1,0 +1,137 @@
+"""Preparation of an image for detection: checks, the lit ground, and normalisation of the contrast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses
+from scenarios.observation import Frame
+
+FloatImage = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SATURATED_SHARE = 0.25  # of the pixels at the highest value: so many are not equal by chance
+GROUND_SHARE = 0.02  # of the image that must be lit ground
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedImage:
+    """An image ready for detection.
+
+    Parameters
+    ----------
+    even
+        (H, W) brightness minus its local mean, in units of its local standard deviation; 0 off the ground.
+    relief
+        (H, W) brightness minus its local mean, divided by that mean.
+    noise
+        (H, W) standard deviation of the noise in ``even``.
+    ground
+        (H, W) the lit surface, eroded at its edges.
+    sun_px
+        (2,) unit vector towards the Sun along columns and rows.
+    """
+
+    even: FloatImage
+    relief: FloatImage
+    noise: FloatImage
+    ground: Mask
+    sun_px: NDArray[np.float64]
+
+    def on_ground(self, ellipses: Ellipses, count: int = 48) -> NDArray[np.float64]:
+        """Return the share (n,) of each rim on the ground: about half for ellipses along the limb."""
+        height, width = self.ground.shape
+        pixel = np.floor(ellipses.points(count)[0]).astype(np.int64)
+        inside = np.all((pixel >= 0) & (pixel < [width, height]), axis=-1)
+        held = np.clip(pixel, 0, [width - 1, height - 1])
+        return np.asarray((inside & self.ground[held[..., 1], held[..., 0]]).mean(axis=1), dtype=np.float64)
+
+
+def check_image(image: FloatImage, camera: Camera) -> None:
+    """Raise for an image that cannot be searched.
+
+    Raises
+    ------
+    BoresightError
+        If it is not of the camera's size, not finite, black, of one brightness, or saturated.
+    """
+    if image.shape != (camera.height_px, camera.width_px):
+        size = f"{camera.width_px} x {camera.height_px}"
+        raise BoresightError(
+            f"the image is {image.shape[::-1]} pixels, the camera {size}: hand in the camera's own image"
+        )
+    bad = int(np.count_nonzero(~np.isfinite(image)))
+    if bad:
+        raise BoresightError(f"the image has {bad} pixels that are not finite: mend or leave out the image")
+    top = float(image.max())
+    if top <= 0.0:
+        raise BoresightError("the image is black: no crater can be seen in it")
+    if float(image.min()) == top:
+        raise BoresightError(f"the image is {top:g} all over: no crater can be seen in it")
+    share = float(np.mean(image == top))
+    if share > SATURATED_SHARE:
+        raise BoresightError(f"{100 * share:.0f} % of the image is saturated at {top:g}: expose it for less time")
+
+
+def lit_ground(image: FloatImage, floor: float = 0.12, margin_px: int = 4) -> Mask:
+    """Return the mask of the lit surface: brighter than ``floor`` times the level of bright pixels, with holes filled.
+
+    Shadows in craters are dark too: dark areas of a crater's size within the bright surface count as ground.
+    """
+    smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
+    bright = (smooth > floor * np.percentile(smooth, 99.0)).astype(np.uint8)
+    closer = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
+    pad = 32
+    padded = cv2.copyMakeBorder(bright, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, closer)
+    eaten = cv2.erode(closed, np.ones((2 * margin_px + 1,) * 2, np.uint8))
+    return np.asarray(eaten[pad:-pad, pad:-pad] > 0)
+
+
+def noise_level(image: FloatImage, ground: Mask) -> float:
+    """Estimate white noise on the ground from the median of second differences across both axes (Immerkaer 1996)."""
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    rough = cv2.filter2D(image, cv2.CV_32F, mask)
+    return float(np.median(np.abs(rough[ground])) / 0.6745 / 6.0)
+
+
+def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedImage:
+    """Check an image, find its lit ground and normalise its contrast.
+
+    Fixed thresholds fail at high or low Sun; the brightness is therefore divided by its local standard deviation.
+
+    Parameters
+    ----------
+    window_px
+        Standard deviation of the Gaussian window of mean and variance.
+
+    Raises
+    ------
+    BoresightError
+        As ``check_image``, and if less than a fiftieth of the image is lit ground, or if the Sun is along the
+        boresight.
+    """
+    check_image(frame.image, camera)
+    ground = lit_ground(frame.image)
+    if ground.mean() < GROUND_SHARE:
+        raise BoresightError(f"{100 * ground.mean():.1f} % of the image is lit ground: no crater can be seen in it")
+    across = np.asarray(frame.sun_dir_cam[:2], dtype=np.float64)
+    if np.linalg.norm(across) < 1e-3:
+        raise BoresightError("the Sun stands along the boresight: no side of a crater is shaded")
+    image = frame.image
+    weight = ground.astype(np.float32)
+    share = np.maximum(cv2.GaussianBlur(weight, (0, 0), window_px), 1e-3)
+    mean = cv2.GaussianBlur(image * weight, (0, 0), window_px) / share
+    square = cv2.GaussianBlur(np.square(image - mean) * weight, (0, 0), window_px) / share
+    noise = noise_level(image, ground)
+    # The noise and 2 % of the mean keep flat ground from being amplified to the contrast of craters.
+    spread = np.maximum(np.sqrt(square + (2.0 * noise) ** 2 + (0.02 * mean) ** 2), 1e-12)
+    level = np.maximum(mean, 0.02 * float(mean[ground].max()))
+    even = np.where(ground, (image - mean) / spread, 0.0).astype(np.float32)
+    relief = np.where(ground, (image - mean) / level, 0.0).astype(np.float32)
+    return PreparedImage(even, relief, (noise / spread).astype(np.float32), ground, across / np.linalg.norm(across))

@@ -1,0 +1,173 @@
+"""The network of the learned detector, its input patches around proposed rims, and the rims of its outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.detection.preparation import PreparedImage
+from estimators.craters.learned.proposals import pyramid
+from scenarios.geometry import Ellipses, pixel_to_opencv
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+SIDE = 32  # samples along either side of a patch
+REACH = 2.0  # mean radii from the centre to the edge of a patch
+SCALARS = 5  # further inputs of the network
+
+STRIDE = 2  # of every convolution
+NAMES = ("conv1", "bias1", "conv2", "bias2", "conv3", "bias3", "dense1", "bias4", "dense2", "bias5")
+OUTPUTS = 6  # log odds of a crater; displacement (2), log scale, elongation along and across the Sun (2)
+
+_LARGEST_STEP = 0.6  # of the radius or of its logarithm: the range of the training data
+
+
+def windows(x: FloatImage, size: int) -> FloatImage:
+    """Arrange the windows of a strided convolution as (n, H', W', size * size * C); the border is padded by zeros."""
+    pad = size // 2
+    padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
+    view = np.lib.stride_tricks.sliding_window_view(padded, (size, size), axis=(1, 2))[:, ::STRIDE, ::STRIDE]
+    rows = np.ascontiguousarray(np.moveaxis(view, 3, 5))
+    return rows.reshape(*rows.shape[:3], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Weights by name: conv (size * size * C, C'), bias (C'), dense (inputs, outputs)."""
+
+    weights: Mapping[str, FloatImage]
+
+    def forward(self, pixels: FloatImage, scalars: FloatImage) -> FloatImage:
+        """Return (n, OUTPUTS) for patches (n, SIDE, SIDE, 1) and their numbers (n, SCALARS)."""
+        x = pixels
+        for i in (1, 2, 3):
+            kernel = self.weights[f"conv{i}"]
+            size = round(np.sqrt(len(kernel) / x.shape[-1]))
+            x = np.maximum(windows(x, size) @ kernel + self.weights[f"bias{i}"], 0.0)
+        flat = np.concatenate([x.reshape(len(x), -1), scalars], axis=1)
+        hidden = np.maximum(flat @ self.weights["dense1"] + self.weights["bias4"], 0.0)
+        return np.asarray(hidden @ self.weights["dense2"] + self.weights["bias5"], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchSource:
+    """An image pyramid with the illumination and noise of the image.
+
+    Parameters
+    ----------
+    levels
+        The image and its halves.
+    sun_px
+        (2,) towards the Sun.
+    sun_depth
+        Cosine of the angle between the Sun and the boresight, which is 180 degrees minus the phase angle.
+    noise
+        Of the image, in its own units.
+    """
+
+    levels: tuple[FloatImage, ...]
+    sun_px: FloatArray
+    sun_depth: float
+    noise: float
+
+    @classmethod
+    def of(cls, image: FloatImage, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
+        """Build the pyramid up to the level that patches of the largest rims need."""
+        return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RimPatches:
+    """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) further inputs."""
+
+    pixels: FloatImage
+    scalars: FloatImage
+
+
+def patch_grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows 90 degrees onwards."""
+    steps = (np.arange(SIDE) + 0.5) * (2.0 * REACH / SIDE) - REACH
+    side = np.array([-sun_px[1], sun_px[0]])
+    unit = steps[None, :, None] * sun_px + steps[:, None, None] * side
+    return np.asarray(ellipses.centre_px[:, None, None] + ellipses.radius_px[:, None, None, None] * unit)
+
+
+def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
+    """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples."""
+    n = len(ellipses)
+    pixels = np.zeros((n, SIDE, SIDE), dtype=np.float32)
+    step = ellipses.radius_px * (2.0 * REACH / SIDE)
+    level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
+    for i in np.unique(level):
+        rows = np.flatnonzero(level == i)
+        place = pixel_to_opencv(patch_grid(ellipses[rows], source.sun_px) / 2.0**i).astype(np.float32)
+        for part in np.array_split(np.arange(len(rows)), len(rows) // 500 + 1):
+            flat = place[part].reshape(len(part), -1, 2)
+            found = cv2.remap(
+                source.levels[i], flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            pixels[rows[part]] = found.reshape(len(part), SIDE, SIDE)
+    mean = pixels.mean(axis=(1, 2))
+    spread = np.maximum(pixels.std(axis=(1, 2)), 1e-9)
+    even = (pixels - mean[:, None, None]) / spread[:, None, None]
+    level_of = np.maximum(mean, 1e-3 * float(source.levels[0].max()))
+    scalars = np.stack(
+        [
+            np.log(ellipses.radius_px / 12.0),
+            np.log(spread / level_of) + 1.5,
+            np.log(max(source.noise, 1e-6 * float(level_of.max())) / spread) + 2.0,
+            np.full(n, 2.0 * source.sun_depth),
+            np.clip(level_of / float(source.levels[-1].max()), 0.0, 2.0),
+        ],
+        axis=1,
+    )
+    return RimPatches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))
+
+
+def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Return smooth shape parameters (n, 3): log mean radius, and half the log ratio of the axes as a vector.
+
+    The vector is (e cos 2p, e sin 2p) with p the angle from the Sun's direction to the longer axis; 0 for a circle.
+    """
+    axes = np.log(ellipses.semi_axes_px)
+    elongation = 0.5 * (axes[:, 0] - axes[:, 1])
+    angle = 2.0 * (ellipses.angle_rad - np.arctan2(sun_px[1], sun_px[0]))
+    return np.stack([axes.mean(axis=1), elongation * np.cos(angle), elongation * np.sin(angle)], axis=1)
+
+
+def ellipses_of(centre_px: FloatArray, shape: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Convert (n, 2) centres and (n, 3) shapes, as in ``shape_of``, to rims."""
+    elongation = np.hypot(shape[:, 1], shape[:, 2])
+    angle = 0.5 * np.arctan2(shape[:, 2], shape[:, 1]) + np.arctan2(sun_px[1], sun_px[0])
+    axes = np.exp(shape[:, :1] + elongation[:, None] * np.array([1.0, -1.0]))
+    return Ellipses(centre_px, axes, angle % np.pi)
+
+
+def patch_axes(sun_px: FloatArray) -> FloatArray:
+    """Return the (2, 2) matrix whose rows are the axes of patches: towards the Sun, and 90 degrees onwards."""
+    return np.array([sun_px, [-sun_px[1], sun_px[0]]])
+
+
+def target_outputs(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Return the outputs (n, 5) to train for: those that take the patches about ``seen`` to the rims ``truth``."""
+    radius = seen.radius_px[:, None]
+    moved = (truth.centre_px - seen.centre_px) @ patch_axes(sun_px).T / radius
+    shape = shape_of(truth, sun_px)
+    shape[:, 0] -= np.log(radius[:, 0])
+    return np.concatenate([moved, shape], axis=1)
+
+
+def rims_from_outputs(seen: Ellipses, outputs: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Apply the network's outputs (n, 5) to the rims ``seen`` of its patches: the inverse of ``target_outputs``."""
+    radius = seen.radius_px[:, None]
+    outputs = np.asarray(outputs, dtype=np.float64)
+    step = np.clip(outputs[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
+    centre = seen.centre_px + radius * step @ patch_axes(sun_px)
+    shape = outputs[:, 2:].copy()
+    shape[:, 0] = np.clip(shape[:, 0], -_LARGEST_STEP, _LARGEST_STEP) + np.log(radius[:, 0])
+    return ellipses_of(centre, shape, sun_px)

@@ -1,0 +1,181 @@
+"""The pose of one image by craters alone: detection, association with the database, update of the prior."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.contract import Assets, Estimate, Stage, Stopwatch
+from estimators.craters.contract import CraterDetector, GroundModel
+from estimators.craters.database.files import CraterDatabase
+from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.matching.association import (
+    Association,
+    CraterAssociationOptions,
+    ExpectedCraters,
+    adjust_robustly,
+    associate,
+    centre_noise,
+)
+from estimators.craters.matching.transfer import occluded
+from estimators.craters.registry import crater_detector_class
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
+from scenarios.observation import Frame, Observation
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+_PASSES = 4  # linearisations
+_CONVERGED_M = 0.1
+
+IndexArray = NDArray[np.int64]
+
+PRODUCT = "crater-database"
+
+
+class CraterDatabaseOptions(SpecModel):
+    """The number of images that a database is made from, and the detector."""
+
+    images: int = Field(150, ge=2, description="Rendered images of the on-board model of the body")
+    seed: int = Field(0, ge=0, description="Of their views")
+    phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
+    detector: str = Field("crater-classic", description="Name of the detector of craters")
+    most_detections: int = Field(20, ge=1, description="Most detections of an image")
+    association: CraterAssociationOptions = Field(
+        CraterAssociationOptions(), description="Uncertainty of its detections: for matches and lines of sight"
+    )
+    height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
+
+
+class CraterPoseOptions(SpecModel):
+    """Options of the pose by craters."""
+
+    database: CraterDatabaseOptions = CraterDatabaseOptions()
+    association: CraterAssociationOptions = CraterAssociationOptions(redetected=0.3)
+    most_detections: int = Field(60, ge=1, description="Most detections of the image")
+    emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Largest emission angle of the landmarks sought")
+    incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="Largest incidence angle of the landmarks sought")
+    least: int = Field(4, ge=1, description="Landmarks that a pose needs: fewer hardly contradict each other")
+
+
+class CraterPose:
+    """Updates the prior pose by the centres of the craters that it recognises.
+
+    The errors of the prior move all craters together: the association estimates them (see `association`), is linearised
+    again about the estimate, and gives the pose and its covariance by Huber's loss of the craters, with the prior.
+    """
+
+    name: ClassVar[str] = "crater-pose"
+    version: ClassVar[int] = 3
+
+    def __init__(
+        self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions
+    ) -> None:
+        self.landmarks = database.landmarks
+        self._ground = MeshGround(shape)
+        self._detector = detector
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its database."""
+        parsed = parse_options(CraterPoseOptions, options, cls.name)
+        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
+        if not isinstance(database, CraterDatabase):
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        detector = crater_detector_class(parsed.database.detector).from_options({})
+        return cls(database, assets.shape(), detector, parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose; ``rng`` is not used."""
+        del rng
+        frame, camera, clock = observation.frame, observation.camera, Stopwatch()
+        with clock("detection"):
+            rims = self._detect(frame, camera)
+        if isinstance(rims, str):
+            return Estimate("failed", rims, timings_s=clock.seconds)
+        with clock("recognition"):
+            pose, found = self.recognise(frame, camera, rims)
+        if found.reason or len(found.pairs) < self._options.least:
+            needed = f"{len(found.pairs)} craters recognised, {self._options.least} needed"
+            return Estimate("failed", found.reason or needed, timings_s=clock.seconds)
+        return Estimate(
+            "ok",
+            pose=pose,
+            covariance=found.covariance,
+            stages=(Stage("recognition", pose),),
+            diagnostics={"n_landmarks": len(found.pairs)},
+            timings_s=clock.seconds,
+        )
+
+    def recognise(self, frame: Frame, camera: Camera, rims: Ellipses) -> tuple[Pose, Association]:
+        """Associate rims with the database and update the prior, linearised again until it converges."""
+        prior, error = frame.prior_T_cam_body, np.zeros(6)
+        area_px2 = float(camera.width_px * camera.height_px)
+        for _ in range(_PASSES):
+            pose = prior.perturbed(error[:3], error[3:])
+            _, expected = expected_craters(self.landmarks, self._ground, frame, camera, pose, self._options)
+            field = replace(expected, mean=-error)
+            found = associate(field, rims, area_px2, self._options.association)
+            if found.reason:
+                break
+            found = adjust_robustly(field, rims, found)
+            before, error = error, error + found.error
+            if np.linalg.norm(error[3:] - before[3:]) < _CONVERGED_M:
+                break
+        return prior.perturbed(error[:3], error[3:]), found
+
+    def _detect(self, frame: Frame, camera: Camera) -> Ellipses | str:
+        """Return the rims of an image, or why there are none."""
+        try:
+            rims = self._detector.detect(frame, camera).ellipses
+        except BoresightError as error:
+            return str(error)
+        return rims[: self._options.most_detections] if len(rims) else "no crater was detected in the image"
+
+
+def expected_craters(
+    landmarks: Landmarks, ground: GroundModel, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
+) -> tuple[IndexArray, ExpectedCraters]:
+    """Predict the rims of the landmarks that should be visible: their rows, and the expected craters.
+
+    The common error is that of the frame's prior pose, [rotation_rad, translation_m], linearised about ``pose``. Its
+    mean is set to zero; the caller replaces it.
+    """
+    rows = np.flatnonzero(_possibly_visible(landmarks, frame, camera, pose, options))
+    position = pose.camera_position_m
+    rows = rows[~occluded(landmarks.position_body_m[rows], position, ground, 2.0 * landmarks.radius_m[rows])]
+    points, normals = landmarks.position_body_m[rows], landmarks.normal_body[rows]
+    view = View(camera, pose, pose.rotation.T @ frame.sun_dir_cam)
+    ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
+    turned = points @ pose.rotation.T
+    by_point = camera.jacobian(turned + pose.translation_m)
+    by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
+    # The uncertainty of the landmarks is independent between craters, unlike that of the pose.
+    across = by_point @ pose.rotation
+    noise = centre_noise(ellipses, options.association)
+    noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
+    return rows, ExpectedCraters(ellipses, by_error, frame.prior_covariance, noise, np.zeros(6))
+
+
+def _possibly_visible(
+    landmarks: Landmarks, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
+) -> NDArray[np.bool_]:
+    """Return (n,) landmarks that face the camera and the Sun and may be in the frame given the prior's uncertainty."""
+    towards = pose.camera_position_m - landmarks.position_body_m
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    sun_dir_body = pose.rotation.T @ frame.sun_dir_cam
+    facing = np.einsum("ni,ni->n", towards, landmarks.normal_body) > np.cos(np.radians(options.emission_deg))
+    lit = landmarks.normal_body @ sun_dir_body > np.cos(np.radians(options.incidence_deg))
+    cam = pose.transform(landmarks.position_body_m)
+    spread_m = 3.0 * np.sqrt(np.trace(frame.prior_covariance[3:, 3:]))
+    spread_px = spread_m / np.linalg.norm(pose.translation_m) / camera.pixel_angle_rad
+    return np.asarray(facing & lit & (cam[:, 2] > 0.0) & camera.contains(camera.project(cam), -spread_px))

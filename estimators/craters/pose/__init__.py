@@ -1,1 +1,0 @@
-"""The pose of one image by the craters of a data base."""

@@ -1,0 +1,226 @@
+"""Adjustment as flat arrays for the kernels, and the order of its variables in the reduced system."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.compiled import kernel
+from estimators.slam.compiled.envelope import Envelope, make_envelope
+from estimators.slam.problem import Adjustment, QuadraticPrior, State
+
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+FloatArray = NDArray[np.float64]
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+_FLOAT, _INDEX, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
+_NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
+_NO_PRIOR = QuadraticPrior(
+    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0)
+)
+
+
+class FlatProblem(NamedTuple):
+    """`Adjustment` as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen."""
+
+    pinhole: FloatArray
+    attitudes: FloatArray
+    seen_view: IndexArray
+    seen_point: IndexArray
+    seen_px: FloatArray
+    seen_sigma_px: FloatArray
+    ranged_view: IndexArray
+    ranged_point: IndexArray
+    range_m: FloatArray
+    range_sigma_m: FloatArray
+    motion_start: IndexArray
+    motion_end: IndexArray
+    motion_m: FloatArray
+    motion_information: FloatArray
+    prior_views: IndexArray
+    prior_points: IndexArray
+    prior_origin_m: FloatArray
+    prior_information: FloatArray
+    prior_gradient: FloatArray
+    frozen_positions_m: FloatArray
+    frozen_points_m: FloatArray
+    free_views: BoolArray
+    free_points: BoolArray
+    kept_points: BoolArray
+
+
+def flat(problem: Adjustment) -> FlatProblem:
+    """Convert ``problem`` to the arrays of the kernels.
+
+    Raises
+    ------
+    ValueError
+        If its camera has distortion: pixels must be corrected for the lens before tracking.
+    """
+    if problem.camera.distortion is not None:
+        raise ValueError("the camera of an adjustment has distortion: correct the pixels for the lens first")
+    camera, seen, ranged, moved = problem.camera, problem.pixels, problem.distances, problem.motions
+    prior = _NO_PRIOR if problem.prior is None else problem.prior
+    frozen = _NO_STATE if problem.frozen is None else problem.frozen
+    kept = np.zeros(len(problem.free_points), dtype=np.bool_) if problem.kept_points is None else problem.kept_points
+    return FlatProblem(
+        pinhole=np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]),
+        attitudes=floats(problem.R_cam_body),
+        seen_view=_plain(seen.view, _INDEX),
+        seen_point=_plain(seen.point, _INDEX),
+        seen_px=floats(seen.uv_px),
+        seen_sigma_px=floats(seen.sigma_px),
+        ranged_view=_plain(ranged.view, _INDEX),
+        ranged_point=_plain(ranged.point, _INDEX),
+        range_m=floats(ranged.range_m),
+        range_sigma_m=floats(ranged.sigma_m),
+        motion_start=_plain(moved.start, _INDEX),
+        motion_end=_plain(moved.end, _INDEX),
+        motion_m=floats(moved.displacement_m),
+        motion_information=floats(moved.information),
+        prior_views=_plain(prior.views, _INDEX),
+        prior_points=_plain(prior.points, _INDEX),
+        prior_origin_m=floats(prior.origin_m),
+        prior_information=floats(prior.information),
+        prior_gradient=floats(prior.gradient),
+        frozen_positions_m=floats(frozen.positions_m),
+        frozen_points_m=floats(frozen.points_m),
+        free_views=_plain(problem.free_views, _BOOL),
+        free_points=_plain(problem.free_points, _BOOL),
+        kept_points=_plain(kept, _BOOL),
+    )
+
+
+def floats(values: FloatArray) -> FloatArray:
+    """Return ``values`` as a writable contiguous float64 array, as the kernels are compiled for; copy if necessary."""
+    return _plain(values, _FLOAT)
+
+
+def _plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar]:
+    """Copy read-only and strided arrays: numba would compile a kernel again for each kind of array."""
+    if values.dtype is dtype and values.flags.carray:
+        return values
+    return np.array(values, dtype=dtype, order="C")
+
+
+class FlatOrdering(NamedTuple):
+    """Slots of the variables as in `estimators.slam.normal.VariableOrdering`, and the envelope of the reduced matrix.
+
+    Parameters
+    ----------
+    gone
+        (e,): the eliminated landmarks.
+    views
+        Number of free views; the slots of the kept landmarks follow theirs.
+    link_begin
+        (e + 1,): first link of each eliminated landmark.
+    link
+        (m,): measurements between a free view and an eliminated landmark, sorted by landmark. Pixels have the first
+        numbers, then distances.
+    link_slot
+        (m,): the kept slots of their views.
+    """
+
+    view_slot: IndexArray
+    point_slot: IndexArray
+    eliminated: IndexArray
+    views: int
+    shape: Envelope
+    link_begin: IndexArray
+    link: IndexArray
+    link_slot: IndexArray
+
+
+@kernel
+def make_ordering(problem: FlatProblem) -> FlatOrdering:
+    """Assign slots to the variables, list the links of eliminated landmarks, and find the envelope."""
+    view_slot, views = _numbered(problem.free_views, 0)
+    free, joined = problem.free_points, problem.kept_points.copy()
+    for j in problem.prior_points:
+        joined[j] = True
+    point_slot, kept = _numbered(free & joined, views)
+    eliminated_slot, eliminated = _numbered(free & ~joined, 0)
+    view, point = _ends(problem)
+    begin, link, slot = _links(view_slot[view], eliminated_slot[point], eliminated)
+    reach = np.arange(kept)
+    for g in range(eliminated):
+        _couple(reach, slot, begin[g], begin[g + 1])
+    if kept > views:
+        _couple_pairs(reach, view_slot[view], point_slot[point])
+    _couple_pairs(reach, view_slot[problem.motion_start], view_slot[problem.motion_end])
+    slots = prior_slots(problem, view_slot, point_slot)
+    _couple(reach, slots, 0, len(slots))
+    return FlatOrdering(
+        view_slot, point_slot, np.flatnonzero(eliminated_slot >= 0), views, make_envelope(reach), begin, link, slot
+    )
+
+
+@kernel
+def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
+    """Assign numbers to the marked entries from ``first`` on, -1 elsewhere; also return the next number."""
+    slots = np.empty(len(mask), np.int64)
+    for i in range(len(mask)):
+        slots[i] = first if mask[i] else -1
+        first += int(mask[i])
+    return slots, first
+
+
+@kernel
+def _ends(problem: FlatProblem) -> tuple[IndexArray, IndexArray]:
+    """View and landmark of each measurement: pixels first, then distances."""
+    return (
+        np.concatenate((problem.seen_view, problem.ranged_view)),
+        np.concatenate((problem.seen_point, problem.ranged_point)),
+    )
+
+
+@kernel
+def _links(
+    view_slot: IndexArray, eliminated_slot: IndexArray, eliminated: int
+) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Sort the measurements of eliminated landmarks by landmark, given the slots (m,) of their ends."""
+    begin = np.zeros(eliminated + 1, np.int64)
+    for k in range(len(view_slot)):
+        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
+            begin[eliminated_slot[k] + 1] += 1
+    for g in range(eliminated):
+        begin[g + 1] += begin[g]
+    place = begin.copy()
+    link, slot = np.empty(begin[eliminated], np.int64), np.empty(begin[eliminated], np.int64)
+    for k in range(len(view_slot)):
+        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
+            at = place[eliminated_slot[k]]
+            link[at], slot[at] = k, view_slot[k]
+            place[eliminated_slot[k]] = at + 1
+    return begin, link, slot
+
+
+@kernel
+def _couple(reach: IndexArray, slots: IndexArray, begin: int, end: int) -> None:
+    """Extend the envelope to hold the coupling of all slots of a run with each other."""
+    if begin == end:
+        return
+    first = last = slots[begin]
+    for k in range(begin, end):
+        first, last = min(first, slots[k]), max(last, slots[k])
+    reach[first] = max(reach[first], last)
+
+
+@kernel
+def _couple_pairs(reach: IndexArray, one: IndexArray, other: IndexArray) -> None:
+    """Extend the envelope to hold the coupling of pairs of slots."""
+    for k in range(len(one)):
+        first, last = min(one[k], other[k]), max(one[k], other[k])
+        if first >= 0:
+            reach[first] = max(reach[first], last)
+
+
+@kernel
+def prior_slots(problem: FlatProblem, view_slot: IndexArray, point_slot: IndexArray) -> IndexArray:
+    """Return the slots (a + b,) of the variables of the prior."""
+    return np.concatenate((view_slot[problem.prior_views], point_slot[problem.prior_points]))

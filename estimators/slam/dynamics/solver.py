@@ -1,0 +1,261 @@
+"""Solve an adjustment with dynamics: normal equations, Levenberg-Marquardt, covariance, marginalisation.
+
+The reduced system of its vision part is a part of a larger dense system with velocities and force parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
+from estimators.slam.marginal import constrained_points, departing_part, eliminate_rows
+from estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
+from estimators.slam.solver import StoppingRule
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicOrdering:
+    """Rows of the unknowns in the dense system, -1 for fixed ones.
+
+    The order is that of the vision part's reduced system, then velocities, then parameters.
+
+    Parameters
+    ----------
+    ordering
+        Of the vision part.
+    position, velocity
+        (V, 3) each.
+    parameters
+        (2,).
+    point
+        (L, 3); -1 for landmarks that are eliminated, too.
+    count
+        Number of rows.
+    """
+
+    ordering: VariableOrdering
+    position: IndexArray
+    velocity: IndexArray
+    parameters: IndexArray
+    point: IndexArray
+    count: int
+
+    @classmethod
+    def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
+        """Assign rows to the unknowns of ``problem``."""
+        ordering = VariableOrdering.of(problem.vision)
+        after = 3 * ordering.kept
+        velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
+        after += 3 * int(np.count_nonzero(problem.free_velocities))
+        parameters = _numbered(problem.free_parameters, after)
+        count = after + int(np.count_nonzero(problem.free_parameters))
+        return cls(ordering, _threes(ordering.view), velocity, parameters, _threes(ordering.kept_point), count)
+
+    def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
+        """(6 a + 2 + 3 b,) rows in the order of a prior."""
+        parts = [
+            self.position[views].ravel(),
+            self.velocity[views].ravel(),
+            self.parameters,
+            self.point[points].ravel(),
+        ]
+        return np.concatenate(parts)
+
+    def of_arcs(self, start: IndexArray, end: IndexArray) -> IndexArray:
+        """(k, 14) rows in the order of `DynamicAdjustment.arc_jacobians`."""
+        parameters = np.broadcast_to(self.parameters, (len(start), 2))
+        parts = [self.position[start], self.position[end], self.velocity[start], self.velocity[end], parameters]
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicEquations:
+    """Normal equations of the vision part, and matrix (n, n) and gradient (n,) of arcs and prior."""
+
+    rows: DynamicOrdering
+    vision: NormalEquations
+    added: FloatArray
+    gradient: FloatArray
+
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the dense matrix, the right-hand side, and the inverse blocks of the eliminated landmarks.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the distance of a landmark is undetermined and ``damping`` is 0.
+        """
+        part, part_right, inverse = self.vision.reduced(damping)
+        joined = len(part)
+        matrix, right = self.added.copy(), -self.gradient
+        matrix[:joined, :joined] += part
+        right[:joined] += part_right
+        below = np.arange(joined, self.rows.count)
+        matrix[below, below] += damping
+        return matrix, right, inverse
+
+    def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
+        """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the largest coordinate, m."""
+        kept = step[: 3 * self.rows.ordering.kept].reshape(-1, 3)
+        eliminated = self.vision.back_substituted(kept, inverse)
+        padded = np.append(step, 0.0)  # row -1: no step
+        after = DynamicState(
+            self.vision.stepped(state.vision, kept, eliminated),
+            state.velocities_m + padded[self.rows.velocity],
+            state.parameters_m + padded[self.rows.parameters],
+        )
+        return after, float(max(np.abs(step).max(initial=0.0), np.abs(eliminated).max(initial=0.0)))
+
+
+def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: DynamicOrdering) -> DynamicEquations:
+    """Linearise ``problem`` at ``state``."""
+    bin_row = rows.count  # index -1 of the fixed unknowns: this row is dropped
+    matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
+    at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
+    jacobians = problem.arc_jacobians(state)
+    weighted = np.swapaxes(jacobians, 1, 2) @ problem.arcs.information
+    np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
+    np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, problem.arc_residuals(state)))
+    prior = problem.prior
+    if prior is not None:
+        at = rows.of_prior(prior.views, prior.points)
+        matrix[np.ix_(at, at)] += prior.information
+        gradient[at] += prior.information @ prior.offset(state) + prior.gradient
+    vision = normal_equations(problem.vision, state.vision, rows.ordering)
+    return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1])
+
+
+def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
+    """Return half the sum of squares plus the prior; inf with a landmark behind its camera."""
+    residuals = problem.arc_residuals(state)
+    half = cost(problem.vision, state.vision)
+    half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
+    if problem.prior is not None:
+        offset = problem.prior.offset(state)
+        half += float(0.5 * offset @ problem.prior.information @ offset + problem.prior.gradient @ offset)
+    return half if np.isfinite(half) else float("inf")
+
+
+def _threes(slots: IndexArray) -> IndexArray:
+    """(k, 3) rows of the 3-vectors in slots (k,); -1 for none."""
+    return np.where(slots[:, None] >= 0, 3 * slots[:, None] + np.arange(3), -1)
+
+
+def _numbered(mask: BoolArray, first: int) -> IndexArray:
+    """Assign numbers to the marked entries from ``first``; -1 elsewhere."""
+    return np.where(mask, first + np.cumsum(mask) - 1, -1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicSolution:
+    """State at the minimum, its cost, and the steps taken."""
+
+    state: DynamicState
+    cost: float
+    iterations: int
+
+
+def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
+    """Minimise `dynamic_cost` from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
+    rows = DynamicOrdering.of(problem)
+    value = dynamic_cost(problem, state)
+    damping = 1e-6
+    for iteration in range(1, rule.iterations + 1):
+        if not np.isfinite(value):
+            return DynamicSolution(state, value, iteration)
+        trial, step, damping = _descend(problem, dynamic_equations(problem, state, rows), state, value, damping)
+        if trial is None:
+            return DynamicSolution(state, value, iteration)
+        state, value = trial, dynamic_cost(problem, trial)
+        if step <= rule.step_m:
+            return DynamicSolution(state, value, iteration)
+    return DynamicSolution(state, value, rule.iterations)
+
+
+def covariance_of(
+    problem: DynamicAdjustment, state: DynamicState, wanted: IndexArray, rows: DynamicOrdering
+) -> FloatArray:
+    """(k, k) covariance of the unknowns in the rows ``wanted``, marginal over all others; zero for rows of -1.
+
+    Raises
+    ------
+    scipy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    matrix, _, _ = dynamic_equations(problem, state, rows).reduced()
+    columns = np.zeros((rows.count + 1, len(wanted)))
+    columns[wanted, np.arange(len(wanted))] = 1.0
+    solved = np.zeros_like(columns)
+    solved[:-1] = cho_solve(cho_factor(matrix), columns[:-1])
+    covariance = solved[wanted]
+    return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
+
+
+def _descend(
+    problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, value: float, damping: float
+) -> tuple[DynamicState | None, float, float]:
+    """Increase the damping until the cost does not increase; None if it increases for every step.
+
+    Returns the new state, the largest step of an unknown (m), and the next initial damping. Near the minimum rounding
+    may increase the cost by some parts in 1e10, since the arcs have small covariances.
+    """
+    step = 0.0
+    for _ in range(25):
+        try:
+            matrix, right, inverse = system.reduced(damping)
+            solved = cho_solve(cho_factor(matrix), right)
+        except (LinAlgError, np.linalg.LinAlgError):
+            damping *= 10.0
+            continue
+        trial, step = system.stepped(state, solved, inverse)
+        if dynamic_cost(problem, trial) <= value + 1e-10 * abs(value) + 1e-12:
+            return trial, step, 0.1 * damping
+        damping *= 10.0
+    return None, step, damping
+
+
+def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
+    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), linearised at ``state``.
+
+    The prior covers all other views, the parameters, and the landmarks that a removed measurement constrains.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the removed variables are not determined.
+    """
+    part = _departing_part(problem, view, lost)
+    rows = DynamicOrdering.of(part)
+    matrix, right, _ = dynamic_equations(part, state, rows).reduced()
+    views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
+    points = np.flatnonzero(part.vision.free_points & ~lost)
+    kept = rows.of_prior(views, points)
+    remaining = np.zeros(rows.count, dtype=np.bool_)
+    remaining[kept[kept >= 0]] = True
+    information, gradient = eliminate_rows(matrix, -right, ~remaining)
+    place = np.append(np.cumsum(remaining) - 1, -1)[kept]  # fixed variables have rows of zeros
+    padded = np.zeros((len(information) + 1, len(information) + 1))
+    padded[:-1, :-1] = information
+    return DynamicPrior(
+        views, points, gather(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
+    )
+
+
+def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
+    """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
+    vision = departing_part(problem.vision, view, lost)
+    joined = np.zeros(len(lost), dtype=np.bool_)
+    if problem.prior is not None:
+        joined[problem.prior.points] = True
+    constrained = constrained_points(vision) | joined
+    vision = replace(vision, free_points=vision.free_points & constrained, kept_points=constrained & (joined | ~lost))
+    return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))

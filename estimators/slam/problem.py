@@ -1,0 +1,152 @@
+"""Bundle adjustment problem: state, measurements and prior, with views and landmarks numbered within the problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import Camera
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def _none() -> IndexArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Camera positions (V, 3) and landmarks (L, 3), m, body frame."""
+
+    positions_m: FloatArray
+    points_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelMeasurements:
+    """Pixels of landmarks in views: (k,) view, (k,) point, (k, 2) pixel, (k,) sigma of a coordinate, px."""
+
+    view: IndexArray
+    point: IndexArray
+    uv_px: FloatArray
+    sigma_px: FloatArray
+
+    def subset(self, rows: BoolArray) -> PixelMeasurements:
+        """Return those marked in ``rows`` (k,)."""
+        return PixelMeasurements(self.view[rows], self.point[rows], self.uv_px[rows], self.sigma_px[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """Distances from views to landmarks and their standard deviations, m; each (k,)."""
+
+    view: IndexArray = field(default_factory=_none)
+    point: IndexArray = field(default_factory=_none)
+    range_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def subset(self, rows: BoolArray) -> Distances:
+        """Return those marked in ``rows`` (k,)."""
+        return Distances(self.view[rows], self.point[rows], self.range_m[rows], self.sigma_m[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Predicted displacements (k, 3) from view to view, m, and the inverse covariances (k, 3, 3) of their errors."""
+
+    start: IndexArray = field(default_factory=_none)
+    end: IndexArray = field(default_factory=_none)
+    displacement_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    information: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    def subset(self, rows: BoolArray) -> Motions:
+        """Return those marked in ``rows`` (k,)."""
+        return Motions(self.start[rows], self.end[rows], self.displacement_m[rows], self.information[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadraticPrior:
+    """Prior as a quadratic cost of some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
+
+    Parameters
+    ----------
+    views, points
+        (a,), (b,): the variables by their numbers in the problem.
+    origin_m
+        (a + b, 3): x0, the point of linearisation.
+    information, gradient
+        H (3 (a + b), 3 (a + b)), 1/m^2, and g (3 (a + b),), 1/m.
+    """
+
+    views: IndexArray
+    points: IndexArray
+    origin_m: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+
+    @classmethod
+    def of_first_position(cls, position_m: FloatArray, covariance_m2: FloatArray) -> QuadraticPrior:
+        """Return the prior of view 0 by a position (3,) and the covariance (3, 3) of its error."""
+        information = np.asarray(np.linalg.inv(covariance_m2), dtype=np.float64)
+        return cls(np.zeros(1, dtype=np.int64), _none(), position_m[None], information, np.zeros(3))
+
+    def offset(self, state: State) -> FloatArray:
+        """(3 (a + b),) x - x0 at ``state``, m."""
+        here = np.concatenate([state.positions_m[self.views], state.points_m[self.points]])
+        return np.asarray((here - self.origin_m).ravel(), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """Least-squares problem of views with known attitude and landmarks in Cartesian coordinates.
+
+    Parameters
+    ----------
+    R_cam_body
+        (V, 3, 3) attitude of each view.
+    free_views, free_points
+        (V,), (L,): what is solved for; the others are fixed. All points of a prior are free.
+    kept_points
+        (L,): landmarks, besides those of the prior, that stay in the reduced system (Schur complement); None: none.
+    frozen
+        First-estimates Jacobians: points of linearisation of the variables in the prior; NaN for all others.
+        None: all derivatives are taken at the present state.
+    """
+
+    camera: Camera
+    R_cam_body: FloatArray
+    pixels: PixelMeasurements
+    free_views: BoolArray
+    free_points: BoolArray
+    distances: Distances = field(default_factory=Distances)
+    motions: Motions = field(default_factory=Motions)
+    prior: QuadraticPrior | None = None
+    kept_points: BoolArray | None = None
+    frozen: State | None = None
+
+    def linearisation_point(self, state: State) -> State:
+        """Return ``state`` with the frozen variables at their first estimates."""
+        if self.frozen is None:
+            return state
+        frozen = self.frozen
+        return State(
+            np.where(np.isnan(frozen.positions_m), state.positions_m, frozen.positions_m),
+            np.where(np.isnan(frozen.points_m), state.points_m, frozen.points_m),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdjustedWindow:
+    """Adjusted window: problem, state at the minimum, frame numbers of its views, and tracks (n,) of its landmarks.
+
+    The tracks are ascending.
+    """
+
+    problem: Adjustment
+    state: State
+    views: tuple[int, ...]
+    tracks: IndexArray

@@ -1,0 +1,251 @@
+"""Map of an estimator that adjusts views: frames, estimated camera positions and landmarks."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import LostError, lookup, median_distance
+from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
+from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
+from scenarios.geometry import Camera
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from scenarios.tracks import TrackFrame
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameIndex:
+    """Look-up table of a frame: the row of each track, and (n, 3) unit line of sight of each row, body frame."""
+
+    frame: TrackFrame
+    rows: dict[int, int]
+    rays: FloatArray
+
+    @classmethod
+    def of(cls, frame: TrackFrame, camera: Camera) -> _FrameIndex:
+        rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
+        return cls(frame, rows, camera.unproject(frame.uv_px) @ frame.R_cam_body)
+
+
+class SlamMap:
+    """Frames by number, a camera position for each, and a point for each landmark by its track (m, body frame).
+
+    Attributes
+    ----------
+    guessed
+        Tracks whose points lie at a guessed distance.
+    gated
+        Whether pixels may be refused, so that a frame may be left without a mapped landmark for a while.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.frames: dict[int, TrackFrame] = {}
+        self.positions_m: dict[int, FloatArray] = {}
+        self.points_m: dict[int, FloatArray] = {}
+        self.guessed: set[int] = set()
+        self.gated = False
+        self.last_depth_m: float | None = None
+        self._indices: dict[int, _FrameIndex] = {}
+        self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
+
+    def pixels(self, views: Sequence[int], tracks: Sequence[int]) -> PixelMeasurements:
+        """Collect the pixels of ``tracks`` (sorted) in ``views``, numbered by their indices in the two lists."""
+        frames = [self.frames[view] for view in views]
+        track = np.concatenate([frame.tracks for frame in frames])
+        sizes = [len(frame.tracks) for frame in frames]
+        point = lookup(tracks, track)
+        kept = point >= 0
+        return PixelMeasurements(
+            view=np.repeat(np.arange(len(views)), sizes)[kept],
+            point=point[kept],
+            uv_px=np.concatenate([frame.uv_px for frame in frames])[kept],
+            sigma_px=np.repeat([frame.sigma_px for frame in frames], sizes)[kept],
+        )
+
+    def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
+        """Collect the distances that were measured from ``views`` to ``tracks`` (sorted)."""
+        rows = [(slot, item) for slot, view in enumerate(views) for item in self.frames[view].ranges]
+        if not rows:
+            return Distances()
+        point = lookup(tracks, np.array([item.track for _, item in rows], dtype=np.int64))
+        kept = point >= 0
+        return Distances(
+            view=np.array([slot for slot, _ in rows], dtype=np.int64)[kept],
+            point=point[kept],
+            range_m=np.array([item.range_m for _, item in rows], dtype=np.float64)[kept],
+            sigma_m=np.array([item.sigma_m for _, item in rows], dtype=np.float64)[kept],
+        )
+
+    def motions(self, views: Sequence[int]) -> Motions:
+        """Collect the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
+        slots = {view: slot for slot, view in enumerate(views)}
+        ends = [view for view in views if view - 1 in slots]
+        if not ends:
+            return Motions()
+        return Motions(
+            start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
+            end=np.array([slots[view] for view in ends], dtype=np.int64),
+            displacement_m=np.array([self.frames[view].motion_m for view in ends]),
+            information=np.array([self._motion_information(view) for view in ends]),
+        )
+
+    def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
+        """Collect the present estimates of ``views`` and ``tracks``."""
+        points = np.array([self.points_m[track] for track in tracks]).reshape(-1, 3)
+        return State(np.array([self.positions_m[view] for view in views]).reshape(-1, 3), points)
+
+    def keep(self, state: State, views: Sequence[int], tracks: Sequence[int]) -> None:
+        """Store the estimates of ``state``."""
+        self.positions_m.update(zip(views, state.positions_m, strict=True))
+        self.points_m.update(zip(tracks, state.points_m, strict=True))
+        self.guessed.difference_update(tracks)
+
+    def adjust(
+        self, problem: Adjustment, views: Sequence[int], tracks: Sequence[int], rule: StoppingRule
+    ) -> AdjustmentSolution:
+        """Minimise an adjustment of ``views`` and ``tracks`` from the present estimates, and keep its estimates.
+
+        Raises
+        ------
+        LostError
+            If a landmark is behind its camera.
+        """
+        solution = minimise(problem, self.state(views, tracks), rule)
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        self.keep(solution.state, views, tracks)
+        return solution
+
+    def first_estimate(self, covariance_m2: FloatArray) -> FrameEstimate:
+        """Place the landmarks of view 0 provisionally at the measured distance; return those with a range."""
+        self.guess(0, self.median_depth(0))
+        ranged = sorted(item.track for item in self.frames[0].ranges if item.track in self.points_m)
+        tracks, points = np.array(ranged, dtype=np.int64), self.state((), ranged).points_m
+        return FrameEstimate(self.positions_m[0].copy(), covariance_m2.copy(), tracks, points, 0.0)
+
+    def guess(self, view: int, depth_m: float) -> None:
+        """Place all landmarks of a view provisionally at one distance from it."""
+        for track in self.frames[view].tracks.tolist():
+            self.points_m[track] = self.positions_m[view] + depth_m * self.ray(view, track)
+            self.guessed.add(track)
+
+    def attitudes(self, views: Sequence[int]) -> FloatArray:
+        """(V, 3, 3) R_cam_body of ``views``."""
+        return np.array([self.frames[view].R_cam_body for view in views])
+
+    def seen_by(self, views: Sequence[int]) -> dict[int, list[int]]:
+        """List for each track the views among ``views`` that saw it."""
+        seen: defaultdict[int, list[int]] = defaultdict(list)
+        for view in views:
+            for track in self._index(view).rows:
+                seen[track].append(view)
+        return dict(seen)
+
+    def seeing(self, track: int, views: Sequence[int]) -> list[int]:
+        """List those of ``views`` that saw a track."""
+        return [view for view in views if track in self._index(view).rows]
+
+    def in_view(self, view: int, tracks: Sequence[int]) -> BoolArray:
+        """(n,) which of ``tracks`` a view sees."""
+        rows = self._index(view).rows
+        return np.array([track in rows for track in tracks], dtype=np.bool_)
+
+    def shared(self, first: int, second: int) -> int:
+        """Count the landmarks that two views share."""
+        return len(self._index(first).rows.keys() & self._index(second).rows.keys())
+
+    def ray(self, view: int, track: int) -> FloatArray:
+        """(3,) unit direction from the camera to a landmark, body frame."""
+        index = self._index(view)
+        return np.asarray(index.rays[index.rows[track]], dtype=np.float64)
+
+    def median_depth(self, view: int) -> float:
+        """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m."""
+        frame = self.frames[view]
+        known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]
+        if known:
+            self.last_depth_m = median_distance(np.array(known), self.positions_m[view])
+            return self.last_depth_m
+        if self.last_depth_m is not None and self.gated:
+            return self.last_depth_m
+        if frame.ranges:
+            return float(np.median([item.range_m for item in frame.ranges]))
+        raise LostError("no landmark of known distance is in view: the scale is unobservable")
+
+    def place(self, view: int, rule: StoppingRule) -> None:
+        """Motion-only adjustment: estimate a new view's position from its mapped landmarks and its predicted motion."""
+        tracks = sorted(track for track in self._index(view).rows if track in self.points_m)
+        self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
+        if not tracks:
+            return
+        views = [view - 1, view]
+        problem = Adjustment(
+            camera=self.camera,
+            R_cam_body=self.attitudes(views),
+            pixels=self.pixels(views, tracks),
+            free_views=np.array([False, True]),
+            free_points=np.zeros(len(tracks), dtype=np.bool_),
+            motions=self.motions(views),
+        )
+        solution = minimise(problem, self.state(views, tracks), rule)
+        self.positions_m[view] = solution.state.positions_m[1]
+
+    def triangulate_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]]) -> None:
+        """Triangulate those of ``tracks`` that have no point; ``seen`` lists the views of each track."""
+        depths_m: dict[int, float] = {}
+        for track in tracks:
+            if track not in self.points_m:
+                last = seen[track][-1]
+                if last not in depths_m:
+                    depths_m[last] = self.median_depth(last)
+                self.points_m[track] = self.triangulate(track, seen[track], depths_m[last])
+
+    def triangulate(self, track: int, views: Sequence[int], depth_m: float | None = None) -> FloatArray:
+        """(3,) midpoint triangulation: the point nearest to the lines of sight of ``views``, least squares.
+
+        The point at the median depth on the last line of sight is returned if the lines are parallel, or if a depth is
+        not within a factor of about 3 of ``depth_m`` (the median depth of the last view by default).
+        """
+        rays = np.array([self.ray(view, track) for view in views])
+        positions = np.array([self.positions_m[view] for view in views])
+        depth = self.median_depth(views[-1]) if depth_m is None else depth_m
+        near = positions[-1] + depth * rays[-1]
+        unknown = np.zeros((1, 3, 3)), np.zeros((1, 3))
+        one_point = np.zeros(len(rays), dtype=np.int64)
+        (matrix,), (right,) = triangulation_equations(LinesOfSight(positions, rays), one_point, unknown)
+        if np.linalg.eigvalsh(matrix)[0] < 1e-12:
+            return np.asarray(near, dtype=np.float64)
+        point = np.linalg.solve(matrix, right)
+        depths = np.einsum("ki,ki->k", point - positions, rays)
+        good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
+        return np.asarray(point if good else near, dtype=np.float64)
+
+    def _motion_information(self, view: int) -> FloatArray:
+        """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""
+        covariance = self.frames[view].motion_covariance_m2
+        kept = self._information.get(view)
+        if kept is None or kept[0] is not covariance:
+            kept = self._information[view] = covariance, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        return kept[1]
+
+    def _index(self, view: int) -> _FrameIndex:
+        kept = self._indices.get(view)
+        if kept is None or kept.frame is not self.frames[view]:
+            kept = self._indices[view] = _FrameIndex.of(self.frames[view], self.camera)
+        return kept
+
+
+def values_or_nan(values: Mapping[int, FloatArray], wanted: Sequence[int]) -> FloatArray:
+    """(n, 3) values of the views or tracks ``wanted``; NaN where there is none."""
+    nowhere = np.full(3, np.nan)
+    return np.array([values.get(key, nowhere) for key in wanted]).reshape(-1, 3)

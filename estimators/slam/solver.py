@@ -1,0 +1,128 @@
+"""Solve an adjustment by compiled kernels: minimum, rank, covariance, and squared residuals.
+
+The kernels are in `estimators.slam.compiled`; their reference in numpy is in the tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError
+
+from estimators.slam.compiled import descent
+from estimators.slam.compiled import equations as kernels
+from estimators.slam.compiled.problem import flat, floats
+from estimators.slam.problem import Adjustment, State
+from scenarios.geometry import Camera
+from scenarios.tracks import TrackFrame
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+RANK_TOLERANCE = 1e-11
+
+
+def residual_squares(problem: Adjustment, state: State) -> FloatArray:
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
+    at = floats(state.positions_m), floats(state.points_m)
+    return np.asarray(kernels.residual_squares(flat(problem), *at), dtype=np.float64)
+
+
+def landmark_information(problem: Adjustment, state: State) -> FloatArray:
+    """(L, 3, 3) information of pixels and distances about each landmark with all views fixed, 1/m^2."""
+    problem = replace(problem, frozen=None, prior=None)
+    at = floats(state.positions_m), floats(state.points_m)
+    return np.asarray(kernels.landmark_information(flat(problem), *at), dtype=np.float64)
+
+
+def pixel_squares(
+    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
+) -> FloatArray:
+    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame; NaN behind it.
+
+    Parameters
+    ----------
+    lines_m, own_m2
+        (n, 3) from the camera to the landmarks, body frame, and (n, 3, 3) covariances of these.
+    """
+    pinhole = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+    seen = floats(frame.R_cam_body), floats(lines_m), floats(frame.uv_px[rows])
+    return np.asarray(kernels.pixel_squares(pinhole, *seen, float(frame.sigma_px), floats(own_m2)), np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentSolution:
+    """State at the minimum, its cost, the steps taken, and whether the solver converged."""
+
+    state: State
+    cost: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StoppingRule:
+    """Stop when no variable moves by more than ``step_m``, or after ``iterations`` steps."""
+
+    step_m: float
+    iterations: int = 50
+
+
+def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> AdjustmentSolution:
+    """Minimise the cost from ``state`` by Levenberg-Marquardt, equation (4).
+
+    The damping starts at 1e-6 of the mean diagonal of the normal matrix.
+    """
+    start = floats(state.positions_m), floats(state.points_m)
+    positions, points, value, iterations, converged = descent.minimise(
+        flat(problem), *start, rule.step_m, rule.iterations
+    )
+    return AdjustmentSolution(State(positions, points), value, iterations, converged)
+
+
+def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
+    """Count the undetermined directions of the kept variables: a free scale counts as one.
+
+    Levenberg-Marquardt converges with an undetermined scale too, so that its convergence does not show it.
+    """
+    known, values, _, found = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+    if not known:  # a landmark is not determined
+        return len(descent.dense(values, found.shape))
+    matrix = descent.dense(values, found.shape)
+    if not len(matrix):
+        return 0
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return int(np.count_nonzero(eigenvalues < RANK_TOLERANCE * eigenvalues[-1]))
+
+
+def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
+    """(3, 3) covariance of a free view's position, marginal over all other variables, m^2.
+
+    Raises
+    ------
+    scipy.linalg.LinAlgError
+        If the reduced matrix is not positive definite.
+    """
+    known, matrix, _, ordering = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+    if not known or not descent.factorise(matrix, ordering.shape):
+        raise LinAlgError("the reduced matrix is not positive definite")
+    return np.asarray(descent.block_of_inverse(matrix, ordering.shape, ordering.view_slot[view]), dtype=np.float64)
+
+
+def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
+    """Reduced matrix (3n, 3n) and right-hand side (3n,) at a state, and the slots of views (V,) and landmarks (L,).
+
+    Slots of fixed or eliminated variables are -1.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a landmark that is eliminated is not determined.
+    """
+    at = floats(state.positions_m), floats(state.points_m)
+    known, values, right, found = descent.reduced_at(flat(problem), *at)
+    if not known:
+        raise LinAlgError("a landmark is not determined")
+    return descent.dense(values, found.shape), right, found.view_slot, found.point_slot

@@ -1,0 +1,195 @@
+"""Track points from image to image: by matches of their features, or by registration of their patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from estimators.slam.vision.features import ImageFeatures
+from estimators.slam.vision.registration import AffineWarps, Spline, TrackPatches, cut_patches, register_patches
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.float32]
+
+LEAST_MATCHES = 16
+_LEAST_CORRELATION = 0.85
+_MOST_CORRECTION_PX = 3.0
+
+_NEIGHBOURS = 16
+_TRIMS = 2
+_KEPT_SHARE = 0.75
+
+
+def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit an affine map (local optical flow) to the matches nearest to each point, without the worst quarter.
+
+    Parameters
+    ----------
+    before_px, after_px
+        (K, 2) matches, K at least 3.
+    at_px
+        (n, 2) points of the first image.
+
+    Returns
+    -------
+    ndarray
+        (n, 2) predicted points in the second image.
+    ndarray
+        (n, 2, 2) derivative of the map there.
+    """
+    count = min(_NEIGHBOURS, len(before_px))
+    _, rows = cKDTree(before_px).query(at_px, k=count)
+    offset = before_px[rows] - at_px[:, None]
+    target = after_px[rows]
+    design = np.concatenate([offset, np.ones((*offset.shape[:2], 1))], axis=2)
+    weight = np.ones(offset.shape[:2])
+    for _ in range(_TRIMS + 1):
+        weighted = design * weight[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-9 * np.eye(3)
+        found = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, target))
+        misfit = np.linalg.norm(np.einsum("nki,nij->nkj", design, found) - target, axis=2)
+        weight = (misfit <= np.quantile(misfit, _KEPT_SHARE, axis=1, keepdims=True)).astype(np.float64)
+    return found[:, 2], np.swapaxes(found[:, :2], 1, 2)
+
+
+def area_change(change: FloatArray) -> FloatArray:
+    """(n,) factor by which an area grows or shrinks, at least 1, under maps with derivatives (n, 2, 2)."""
+    area = np.maximum(np.abs(np.linalg.det(change)), 1e-12)
+    return np.asarray(np.maximum(area, 1.0 / area), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedImage:
+    """An image (H, W), its features, and their matches with those of the previous image.
+
+    ``pairs`` are (K, 2) rows of the previous features and of these, from `match_descriptors`; none in the first image.
+    """
+
+    image: Image
+    features: ImageFeatures
+    pairs: IndexArray
+
+    @cached_property
+    def spline(self) -> Spline:
+        """Cubic spline of the image about its features."""
+        return Spline(self.image, self.features.uv_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePair:
+    """Two consecutive images: features of the first, the second image, and the rows (K, 2) of their inlier matches."""
+
+    before: ImageFeatures
+    after: MatchedImage
+    pairs: IndexArray
+
+
+class PointTracker(Protocol):
+    """Tracker of n points, in the order in which they were started."""
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) pixels of the points in the present image."""
+        ...
+
+    def advance(self, step: ImagePair) -> BoolArray:
+        """Track to the next image; return which points (n,) were found there. The others are dropped."""
+        ...
+
+    def keep(self, keep: BoolArray) -> None:
+        """Drop all points but those marked in ``keep`` (n,)."""
+        ...
+
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
+        """Start points at features ``rows`` of the present image."""
+        ...
+
+
+class FeatureTracker:
+    """Tracking by matched features; ``rows`` are the features of the points in the present image."""
+
+    def __init__(self) -> None:
+        self.rows = np.empty(0, dtype=np.int64)
+        self._places_px = np.empty((0, 2))
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) px."""
+        return self._places_px
+
+    def advance(self, step: ImagePair) -> BoolArray:
+        """Go to the next image."""
+        follow = np.full(len(step.before), -1, dtype=np.int64)
+        follow[step.pairs[:, 0]] = step.pairs[:, 1]
+        rows = follow[self.rows]
+        found = rows >= 0
+        self.rows = rows[found]
+        self._places_px = step.after.features.uv_px[self.rows]
+        return found
+
+    def keep(self, keep: BoolArray) -> None:
+        """Keep some of the tracks alone."""
+        self.rows, self._places_px = self.rows[keep], self._places_px[keep]
+
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
+        """Begin tracks at features."""
+        self.rows = np.concatenate([self.rows, rows])
+        self._places_px = np.concatenate([self._places_px, current.features.uv_px[rows]])
+
+
+class PatchTracker:
+    """Tracking by registration of the patch from each point's first image.
+
+    The local flow of the matches gives the initial position and deformation of the patch.
+    """
+
+    def __init__(self, growth_max: float) -> None:
+        self._growth_max = growth_max
+        self._patches: TrackPatches | None = None
+        self._warps = AffineWarps(np.empty((0, 2, 2)), np.empty((0, 2)))
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) px."""
+        return self._warps.place_px
+
+    def advance(self, step: ImagePair) -> BoolArray:
+        """Go to the next image."""
+        none = np.zeros(len(self.places_px), dtype=np.bool_)
+        if self._patches is None or len(step.pairs) < LEAST_MATCHES or not len(none):
+            self.keep(none)
+            return none
+        first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
+        expected_px, change = local_flow(first, second, self._warps.place_px)
+        start = AffineWarps(change @ self._warps.linear, expected_px)
+        self._warps, correlation = register_patches(step.after.spline, self._patches, start)
+        corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)
+        found: BoolArray = (correlation > _LEAST_CORRELATION) & (corrected_px < _MOST_CORRECTION_PX)
+        found &= area_change(change) < self._growth_max**2
+        self.keep(found)
+        return found
+
+    def keep(self, keep: BoolArray) -> None:
+        """Keep some of the tracks alone."""
+        if self._patches is not None:
+            self._patches = self._patches[keep]
+        self._warps = AffineWarps(self._warps.linear[keep], self._warps.place_px[keep])
+
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
+        """Begin tracks at features."""
+        if not len(rows):
+            return
+        places = current.features.uv_px[rows]
+        fresh = cut_patches(current.spline, places)
+        self._patches = fresh if self._patches is None else self._patches.joined(fresh)
+        self._warps = AffineWarps(
+            np.concatenate([self._warps.linear, np.tile(np.eye(2), (len(rows), 1, 1))]),
+            np.concatenate([self._warps.place_px, places]),
+        )

@@ -1,0 +1,142 @@
+"""Laws of Lambert, of Lommel and Seeliger, and their combination by McEwen (lunar-Lambert).
+
+Sources: H. von Seeliger, Zur Theorie der Beleuchtung der grossen Planeten (1887), in the notation of B. Hapke, Theory
+of reflectance and emittance spectroscopy (2nd ed. 2012); A. S. McEwen, Photometric functions for photoclinometry and
+other applications (Icarus 92, 1991), and A precise lunar photometric function (27th Lunar and Planetary Science
+Conference, 1996), whose weight for the Moon is the default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+from renderers.brdf.arrays import Array, ArrayMath, clipped_cosine
+
+_TINY = 1e-12
+
+
+def henyey_greenstein(b: Array, c: Array, cos_g: Array, xp: ArrayMath) -> Array:
+    """Two-lobe Henyey-Greenstein phase function of single particles; its mean over the sphere is 1.
+
+    Parameters
+    ----------
+    b, c
+        Asymmetry of the two lobes and their balance: c = 1 is all backward (towards the light), c = -1 all forward;
+        b = 0 is isotropic.
+    cos_g
+        Cosine of the phase angle.
+    xp
+        The array library of the angles.
+    """
+    one, square = 1.0 - b * b, 1.0 + b * b
+    back = xp.maximum(square - 2.0 * b * cos_g, _TINY)
+    forth = xp.maximum(square + 2.0 * b * cos_g, _TINY)
+    return 0.5 * one * ((1.0 + c) / (back * xp.sqrt(back)) + (1.0 - c) / (forth * xp.sqrt(forth)))
+
+
+def lambert(albedo: Array) -> Array:
+    """Lambert's BRDF, 1/sr, for a hemispherical albedo: constant over all directions."""
+    return albedo / pi
+
+
+@dataclass(frozen=True, slots=True)
+class LommelSeeligerParameters:
+    """Parameters of the formula; the numbers may be Dr.Jit values.
+
+    Parameters
+    ----------
+    w
+        Single scattering albedo of the particles (not the reflectance of the surface).
+    b, c
+        Lobes of the particles' phase function P (`henyey_greenstein`); b = 0 is isotropic.
+    """
+
+    w: Array
+    b: Array
+    c: Array
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> LommelSeeligerParameters:
+        """Convert the values of a scenario's ``brdf`` section, by key."""
+        return cls(values["w"], values["b"], values["c"])
+
+
+def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    """Lommel and Seeliger's BRDF, 1/sr: ``I/F = w/4 P(g) mu0 / (mu0 + mu)``, divided by pi mu0.
+
+    Single scattering in a dark medium: light is attenuated by exp(-tau / mu0) down to the optical depth tau and by
+    exp(-tau / mu) on its way up, which integrates to ``w/4 P(g) int_0^inf exp(-tau (1/mu0 + 1/mu)) dtau / mu``.
+    At normal incidence and emission I/F = w/8 P(0), which is also the geometric albedo of a sphere, whose disc at
+    opposition is uniform. Isotropic particles reflect ``w/2 (1 - mu0 ln((1 + mu0) / mu0))`` into the hemisphere.
+
+    Parameters
+    ----------
+    p
+        Albedo and phase function of the particles.
+    cos_i, cos_e
+        Cosines of the angles of incidence (mu0) and emission (mu) from the normal.
+    phase_rad
+        Angle between the direction to the light and the direction to the viewer, 0 to pi.
+    xp
+        The array library of the angles.
+    """
+    scattered = p.w / (4.0 * pi) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
+    return scattered / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
+
+
+@dataclass(frozen=True, slots=True)
+class McEwenParameters:
+    """Parameters of the formula; the numbers may be Dr.Jit values.
+
+    Parameters
+    ----------
+    albedo
+        Radiance factor A at normal incidence and emission.
+    L1_per_deg, L2_per_deg2, L3_per_deg3
+        Coefficients of the weight of the lunar part, ``L = 1 + L1 g + L2 g^2 + L3 g^3`` with g in degrees.
+    """
+
+    albedo: Array
+    L1_per_deg: Array
+    L2_per_deg2: Array
+    L3_per_deg3: Array
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> McEwenParameters:
+        """Convert the values of a scenario's ``brdf`` section, by key."""
+        return cls(values["albedo"], values["L1_per_deg"], values["L2_per_deg2"], values["L3_per_deg3"])
+
+
+def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    """McEwen's BRDF, 1/sr: ``I/F = A [2 L mu0 / (mu0 + mu) + (1 - L) mu0]``, divided by pi mu0.
+
+    The factor 2 makes A the radiance factor at mu0 = mu = 1 for every weight L: there ``mu0 / (mu0 + mu)`` is 1/2 and
+    ``mu0`` is 1, so that ``A [2 L / 2 + (1 - L)] = A``. For L = 0 the law is Lambert's.
+
+    A is not the hemispherical albedo: with the Moon's weight the hemisphere receives 1.09 A at normal incidence and
+    1.67 A at an incidence of 89.5 deg. Energy is conserved up to A of about 0.59.
+
+    Parameters
+    ----------
+    p
+        Albedo and coefficients of the weight.
+    cos_i, cos_e
+        Cosines of the angles of incidence (mu0) and emission (mu) from the normal.
+    phase_rad
+        Angle between the direction to the light and the direction to the viewer, 0 to pi.
+    xp
+        The array library of the angles.
+    """
+    weight = lunar_weight(p, phase_rad, xp)
+    lunar = 2.0 / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
+    return p.albedo / pi * (weight * lunar + (1.0 - weight))
+
+
+def lunar_weight(p: McEwenParameters, phase_rad: Array, xp: ArrayMath) -> Array:
+    """Weight L(g) of the lunar part, clipped to [0, 1]: the Moon's polynomial is negative beyond 104 deg."""
+    g = phase_rad * (180.0 / pi)
+    polynomial = 1.0 + g * (p.L1_per_deg + g * (p.L2_per_deg2 + g * p.L3_per_deg3))
+    return xp.minimum(xp.maximum(polynomial, 0.0), 1.0)

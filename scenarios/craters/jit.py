@@ -1,9 +1,0 @@
-"""The decorator of the kernels of cratered surfaces."""
-
-from __future__ import annotations
-
-from pathlib import Path
-
-from scenarios.compiled import compiler
-
-kernel = compiler(Path(__file__).parent)

@@ -1,0 +1,207 @@
+"""Orbit propagation with variational equations in fixed steps, for filters.
+
+The method is DOP853 with the coefficients of scipy, as in `propagation`, but with fixed steps that end at each
+requested time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+
+from scenarios.dynamics import kernel
+from scenarios.dynamics.field import FlatField, HarmonicField, differentiate
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_STEP_S = 1800.0
+"""Longest step: a tenth of Eros's rotation period; the rotating harmonics change fastest at 200 km."""
+
+
+def propagate_states(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> FloatArray:
+    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate`.
+
+    Raises
+    ------
+    OrbitLostError
+        If the orbit comes nearer the origin than the field's reference radius.
+    """
+    return propagate(field.acceleration, field.harmonics.radius_m, state, times_s, pushes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrbitPartials:
+    """States with partial derivatives; those by the accelerations of later intervals are zero.
+
+    Parameters
+    ----------
+    states
+        (T, 6) m and m/s.
+    by_state
+        (T, 6, 6) state transition matrix from the epoch.
+    by_parameters
+        (T, 6, p) derivatives by the field's parameters.
+    by_pushes
+        (T, 6, 3 P) derivatives by the piecewise accelerations.
+    """
+
+    states: FloatArray
+    by_state: FloatArray
+    by_parameters: FloatArray
+    by_pushes: FloatArray
+
+
+def propagate_partials(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> OrbitPartials:
+    """Propagate an orbit with its partial derivatives in fixed steps.
+
+    Derivatives by a piecewise acceleration are integrated over its interval. After its end they are the state
+    transition matrix times the equivalent change of the state at the epoch, ``Phi^-1 Gamma`` at the end.
+
+    Raises
+    ------
+    OrbitLostError
+        If the orbit comes nearer the origin than the field's reference radius, or diverges.
+    """
+    flat, p = field.flat, field.parameters
+    stages = DOP853.n_stages
+    tableau = (
+        np.ascontiguousarray(DOP853.A[:stages, :stages]),
+        np.array(DOP853.B),
+        np.array(DOP853.C[:stages]),
+    )
+    seen, ended = _integrate(
+        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.acceleration_m_s2, LONGEST_STEP_S, *tableau
+    )
+    if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
+        raise OrbitLostError("the orbit leads into the body or beyond all bounds")
+    return OrbitPartials(
+        seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s)
+    )
+
+
+def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleration, times_s: FloatArray) -> FloatArray:
+    """(T, 6, 3 P) derivatives by each acceleration, from those at the end of its interval."""
+    pieces = len(pushes.acceleration_m_s2)
+    scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
+    transition = ended[:, :, 1:7] * scale[:, None] / scale
+    at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]
+    found = np.zeros((len(seen), 6, pieces, 3))
+    piece = pushes.piece(times_s)
+    for p in range(pieces):
+        later = piece > p
+        if p < len(at_epoch):
+            found[later, :, p] = seen[later, :, 1:7] @ at_epoch[p]
+        now = piece == p
+        found[now, :, p] = seen[now, :, -3:]
+    return found.reshape(len(seen), 6, 3 * pieces)
+
+
+@kernel
+def _integrate(
+    field: FlatField,
+    state: FloatArray,
+    times: FloatArray,
+    edges: FloatArray,
+    pushes: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Integrate; return (T, 6, n) at the times and (P', 6, n) at the interval ends before the last time."""
+    columns = 1 + 6 + 2 + field.parts.shape[1] + 3
+    y = np.zeros((6, columns))
+    for i in range(6):
+        y[i, 0], y[i, 1 + i] = state[i], 1.0
+    seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
+    slopes = np.empty((len(b), 6, columns))
+    work = np.empty((2, max(field.pull.shape[2], field.tide.shape[2], field.parts.shape[3])))
+    now, row = 0.0, 0
+    for p in range(len(pushes)):
+        last = p == len(pushes) - 1
+        while row < len(times) and (times[row] <= edges[p + 1] or last):
+            y = _integrate_interval(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
+            now = times[row]
+            seen[row] = y
+            row += 1
+        y = _integrate_interval(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
+        now = edges[p + 1]
+        ended[p] = y
+        y[:, columns - 3 :] = 0.0
+        if row == len(times):
+            return seen, ended[: p + 1].copy()
+    return seen, ended
+
+
+@kernel
+def _integrate_interval(
+    field: FlatField,
+    start: FloatArray,
+    begin: float,
+    end: float,
+    push: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    slopes: FloatArray,
+    work: FloatArray,
+) -> FloatArray:
+    """Integrate from one time to another in equal steps; NaN after an impact."""
+    y = start.copy()
+    if end <= begin:
+        return y
+    steps = int(np.ceil((end - begin) / longest))
+    h = (end - begin) / steps
+    at = np.empty_like(y)
+    for step in range(steps):
+        t = begin + step * h
+        for i in range(len(b)):
+            at[:] = y
+            for j in range(i):
+                if a[i, j] != 0.0:
+                    _add(at, slopes[j], h * a[i, j])
+            if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
+                y[:] = np.nan
+                return y
+        for i in range(len(b)):
+            _add(y, slopes[i], h * b[i])
+    return y
+
+
+@kernel
+def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
+    """Add a multiple of an array in place."""
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            total[i, j] += factor * added[i, j]
+
+
+@kernel
+def _time_derivative(
+    field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray
+) -> bool:
+    """Write the time derivative of state and partials to ``out``; return False inside the reference radius."""
+    if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
+        return False
+    columns, count = y.shape[1], 2 + field.parts.shape[1]
+    tide, by = np.empty((3, 3)), np.empty((3, count))
+    differentiate(field, time, y[:3, 0].copy(), work, tide, by)
+    for i in range(3):
+        for k in range(columns):
+            out[i, k] = y[3 + i, k]
+        out[3 + i, 0] = by[i, 0] + field.light_m_s2[i] + push[i]
+        for k in range(1, columns):
+            out[3 + i, k] = tide[i, 0] * y[0, k] + tide[i, 1] * y[1, k] + tide[i, 2] * y[2, k]
+        for k in range(count):
+            out[3 + i, 7 + k] += by[i, k]
+        out[3 + i, columns - 3 + i] += 1.0
+    return True

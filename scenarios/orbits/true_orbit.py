@@ -1,0 +1,106 @@
+"""True orbit of a trial: forces with unmodelled accelerations, and the states at all requested times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from scenarios.draw import Stream, generator
+from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.harmonics import Harmonics
+from scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
+from scenarios.orbits.world import OrbitWorld
+from scenarios.spec.orbit import ArcSpec
+
+FloatArray = NDArray[np.float64]
+
+DAY_S = 86_400.0
+_STEPS_PER_CORRELATION_TIME = 4
+_WANTED_S = 6 * 3600.0
+_ANOMALY_DEGREES = (2, 3)
+
+
+def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
+    """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements."""
+    a, e, mean = arc.semi_major_axis_m, arc.eccentricity, np.radians(arc.anomaly_deg % 360.0)
+    eccentric = float(brentq(lambda x: x - e * np.sin(x) - mean, -1.0, 2.0 * np.pi + 1.0, xtol=1e-14))
+    root, c, s = np.sqrt(1.0 - e * e), np.cos(eccentric), np.sin(eccentric)
+    position = a * np.array([c - e, root * s, 0.0])
+    velocity = np.sqrt(gm_m3_s2 / a) / (1.0 - e * c) * np.array([-s, root * c, 0.0])
+    angles = [arc.node_deg, arc.inclination_deg, arc.pericentre_deg]
+    turn = Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix()
+    return np.concatenate([turn @ position, turn @ velocity])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueOrbit:
+    """True states, inertial axes, at the times of images, of the wanted orbit and of radiometric records.
+
+    Parameters
+    ----------
+    times_s, wanted_s, radio_s
+        (I,), (E,) and (N,) seconds after the epoch, ascending; the first wanted one is the epoch.
+    image_states, wanted_states, radio_states
+        (I, 6), (E, 6) and (N, 6) m and m/s.
+    """
+
+    times_s: FloatArray
+    wanted_s: FloatArray
+    radio_s: FloatArray
+    image_states: FloatArray
+    wanted_states: FloatArray
+    radio_states: FloatArray
+
+
+def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> TrueOrbit:
+    """Propagate the true orbit of a trial, with images at ``times_s``, ascending.
+
+    Raises
+    ------
+    OrbitLostError
+        If the true orbit leads into the body.
+    """
+    arc = world.spec.arc
+    end, last = arc.days * DAY_S, (arc.days + arc.predicted_days) * DAY_S
+    wanted = np.unique(np.concatenate([np.arange(0.0, end, _WANTED_S), [end], np.arange(end, last, _WANTED_S), [last]]))
+    radio = np.zeros(0)
+    if world.spec.radiometry is not None:
+        radio = np.arange(0.0, end, 3600.0 * world.spec.radiometry.interval_h)
+    every, place = np.unique(np.concatenate([times_s, wanted, radio]), return_inverse=True)
+    field, pushes = _true_forces(world, seed, trial)
+    states = propagate(
+        field.acceleration, field.harmonics.radius_m, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes
+    )[place]
+    parts = np.split(states, [len(times_s), len(times_s) + len(wanted)])
+    return TrueOrbit(times_s, wanted, radio, parts[0], parts[1], parts[2])
+
+
+def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, PiecewiseAcceleration]:
+    """Return gravity with anomalies, and the unmodelled acceleration: a Gauss-Markov process.
+
+    The process is held constant over quarters of its correlation time.
+    """
+    rng = generator(seed, Stream.ORBIT_FORCES, trial)
+    harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
+    c, s = harmonics.c.copy(), harmonics.s.copy()
+    for n in (n for n in _ANOMALY_DEGREES if n <= harmonics.degree):
+        c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
+        s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
+    field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
+    end = (arc.days + arc.predicted_days) * DAY_S
+    sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
+    if sigma == 0.0:
+        return field, PiecewiseAcceleration.none(end)
+    step = light.noise_days * DAY_S / _STEPS_PER_CORRELATION_TIME
+    pieces = int(np.ceil(end / step))
+    kept = np.exp(-1.0 / _STEPS_PER_CORRELATION_TIME)
+    push = np.empty((pieces, 3))
+    now = rng.normal(size=3)
+    for p in range(pieces):
+        push[p] = sigma * now
+        now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
+    return field, PiecewiseAcceleration(step * np.arange(pieces + 1, dtype=np.float64), push)

@@ -1,0 +1,200 @@
+"""Simulation of landmark tracks: birth, survival and death of tracks along a trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import Pose, View
+from scenarios.sequences.visibility import Visibility
+from scenarios.spec.sequence import VisionSpec
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
+
+_MOST_ROUNDS = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedTracks:
+    """Simulated landmarks and their tracks.
+
+    Parameters
+    ----------
+    points_m
+        (T, 3) true landmark of every track, body frame.
+    landmarks
+        (T,) landmark number of every track.
+    seen
+        Track numbers of every frame, ascending.
+    """
+
+    points_m: FloatArray
+    landmarks: IndexArray
+    seen: tuple[IndexArray, ...]
+
+
+def simulate_tracks(
+    vision: VisionSpec,
+    visibility: Visibility,
+    views: Sequence[View],
+    total: float,
+    rng: np.random.Generator,
+) -> SimulatedTracks:
+    """Simulate tracks along the frames; ``total`` is the expected number if the whole surface were in view."""
+    simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
+    return simulate(vision, visibility, views, total, rng)
+
+
+def _renewed_tracks(
+    vision: VisionSpec,
+    visibility: Visibility,
+    views: Sequence[View],
+    total: float,
+    rng: np.random.Generator,
+) -> SimulatedTracks:
+    """Simulate a renewed field: every track has a new landmark.
+
+    A track that is visible in the next frame continues with probability ``k^(change / step)``, the change being the
+    angle at the body's origin between the two camera positions; one that is not visible ends. A visible place gets a
+    new track with the probability that it has none: 1 if it was not visible before, else 1 - k. With
+    ``count: average`` the tracks of each frame are then a Poisson field of constant density over the visible surface.
+    """
+    points, normals = np.empty((0, 3)), np.empty((0, 3))
+    alive = np.empty(0, dtype=np.int64)
+    seen: list[IndexArray] = []
+    for i, view in enumerate(views):
+        before = views[i - 1] if i else None
+        keep = 1.0 if before is None else vision.survival(_change_deg(before.T_cam_body, view.T_cam_body))
+        alive = _survivors(alive, visibility.visible(points[alive], normals[alive], view), keep, vision, rng)
+        born, born_normals = _births(vision, visibility, (before, view), keep, (total, len(alive)), rng)
+        alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
+        points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
+        seen.append(alive)
+    return SimulatedTracks(points, np.arange(len(points)), tuple(seen))
+
+
+def _fixed_field_tracks(
+    vision: VisionSpec,
+    visibility: Visibility,
+    views: Sequence[View],
+    total: float,
+    rng: np.random.Generator,
+) -> SimulatedTracks:
+    """Simulate a fixed field: a landmark whose track is lost can be tracked again later, as another track.
+
+    A landmark in view is tracked or not, a Markov chain of two states: a track continues with the repeatability k, and
+    an untracked one is found with the probability (1 - k) f / (1 - f), so that the stationary share of tracked
+    landmarks in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
+    """
+    share = vision.tracked_share
+    points, normals = visibility.ground.sample(int(rng.poisson(total / share)), rng)
+    track = np.full(len(points), -1)
+    landmarks: list[int] = []
+    seen: list[IndexArray] = []
+    older = np.zeros(len(points), dtype=bool)
+    for i, view in enumerate(views):
+        keep = 1.0 if i == 0 else vision.survival(_change_deg(views[i - 1].T_cam_body, view.T_cam_body))
+        visible, luck = visibility.visible(points, normals, view), rng.uniform(size=len(points))
+        alive = np.flatnonzero(track >= 0)
+        stayed = _survivors(alive, visible[alive], keep, vision, rng)
+        chance = np.where(older, (1.0 - keep) * share / (1.0 - share), share)
+        found = np.flatnonzero(visible & (track < 0) & (luck < chance))
+        track[np.setdiff1d(alive, stayed)] = -1
+        track[found] = len(landmarks) + np.arange(len(found))
+        landmarks += found.tolist()
+        seen.append(np.sort(track[track >= 0]))
+        older = visible
+    numbers = np.array(landmarks, dtype=np.int64)
+    return SimulatedTracks(points[numbers], numbers, tuple(seen))
+
+
+def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
+    """Simulate loop closures: for each frame, (k, 2) new tracks and lost ones identified as the same landmark.
+
+    A landmark that was tracked before is recognised with the probability ``recognised``, by its last track. With the
+    probability ``mistaken`` a new track is identified with that of the nearest other lost landmark.
+    """
+    if not vision.recognised and not vision.mistaken:
+        return [np.zeros((0, 2), dtype=np.int64) for _ in simulated.seen]
+    last: dict[int, int] = {}
+    pairs: list[IndexArray] = []
+    before = np.empty(0, dtype=np.int64)
+    for tracks in simulated.seen:
+        lost = np.array(sorted(set(last.values()) - set(tracks.tolist())), dtype=np.int64)
+        new = np.setdiff1d(tracks, before)
+        found = [_identified_with(int(one), lost, last, simulated, vision, float(rng.uniform())) for one in new]
+        pairs.append(np.array([p for p in found if p is not None], dtype=np.int64).reshape(-1, 2))
+        last.update(zip(simulated.landmarks[new].tolist(), new.tolist(), strict=True))
+        before = tracks
+    return pairs
+
+
+def _identified_with(
+    track: int, lost: IndexArray, last: Mapping[int, int], simulated: SimulatedTracks, vision: VisionSpec, luck: float
+) -> tuple[int, int] | None:
+    """Return a new track and the lost one that it is identified with; None if it has none."""
+    landmark = int(simulated.landmarks[track])
+    others = lost[simulated.landmarks[lost] != landmark]
+    if luck < vision.mistaken and len(others):
+        apart = np.linalg.norm(simulated.points_m[others] - simulated.points_m[track], axis=1)
+        return track, int(others[apart.argmin()])
+    if landmark in last and luck > 1.0 - vision.recognised:
+        return track, last[landmark]
+    return None
+
+
+def _change_deg(before: Pose, pose: Pose) -> float:
+    """Angle at the body's origin between two camera positions."""
+    a, b = before.camera_position_m, pose.camera_position_m
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def _survivors(
+    alive: IndexArray, visible: BoolArray, keep: float, vision: VisionSpec, rng: np.random.Generator
+) -> IndexArray:
+    """Choose the surviving tracks; at least ``min_connection`` of the visible ones, those with the smallest draws."""
+    luck = np.where(visible, rng.uniform(size=len(alive)), np.inf)
+    floor = min(vision.min_connection, int(visible.sum()))
+    threshold = np.sort(luck)[floor - 1] if floor else -np.inf
+    return alive[visible & ((luck < keep) | (luck <= threshold))]
+
+
+def _births(
+    vision: VisionSpec,
+    visibility: Visibility,
+    around: tuple[View | None, View],
+    keep: float,
+    numbers: tuple[float, int],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Draw points and normals of new tracks; ``around`` are two frames, ``numbers`` (population, survivors)."""
+    total, alive = numbers
+    if vision.count == "average":
+        return _draw_births(visibility, around, keep, int(rng.poisson(total)), rng)
+    missing = max(round(vision.landmarks_per_frame) - alive, 0)
+    points, normals = np.empty((0, 3)), np.empty((0, 3))
+    for _ in range(_MOST_ROUNDS):
+        if len(points) >= missing:
+            return points[:missing], normals[:missing]
+        more, more_normals = _draw_births(visibility, around, keep, int(np.ceil(total)), rng)
+        points, normals = np.concatenate([points, more]), np.concatenate([normals, more_normals])
+    raise BoresightError(f"sequence.vision.count: no place for {missing} new landmarks in {_MOST_ROUNDS} draws")
+
+
+def _draw_births(
+    visibility: Visibility, around: tuple[View | None, View], keep: float, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    before, view = around
+    points, normals = visibility.ground.sample(n, rng)
+    luck = rng.uniform(size=n)
+    free = visibility.visible(points, normals, view)
+    rows = np.flatnonzero(free & (luck < keep))
+    if before is not None:
+        free[rows] &= ~visibility.visible(points[rows], normals[rows], before)
+    return points[free], normals[free]

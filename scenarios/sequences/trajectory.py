@@ -1,0 +1,250 @@
+"""True motion of camera and body in a sequence: circular or propagated orbit, spin or tumbling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from scenarios.draw import Stream, generator
+from scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
+from scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose, View
+from scenarios.sequences.ground import LandmarkGround, MeshGround
+from scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
+
+FloatArray = NDArray[np.float64]
+
+AttitudeFunction = Callable[[FloatArray], FloatArray]
+"""Takes (n,) seconds since the first frame to R_body_inertial, (n, 3, 3)."""
+
+_HOUR_S = 3600.0
+_TOLERANCE = 1e-12
+
+R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
+horizontal. The paper does not give their signs; x down the columns of the image makes y point left."""
+
+
+def anomalies_deg(orbit: SequenceOrbitSpec) -> FloatArray:
+    """(F,) anomaly of each frame since the first."""
+    return orbit.step_deg * np.arange(orbit.frames, dtype=np.float64)
+
+
+def frame_times_s(orbit: SequenceOrbitSpec) -> FloatArray:
+    """(F,) epochs of the frames, by Kepler's third law."""
+    return np.asarray(np.radians(anomalies_deg(orbit)) / _rate_rad_s(orbit), dtype=np.float64)
+
+
+def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
+    """(3, 3) rows, inertial axes: the direction of zero anomaly, the one 90 deg on, and the orbit's normal.
+
+    Zero anomaly is the orbit's point nearest to the x axis, or to the y axis if the normal is along x.
+    """
+    normal = np.asarray(orbit.normal_body, dtype=np.float64)
+    normal = normal / np.linalg.norm(normal)
+    along = np.eye(3)[0] if abs(normal[0]) < 0.999999 else np.eye(3)[1]
+    first = along - (along @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
+def circular_poses(orbit: SequenceOrbitSpec) -> tuple[Pose, ...]:
+    """T_cam_inertial of each frame of a circular orbit, the camera as in `nadir_pose`."""
+    first, second, normal = orbit_axes(orbit)
+    found = []
+    for angle in np.radians(orbit.start_deg + anomalies_deg(orbit)):
+        radial = np.cos(angle) * first + np.sin(angle) * second
+        found.append(_look_down(orbit.radius_m * radial, radial, normal))
+    return tuple(found)
+
+
+def circular_velocities_m_s(orbit: SequenceOrbitSpec) -> FloatArray:
+    """(F, 3) velocities on a circular orbit, inertial axes."""
+    first, second, _ = orbit_axes(orbit)
+    angles = np.radians(orbit.start_deg + anomalies_deg(orbit))[:, None]
+    return np.asarray(_rate_rad_s(orbit) * orbit.radius_m * (np.cos(angles) * second - np.sin(angles) * first))
+
+
+def nadir_pose(position_m: FloatArray, velocity_m_s: FloatArray) -> Pose:
+    """T_cam_inertial: x along the horizontal velocity, y against the orbit's normal, z (boresight) to the origin."""
+    normal = np.cross(position_m, velocity_m_s)
+    return _look_down(position_m, position_m / np.linalg.norm(position_m), normal / np.linalg.norm(normal))
+
+
+def _look_down(position_m: FloatArray, radial: FloatArray, normal: FloatArray) -> Pose:
+    rotation = np.stack([np.cross(normal, radial), -normal, -radial])
+    return Pose(rotation, -rotation @ position_m, from_frame="inertial")
+
+
+def _rate_rad_s(orbit: SequenceOrbitSpec) -> float:
+    return float(np.sqrt(orbit.gm_m3_s2 / orbit.radius_m**3))
+
+
+def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> FloatArray:
+    """Convert points (..., 3) of the body frame R_A to ACRF; ``R_body_inertial`` is (..., 3, 3), m."""
+    return np.asarray(np.einsum("...ji,...j->...i", R_body_inertial, points_m), dtype=np.float64)
+
+
+def first_camera_from_inertial(points_m: FloatArray, first_camera_m: FloatArray) -> FloatArray:
+    """Shift points (..., 3) of ACRF to R_0, whose origin is the first camera position (3,) in ACRF, m."""
+    return np.asarray(points_m - first_camera_m, dtype=np.float64)
+
+
+def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
+    """(3,) rad/s at the first frame, where body and inertial axes agree; zero for a body at rest."""
+    if motion.kind == "none":
+        return np.zeros(3)
+    axis = np.asarray(motion.axis_body, dtype=np.float64)
+    return np.asarray(2.0 * np.pi / (motion.period_h * _HOUR_S) * axis / np.linalg.norm(axis))
+
+
+def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
+    """Return the body's attitude as a function of time, given its angular velocity at the first frame.
+
+    Parameters
+    ----------
+    motion
+        Kind and inertia.
+    rate_rad_s
+        (3,) angular velocity at the first frame.
+    until_s
+        End of the time span.
+    """
+    if motion.kind == "none" or not rate_rad_s.any():
+        return lambda times_s: np.tile(np.eye(3), (len(times_s), 1, 1))
+    if motion.kind == "spin":
+        return lambda times_s: Rotation.from_rotvec(-np.outer(times_s, rate_rad_s)).as_matrix()
+    return _tumbling(np.asarray(motion.inertia, dtype=np.float64), rate_rad_s, until_s)
+
+
+def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
+    """Integrate Euler's equations and the attitude in units of the initial angular rate."""
+    unit = float(np.linalg.norm(rate_rad_s))
+
+    def change(_: float, state: FloatArray) -> FloatArray:
+        rate, quat = state[:3], state[3:]
+        turned = np.cross(inertia * rate, rate) / inertia  # I w' = (I w) x w
+        return np.concatenate([turned, _quat_rate(quat, rate)])
+
+    start = np.concatenate([rate_rad_s / unit, [0.0, 0.0, 0.0, 1.0]])
+    end = max(unit * until_s, 1e-9)
+    found = solve_ivp(change, (0.0, end), start, "DOP853", dense_output=True, rtol=_TOLERANCE, atol=_TOLERANCE)
+    if not found.success or found.sol is None:
+        raise BoresightError(f"sequence.body_motion: the rotation cannot be integrated: {found.message}")
+
+    solution = found.sol
+
+    def attitude(times_s: FloatArray) -> FloatArray:
+        quat_xyzw = solution(unit * np.asarray(times_s))[3:].T
+        return np.swapaxes(Rotation.from_quat(quat_xyzw).as_matrix(), 1, 2)
+
+    return attitude
+
+
+def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
+    """Differentiate by time: q' = q (w, 0) / 2 for q from body to inertial axes and w in body axes."""
+    vector, scalar = quat_xyzw[:3], quat_xyzw[3]
+    return 0.5 * np.concatenate([scalar * rate + np.cross(vector, rate), [-vector @ rate]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraTrajectory:
+    """True motion of camera and body in a trial.
+
+    Parameters
+    ----------
+    times_s
+        (F,) epochs of the frames, the first at 0.
+    positions_m, velocities_m_s
+        (F, 3) of the camera, inertial axes about the body's centre of mass.
+    R_body_inertial
+        (F, 3, 3) attitude of the body.
+    poses
+        T_cam_body of each frame.
+    sun_dir
+        (3,) direction of the Sun, inertial axes.
+    radiation_m_s2
+        (3,) acceleration by sunlight, inertial axes.
+    """
+
+    times_s: FloatArray
+    positions_m: FloatArray
+    velocities_m_s: FloatArray
+    R_body_inertial: FloatArray
+    poses: tuple[Pose, ...]
+    sun_dir: FloatArray
+    radiation_m_s2: FloatArray
+
+    def views(self, camera: Camera) -> tuple[View, ...]:
+        """Return the views of all frames."""
+        suns = self.R_body_inertial @ self.sun_dir
+        return tuple(View(camera, pose, sun) for pose, sun in zip(self.poses, suns, strict=True))
+
+
+def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s2: FloatArray) -> CameraTrajectory:
+    """Compute the camera trajectory over the rotating body.
+
+    ``unmodelled_m_s2``, (F - 1, 3), inertial axes, acts on propagated orbits only.
+
+    Raises
+    ------
+    OrbitLostError
+        If a propagated orbit impacts on the body.
+    """
+    orbit, times = spec.orbit, frame_times_s(spec.orbit)
+    sun_dir = orbit_axes(orbit)[2]
+    radiation = radiation_pressure(orbit.forces, sun_dir)
+    attitude = attitude_function(spec.body_motion, angular_velocity(spec.body_motion), float(times[-1]))
+    poses, velocities = circular_poses(orbit), circular_velocities_m_s(orbit)
+    positions = np.array([pose.camera_position_m for pose in poses])
+    if orbit.model == "propagated":
+        pulled = _acceleration(_gravity(orbit, ground), attitude, radiation)
+        start = np.concatenate([positions[0], velocities[0]])
+        states = propagate(pulled, ground.reach_m, start, times, PiecewiseAcceleration(times, unmodelled_m_s2))
+        positions, velocities = states[:, :3], states[:, 3:]
+        poses = tuple(nadir_pose(*state) for state in zip(positions, velocities, strict=True))
+    turns = attitude(times)
+    over = tuple(_to_body_axes(pose, turn) for pose, turn in zip(poses, turns, strict=True))
+    return CameraTrajectory(times, positions, velocities, turns, over, sun_dir, radiation)
+
+
+def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:
+    """Compute the camera trajectory without unmodelled acceleration."""
+    return camera_trajectory(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
+
+
+def draw_unmodelled_m_s2(orbit: SequenceOrbitSpec, seed: int, trial: int) -> FloatArray:
+    """Draw the unmodelled acceleration, (F - 1, 3) m/s2, constant between two frames."""
+    rng = generator(seed, Stream.ACCELERATION, trial)
+    return orbit.forces.noise_m_s2 * rng.normal(size=(orbit.frames - 1, 3))
+
+
+def _gravity(orbit: SequenceOrbitSpec, ground: LandmarkGround) -> Gravity:
+    if orbit.forces.gravity == "point-mass":
+        return PointMass(orbit.gm_m3_s2)
+    if not isinstance(ground, MeshGround):
+        raise BoresightError("sequence.orbit.forces.gravity: polyhedral needs a body with a mesh: use point-mass")
+    return Polyhedron(ground.mesh, orbit.gm_m3_s2)
+
+
+def _acceleration(gravity: Gravity, attitude: AttitudeFunction, radiation_m_s2: FloatArray) -> Acceleration:
+    """Equation (6) of Delpech et al. (2015) without its noise."""
+
+    def acceleration(time_s: float, position_m: FloatArray) -> FloatArray:
+        if isinstance(gravity, PointMass):
+            return gravity.acceleration(position_m) + radiation_m_s2
+        turn = attitude(np.array([time_s]))[0]
+        return np.asarray(turn.T @ gravity.acceleration(turn @ position_m) + radiation_m_s2)
+
+    return acceleration
+
+
+def _to_body_axes(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:
+    """Convert T_cam_inertial to T_cam_body; both frames have the same origin."""
+    return Pose(T_cam_inertial.rotation @ R_body_inertial.T, T_cam_inertial.translation_m)

@@ -1,0 +1,42 @@
+"""Priors with zero variances, in the solvers that weight them."""
+
+import numpy as np
+import pytest
+
+from estimators.landmark.pose.posterior import GaussianPose, solve_map
+from estimators.landmark.pose.problem import PoseProblem
+from estimators.prior import floor_variances
+from scenarios.geometry import Camera, look_at
+
+CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
+TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)
+SIGMAS = np.array([0.012, 0.012, 0.012, 29.0, 29.0, 3.0])
+
+
+def test_a_covariance_with_an_inverse_is_left_alone():
+    covariance = np.diag(SIGMAS**2)
+    covariance[0, 3] = covariance[3, 0] = 0.01
+    assert floor_variances(covariance) is covariance
+
+
+@pytest.mark.parametrize("sure_of", [[5], [0, 1, 2], [3, 4, 5]])
+def test_what_is_known_without_error_stays_and_the_rest_is_as_if_it_were_no_unknown(sure_of):
+    """Against the solution with a prior whose standard deviations of those unknowns are a million times smaller."""
+    rng = np.random.default_rng(1)
+    points = rng.normal(0.0, 100.0, (40, 3))
+    seen = CAMERA.project(TRUE.transform(points)) + rng.normal(0.0, 0.3, (40, 2))
+    problem = PoseProblem(points, seen, np.tile(np.eye(2) / 0.09, (40, 1, 1)), CAMERA)
+    solutions = []
+    for factor in (0.0, 1e-6):
+        sigmas = SIGMAS.copy()
+        sigmas[sure_of] *= factor
+        error = np.where(np.isin(np.arange(6), sure_of), 0.0, 0.3 * SIGMAS)
+        prior = GaussianPose(TRUE.perturbed(error[:3], error[3:]), np.diag(sigmas**2))
+        solutions.append((prior, solve_map(problem, prior, prior.T_cam_body, np.eye(40))))
+    (prior, exact), (_, nearly) = solutions
+    np.testing.assert_allclose(prior.offset(exact.T_cam_body)[sure_of], 0.0, atol=1e-6)
+    assert np.isfinite(exact.covariance).all()
+    difference = GaussianPose(nearly.T_cam_body, nearly.covariance).offset(exact.T_cam_body)
+    assert (np.abs(difference) < 1e-3 * SIGMAS).all()
+    free = np.setdiff1d(np.arange(6), sure_of)
+    np.testing.assert_allclose(np.diag(exact.covariance)[free], np.diag(nearly.covariance)[free], rtol=0.01)
