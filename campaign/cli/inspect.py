@@ -12,8 +12,7 @@ from campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, wo
 from campaign.inspection.look import look_of
 from campaign.inspection.recompute import reopened
 from campaign.runs.newest import find_run
-from reports.pages.look import write_look
-from reports.pages.look_recording import write_recording
+from reports.pages.view3d import write_recording, write_view3d
 from reports.run.data import read_run
 from reports.schema.named_figure import file_stem
 from scenarios.atomic import explain_write_error
@@ -35,7 +34,7 @@ def _look(arguments: argparse.Namespace) -> int:
     written = []
     if arguments.look:
         written.append((arguments.out or folder.path / "inspect") / f"{file_stem('look', look.title)}.html")
-        write_look(look, written[-1])
+        write_view3d(look, written[-1])
     if arguments.rerun is not None:
         try:
             write_recording(look, arguments.rerun)

@@ -14,10 +14,9 @@ from campaign.runs.runner import run_campaign
 from campaign.runs.sensitivity import analyse, make_design, parse_over
 from campaign.runs.until import CONTROLS, STATISTICS
 from renderers.mitsuba3 import choose_variant
-from reports.compare.global_sensitivity import sensitivity_grid
+from reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
 from reports.compare.metrics import choose_metric
 from reports.pages.console import rich_parts
-from reports.pages.global_sensitivity import write_sensitivity
 from reports.run.data import read_run
 from reports.run.limits import short_line
 from reports.schema.tables import kind_schema

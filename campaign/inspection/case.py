@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from reports.compare.craters import THERE, detection_counts
-from reports.compare.metrics import Metric, choose_metric, metric_names, metric_values
+from reports.compare.metrics import N_FINDABLE, Metric, choose_metric, detection_counts, metric_names, metric_values
 from reports.run.data import TRIAL_KEY, RunData, in_order_of
 from reports.schema.named_figure import file_stem
 from scenarios.errors import BoresightError
@@ -152,7 +151,7 @@ def crater_faults(run: RunData) -> pd.Series | None:
         counted = matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
     elif not run.table("crater_images").empty:
         counts = detection_counts(run)
-        counted = counts.assign(faults=counts[THERE] - counts["n_hits"] + counts["n_false"])
+        counted = counts.assign(faults=counts[N_FINDABLE] - counts["n_hits"] + counts["n_false"])
     else:
         return None
     return pd.Series(in_order_of(run.rows, counted.set_index(TRIAL_KEY)["faults"]), index=run.rows.index)

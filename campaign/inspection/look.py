@@ -12,7 +12,7 @@ from campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_case
 from campaign.inspection.show import EstimatorRun, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.pages.look import BAD, FAILED, GOOD, Cameras, Look, Marks
+from reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
 from reports.run.data import RunData, select
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
@@ -27,7 +27,7 @@ _NEAR = 1.8
 IndexArray = NDArray[np.int64]
 
 
-def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> Look:
+def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> View3D:
     """Collect the view of one scenario and estimator.
 
     Raises
@@ -59,7 +59,7 @@ def _one(run: RunData, choice: Choice) -> list[str]:
 
 def camera_sets(
     rows: pd.DataFrame, badness: FloatArray, describe: Callable[[float], str], places: Callable[[int], FloatArray]
-) -> list[Cameras]:
+) -> list[CameraSet]:
     """Group the cameras of trials: good, bad (``badness`` above the median), and without an estimate.
 
     Parameters
@@ -86,7 +86,7 @@ def camera_sets(
             text = f"trial {trial}<br>" + (describe(value) if status == "ok" else f"{status}: {reason}")
             texts += [text] * len(points[-1])
         if texts:
-            found.append(Cameras(name, colour, np.concatenate(points), texts))
+            found.append(CameraSet(name, colour, np.concatenate(points), texts))
     return found
 
 
@@ -116,7 +116,7 @@ def middle_and_worst(scene: EstimatorRun) -> Iterable[tuple[str, str, Case]]:
     return list(zip(("middle", "worst"), (GOOD, BAD), cases, strict=False))
 
 
-def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str, str, str]) -> Marks:
+def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str, str, str]) -> PointSet:
     """Colour craters by their share of hits; ``words`` name the share, the chances and the hits."""
     chances, hits = (outcomes[name].to_numpy(dtype=np.float64) for name in ("chances", "hits"))
     share = np.where(chances > 0, 100.0 * hits / np.maximum(chances, 1.0), np.nan)
@@ -124,16 +124,16 @@ def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str
         f"crater {number}<br>{words[1]}: {c:.0f} times<br>{words[2]}: {h:.0f} ({finite_or_dash(s, '%')})"
         for number, c, h, s in zip(outcomes.index, chances, hits, share, strict=True)
     ]
-    return Marks(words[0], places_m, share, texts, "%")
+    return PointSet(words[0], places_m, share, texts, "%")
 
 
 def crater_look(
     scene: EstimatorRun,
     rows: pd.DataFrame,
-    marks: list[Marks],
+    marks: list[PointSet],
     mesh: TriangleMesh,
     trials: tuple[dict[int, FloatArray], str, pd.Series | None],
-) -> Look:
+) -> View3D:
     """Compose the view of craters; ``trials`` are cameras by trial, the name of faults, and their number by row."""
     views, called, faults = trials
     body = coarsened(mesh, MOST_FACES)
@@ -142,7 +142,7 @@ def crater_look(
     middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
     note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{scale_note}"
     cameras = camera_sets(rows, badness, lambda value: f"{value:.0f} {called}", lambda trial: views[trial] / factor)
-    return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+    return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
 
 
 def places_of(centre_m: FloatArray, numbers: IndexArray, outcomes: pd.DataFrame) -> FloatArray:

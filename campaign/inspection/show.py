@@ -17,7 +17,7 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import module_of
-from reports.pages.look import Look
+from reports.pages.view3d import View3D
 from reports.run.data import RunData
 from reports.schema.named_figure import NamedFigure
 from scenarios.geometry import Camera, Pose
@@ -125,7 +125,7 @@ class Show:
 
     draw: Callable[[Recomputed], CaseFigures | None] = lambda again: None
     kept: Callable[[object], CaseFiles] = lambda shown: CaseFiles()
-    look: Callable[[EstimatorRun], Look] | None = None
+    look: Callable[[EstimatorRun], View3D] | None = None
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None

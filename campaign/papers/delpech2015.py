@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.papers.gather import FinishedRun
 from campaign.papers.page import Draw, Paper, PaperFigure, Runs
-from reports.figures.sequences import LANDMARKS, POSITION
-from reports.figures.sightings import draw_sightings
+from reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.tables import (
     ratio_grids,

@@ -12,7 +12,7 @@ from typing import Any, cast
 from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from campaign.runs.request import RUNS
 from campaign.runs.resolve import CATALOG, campaign_names
-from reports.figures.provenance import counted, stamp
+from reports.figures.provenance import add_provenance, with_trial_counts
 from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure
 from reports.published import load_published
@@ -145,10 +145,10 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     for group in groups:
         for drawing in figure.draw(group, jobs):
             shown = [run.content.run for run in group.values()]
-            stamp(drawing.figure, shown)
+            add_provenance(drawing.figure, shown)
             campaign = f"_{next(iter(group))}" if named else ""
             suffix = drawing.stem if drawing.stem.startswith("_") else campaign
-            named.append(figure.named(counted(drawing, shown), suffix))
+            named.append(figure.named(with_trial_counts(drawing, shown), suffix))
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
     return named
@@ -167,7 +167,7 @@ def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tup
         runs = [found[name].content.run for name in campaigns if name in found]
         if runs:
             table = table_figure(number, own)
-            stamp(table.figure, runs)
+            add_provenance(table.figure, runs)
             tables.append(table)
         else:
             missing.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")

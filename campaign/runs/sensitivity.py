@@ -15,10 +15,10 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.resolve import CATALOG, read_source, sources
 from reports.compare.global_sensitivity import (
     Sensitivity,
-    Varied,
-    outcome,
-    problem,
+    VariedKey,
+    outcome_of,
     rank_shares,
+    salib_problem,
     same_results,
     sobol_shares,
 )
@@ -53,13 +53,13 @@ class Design:
         Its scenarios: the base, each key alone at its bounds, the samples.
     """
 
-    varied: tuple[Varied, ...]
+    varied: tuple[VariedKey, ...]
     samples: FloatArray
     method: str
     campaign: ResolvedCampaign
 
 
-def parse_over(text: str) -> Varied:
+def parse_over(text: str) -> VariedKey:
     """Read ``KEY=LOW:HIGH``.
 
     Raises
@@ -73,10 +73,10 @@ def parse_over(text: str) -> Varied:
     low, high = float(found["low"]), float(found["high"])
     if not low < high:
         raise BoresightError(f"--over {text}: {low:g} is not below {high:g}")
-    return Varied(found["key"], low, high)
+    return VariedKey(found["key"], low, high)
 
 
-def draw_samples(varied: Sequence[Varied], n: int, method: str, seed: int) -> FloatArray:
+def draw_samples(varied: Sequence[VariedKey], n: int, method: str, seed: int) -> FloatArray:
     """Draw the samples, (n (K + 2), K) after Saltelli or (n, K) of a Latin hypercube.
 
     Raises
@@ -89,11 +89,11 @@ def draw_samples(varied: Sequence[Varied], n: int, method: str, seed: int) -> Fl
         return np.asarray(qmc.scale(unit, [v.low for v in varied], [v.high for v in varied]), dtype=np.float64)
     if n & (n - 1):
         raise BoresightError(f"--samples {n}: Sobol's sequence wants a power of two: give 8, 16, 32, ...")
-    return np.asarray(sobol.sample(problem(varied), n, calc_second_order=False, seed=seed), dtype=np.float64)
+    return np.asarray(sobol.sample(salib_problem(varied), n, calc_second_order=False, seed=seed), dtype=np.float64)
 
 
 def make_design(
-    name: str, resolved: ResolvedCampaign, chosen: str | None, varied: Sequence[Varied], n: int, method: str
+    name: str, resolved: ResolvedCampaign, chosen: str | None, varied: Sequence[VariedKey], n: int, method: str
 ) -> Design:
     """Make the scenarios of a design from one scenario of a campaign: the ``chosen`` one, or the only one.
 
@@ -157,17 +157,17 @@ def _value_at(spec: ScenarioSpec, key: str) -> object:
     return value
 
 
-def _base_value(spec: ScenarioSpec, one: Varied) -> object:
+def _base_value(spec: ScenarioSpec, one: VariedKey) -> object:
     value = _value_at(spec, one.key)
     return None if isinstance(value, bool) else value
 
 
-def _override(spec: ScenarioSpec, one: Varied, value: float) -> ConfigEntry:
+def _override(spec: ScenarioSpec, one: VariedKey, value: float) -> ConfigEntry:
     """Set a key to a value, under the name of what the user typed."""
     return parse_override(_setting(spec, one, value), f"--over {one.key}={one.low:g}:{one.high:g}")
 
 
-def _setting(spec: ScenarioSpec, one: Varied, value: float) -> str:
+def _setting(spec: ScenarioSpec, one: VariedKey, value: float) -> str:
     """Write a value as ``--set`` does; ``KEY.max`` and ``KEY.min`` are bounds of a uniform distribution.
 
     A distribution that is symmetric about zero stays so.
@@ -199,7 +199,7 @@ def analyse(
     for label in labels:
 
         def of(cell: str, label: str = label) -> float:
-            value = outcome(run, metric, statistic, cell, label)
+            value = outcome_of(run, metric, statistic, cell, label)
             if not np.isfinite(value):
                 raise BoresightError(
                     f"{run.folder}: {label} has no {statistic.name} of {metric.name} in {cell}, as it failed in too"

@@ -1,4 +1,4 @@
-"""Estimators, scenarios or whole runs beside each other: one metric, failures counted, differences trial by trial."""
+"""Comparison of estimators, scenarios or runs by one metric, with failures counted and paired differences."""
 
 from reports.compare.build import ComparisonFiles, write_comparison
 from reports.compare.subjects import compare_runs

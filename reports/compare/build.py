@@ -6,12 +6,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from reports.compare.consistency import claims_grid, claims_table
 from reports.compare.figures import comparison_figures
-from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
+from reports.compare.tables import (
+    consistency_grid,
+    consistency_table,
+    contrast_grid,
+    contrast_table,
+    subject_grid,
+    subject_table,
+)
 from reports.compare.trials import is_pooled_control
-from reports.figures.provenance import stamp
+from reports.figures.provenance import add_provenance
 from reports.figures.style import save_figure
 from reports.run.limits import known_lines
 from reports.schema.grid import Grid
@@ -23,7 +29,7 @@ from scenarios.errors import BoresightError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonFiles:
-    """Where a comparison lies, and its tables for the terminal."""
+    """Paths of a written comparison, and its tables for the terminal."""
 
     folder: Path
     markdown: Path
@@ -42,14 +48,14 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
     """
     grids = tuple(comparison_grids(found))
     tables = {"subjects.csv": subject_table(found), "differences.csv": contrast_table(found)}
-    tables |= {"consistency.csv": claims_table(found)}
+    tables |= {"consistency.csv": consistency_table(found)}
     figures = list(comparison_figures(found))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, table in tables.items():
             table.to_csv(folder / name, index=False, lineterminator="\n")
         for one in figures:
-            stamp(one.figure, found.runs)
+            add_provenance(one.figure, found.runs)
         pictures = [path for one in figures for path in save_figure(one.figure, folder / one.stem)]
         markdown = folder / "compare.md"
         markdown.write_text(_markdown(found, grids, figures, command), encoding="utf-8")
@@ -61,18 +67,18 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
 
 
 def comparison_grids(found: RunComparison) -> Iterator[Grid]:
-    """Yield the tables of a comparison."""
+    """Yield the tables of a comparison, those without rows left out."""
     yield subject_grid(found)
     differences = contrast_grid(found)
     if differences is not None:
         yield differences
-    claims = claims_grid(found)
-    if claims is not None:
-        yield claims
+    consistency = consistency_grid(found)
+    if consistency is not None:
+        yield consistency
 
 
 def notes(found: RunComparison) -> Iterator[str]:
-    """Say what was compared, and what a reader must know."""
+    """Yield notes on the compared runs, and on what limits the comparison."""
     for run in found.runs:
         done, total = run.progress()
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"

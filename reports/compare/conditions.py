@@ -1,4 +1,4 @@
-"""Errors of a comparison against the conditions of their trials: in bins, each with its interval."""
+"""Errors of a comparison in bins of the conditions of their trials, with intervals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reports.compare.metrics import Metric
 from reports.compare.trials import CONDITIONS
-from reports.figures.designs import Points
+from reports.figures.scenario_grids import Points
 from reports.schema.common import BORESIGHT, LATERAL
 from reports.schema.kinds.crater_detection import DETECTION
 from reports.schema.kinds.crater_matching import MATCHING
@@ -44,15 +44,15 @@ _FEWEST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Split:
-    """What is drawn against conditions.
+class ConditionTables:
+    """Rows with errors and with the conditions that they are drawn against.
 
     Parameters
     ----------
     tables
-        Label of each line to its rows: conditions, errors, ``failed`` and ``cluster``.
+        Label of each subject to its rows: conditions, errors, ``failed`` and ``cluster``.
     errors, conditions
-        Columns that are known and, of conditions, differ between trials.
+        Columns of the errors that have values, and of the conditions that differ between trials.
     """
 
     tables: Mapping[str, pd.DataFrame]
@@ -60,24 +60,24 @@ class Split:
     conditions: tuple[str, ...]
 
 
-def label_of(name: str, metric: Metric) -> str:
-    """Name a condition or an error, with its unit."""
+def axis_label(name: str, metric: Metric) -> str:
+    """Return the axis label of a condition or an error, with its unit."""
     if name == "value":
         return metric.axis
     return f"{_LABELS[name]}, {metric.unit}" if name == "prior" else _LABELS[name]
 
 
-def split_of_trials(tables: Mapping[str, pd.DataFrame], metric: Metric) -> Split:
-    """Choose what the trials of single images tell."""
+def trials_by_condition(tables: Mapping[str, pd.DataFrame], metric: Metric) -> ConditionTables:
+    """Choose errors and conditions of the trials of single images."""
     components = (LATERAL, BORESIGHT, ATTITUDE)
     errors = components if metric.name in components else ("value", *components)
-    # How many craters a method finds or matches is no condition of its shares: they are made of it.
+    # The shares of craters found or matched are computed from their number, so it is not one of their conditions.
     given = [name for name in CONDITIONS if name != OWN_BINS or metric.name not in (*DETECTION, *MATCHING)]
-    return _split(tables, errors, (*given, "prior"))
+    return _condition_tables(tables, errors, (*given, "prior"))
 
 
-def frames_of(epochs: pd.DataFrame) -> pd.DataFrame:
-    """Prepare the frames of sequences: at most 60 of each, evenly spread, which depend on each other anyway."""
+def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
+    """Choose fewer than 120 evenly spaced frames of each sequence; more add little, as frames are correlated."""
     stride = max(1, int(epochs["frame"].max() + 1) // _FRAMES)
     kept = epochs[epochs["frame"] % stride == 0]
     distance = np.linalg.norm(kept[[f"true_{axis}_m" for axis in "xyz"]].to_numpy(dtype=np.float64), axis=1)
@@ -89,16 +89,18 @@ def frames_of(epochs: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def split_of_frames(tables: Mapping[str, pd.DataFrame]) -> Split:
-    """Choose what the frames of sequences tell; success belongs to whole sequences."""
-    return _split(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
+def frames_by_condition(tables: Mapping[str, pd.DataFrame]) -> ConditionTables:
+    """Choose errors and conditions of the frames of sequences; success is a property of whole sequences."""
+    return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
 
 
-def _split(tables: Mapping[str, pd.DataFrame], errors: Sequence[str], conditions: Sequence[str]) -> Split:
+def _condition_tables(
+    tables: Mapping[str, pd.DataFrame], errors: Sequence[str], conditions: Sequence[str]
+) -> ConditionTables:
     whole = pd.concat(tables.values())
     known = [name for name in errors if whole[name].notna().any()]
     success = [SUCCESS] if whole["failed"].any() else []
-    return Split(tables, (*known, *success), tuple(name for name in conditions if _varies(whole[name])))
+    return ConditionTables(tables, (*known, *success), tuple(name for name in conditions if _varies(whole[name])))
 
 
 def _varies(values: pd.Series) -> bool:
@@ -106,32 +108,32 @@ def _varies(values: pd.Series) -> bool:
     return len(known) > 0 and float(np.ptp(known)) > 1e-6 * max(float(np.abs(known).max()), 1e-12)
 
 
-def edges_of(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
-    """Choose edges of bins (b + 1,) that hold as many rows each of the tables together."""
+def bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
+    """Choose edges (b + 1,) of bins that contain equal numbers of rows of all tables together."""
     longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
     bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
     values = pd.concat([table[condition].dropna() for table in tables])
     return np.unique(np.quantile(values.to_numpy(dtype=np.float64), np.linspace(0.0, 1.0, bins + 1)))
 
 
-def binned(split: Split, error: str, condition: str) -> Iterator[tuple[str, Points]]:
-    """Yield the line of every subject whose condition differs between trials: medians, or rates of success, in bins.
+def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
+    """Yield medians of an error, or success rates, in bins of a condition, for each subject whose condition varies.
 
-    Each stands at the median of its condition; bins of fewer than five independent trials are left out. Bins are the
-    same for all, but those of landmarks, of which one estimator may use many more than another.
+    The abscissa of a bin is the median of its condition. Bins of fewer than five independent trials are left out. All
+    subjects have the same bins, except for the number of landmarks, which may differ widely between estimators.
     """
     varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
     for label, table in varying.items():
-        edges = edges_of([table] if condition == OWN_BINS else list(varying.values()), condition)
+        edges = bin_edges([table] if condition == OWN_BINS else list(varying.values()), condition)
         known = table[table[condition].notna() & (table[error].notna() if error != SUCCESS else True)]
         place = np.clip(np.searchsorted(edges, known[condition].to_numpy(), side="right") - 1, 0, len(edges) - 2)
-        found = [_point(own, error, condition) for _, own in known.groupby(place)]
+        found = [_bin_point(own, error, condition) for _, own in known.groupby(place)]
         points = np.array([point for point in found if point is not None])
         if len(points):
             yield label, Points(points[:, 0], points[:, 1], points[:, 2:])
 
 
-def _point(rows: pd.DataFrame, error: str, condition: str) -> tuple[float, float, float, float] | None:
+def _bin_point(rows: pd.DataFrame, error: str, condition: str) -> tuple[float, float, float, float] | None:
     clusters: NDArray[np.generic] = rows["cluster"].to_numpy()
     if len(np.unique(clusters)) < _FEWEST:
         return None

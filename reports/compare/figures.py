@@ -5,61 +5,97 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from reports.compare.conditions import (
     ATTITUDE,
-    Split,
-    binned,
-    frames_of,
-    label_of,
-    split_of_frames,
-    split_of_trials,
+    ConditionTables,
+    axis_label,
+    binned_errors,
+    frames_by_condition,
+    prepare_frames,
+    trials_by_condition,
 )
-from reports.compare.consistency import consistency_figures
-from reports.compare.grids import changed
-from reports.compare.looks import colours, credits_of, groups, titled
 from reports.compare.metrics import Metric
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.comparison import draw_binned
+from reports.compare.tables import SubjectConsistency, differing_level, subject_consistencies
+from reports.compare.trials import ESTIMATOR
+from reports.figures.comparison import CoverageCurve, SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
 from reports.figures.pose import draw_cumulative_errors
-from reports.figures.standings import Standing, draw_standings
+from reports.figures.style import GREY, SERIES_COLOURS, colour_of
 from reports.run.data import TRIAL_KEY
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL
+from reports.statistics.consistency import normalised_label
 from reports.statistics.measured import Measured
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
-    """Draw every figure that the trials allow; captions say how many trials each subject solved, of how many."""
+    """Draw all figures for which there are data; captions give the number of solved trials of each subject."""
     counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
     for figure in _figures(found):
         yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
 
 
 def _figures(found: RunComparison) -> Iterator[NamedFigure]:
-    yield standings_figure(found)
+    yield summary_figure(found)
     yield from consistency_figures(found)
-    for name, subjects in groups(found).items():
+    for name, subjects in subjects_by_group(found).items():
         yield cumulative_figure(found, name, subjects)
-        split = _split(found, subjects)
+        split = _tables_by_condition(found, subjects)
         if split is not None and split.conditions:
             yield conditions_figure(found, name, split)
 
 
+def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
+    """Draw, for each kind of normalised error, the coverage of the covariance that subjects claim."""
+    claims = list(subject_consistencies(found))
+    for kind in dict.fromkeys(one.kind for one in claims):
+        for group, subjects in subjects_by_group(found).items():
+            labels = {one.names: label for label, one in subjects.items()}
+            own = [one for one in claims if one.kind == kind and one.subject.names in labels]
+            if own:
+                yield _consistency_figure(found, group, {labels[one.subject.names]: one for one in own})
+
+
+def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, SubjectConsistency]) -> NamedFigure:
+    own = subject_colours(found)
+    kind = next(iter(claims.values())).kind
+    drawn = [
+        CoverageCurve(
+            f"{label} (n = {len(one.ratios)})",
+            own[one.subject.names],
+            one.ratios * one.degrees / one.expected,
+            one.degrees,
+            len(np.unique(one.clusters)),
+        )
+        for label, one in claims.items()
+    ]
+    title = figure_title(found, normalised_label(kind), group)
+    return NamedFigure(
+        file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
+        draw_coverage(drawn, title, credit_lines(found)),
+        f"{title}: share of the trials whose normalised squared error lies within the quantile given on the abscissa of"
+        " the chi-square distribution. On the diagonal the covariance is true, below it too small. Grey: 95 % band at"
+        " each abscissa for true covariances and the smallest number of independent trials among the curves.",
+        f"Coverage against claimed coverage for {', '.join(claims)}.",
+    )
+
+
 def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> NamedFigure:
-    """Draw the share of all trials below each error."""
+    """Draw the share of all trials with an error below the abscissa."""
     tables = {label: found.of(one) for label, one in subjects.items()}
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
         panels[ATTITUDE] = "attitude error, deg"
-    own = colours(found)
-    title = titled(found, "Cumulative error", group)
+    own = subject_colours(found)
+    title = figure_title(found, "Cumulative error", group)
     return NamedFigure(
         file_stem("cumulative", group) if group else "cumulative",
         draw_cumulative_errors(
-            {label: (table, len(table)) for label, table in tables.items()}, title, credits_of(found), panels,
+            {label: (table, len(table)) for label, table in tables.items()}, title, credit_lines(found), panels,
             {label: own[one.names] for label, one in subjects.items()},
         ),
         f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
@@ -68,56 +104,62 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     )  # fmt: skip
 
 
-def _split(found: RunComparison, subjects: Mapping[str, Subject]) -> Split | None:
-    """Choose what is split: frames of sequences, else trials; None where there is nothing to split."""
+def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) -> ConditionTables | None:
+    """Choose frames of sequences, else trials; None where no estimator has an error or a sequence no frames."""
     estimating = {label: one for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
     if not estimating:
         return None
     if all(run.table("epochs").empty for run in found.runs):
-        return split_of_trials({label: found.of(one) for label, one in estimating.items()}, found.metric)
+        return trials_by_condition({label: found.of(one) for label, one in estimating.items()}, found.metric)
     tables = {label: frames_of_subject(found, one) for label, one in estimating.items()}
-    return split_of_frames(tables) if all(len(table) for table in tables.values()) else None
+    return frames_by_condition(tables) if all(len(table) for table in tables.values()) else None
 
 
 def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
-    """Gather the frames of a subject's trials, with what is independent among them."""
+    """Gather the frames of a subject's trials; frames of the same ``cluster`` are not independent."""
     trials = found.of(subject)
     parts = []
     for run in found.runs:
         if {"true_x_m", "radial_m"} <= set(run.table("epochs").columns):
             own = trials.loc[trials["run"] == run.folder.name, [*TRIAL_KEY, "cluster"]]
             parts.append(run.table("epochs").merge(own, on=TRIAL_KEY))
-    return frames_of(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
+    return prepare_frames(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 
-def conditions_figure(found: RunComparison, group: str, split: Split) -> NamedFigure:
+def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
     """Draw errors against conditions."""
-    own = colours(found)
-    subjects = groups(found)[group]
+    own = subject_colours(found)
+    subjects = subjects_by_group(found)[group]
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
     panels = {
-        (label_of(error, metric), label_of(condition, metric)): dict(binned(split, error, condition))
+        (axis_label(error, metric), axis_label(condition, metric)): dict(binned_errors(split, error, condition))
         for error in split.errors
         for condition in split.conditions
     }
-    title = titled(found, "Errors by conditions", group)
-    over = "at most 60 frames of each trial, the intervals of whole trials" if frames else "the solved trials"
+    title = figure_title(found, "Errors by conditions", group)
+    over = (
+        "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
+        if frames
+        else "the solved trials"
+    )
     return NamedFigure(
         file_stem("conditions", group) if group else "conditions",
-        draw_binned(panels, {label: own[subjects[label].names] for label in split.tables}, title, credits_of(found)),
-        f"{title}: medians over {over} in bins of as many each, with 95 % intervals; success: share of all trials of a"
+        draw_binned_errors(
+            panels, {label: own[subjects[label].names] for label in split.tables}, title, credit_lines(found)
+        ),
+        f"{title}: medians over {over} in bins of equal numbers, with 95 % intervals. Success: share of all trials of a"
         " bin.",
         f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
     )
 
 
-def standings_figure(found: RunComparison) -> NamedFigure:
+def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
-    own = colours(found)
-    bases = _bases(found)
+    own = subject_colours(found)
+    bases = _reference_differences(found)
     standings = [
-        Standing(
+        SubjectSummary(
             found.label(one.names),
             own[one.names],
             one.solved,
@@ -131,20 +173,60 @@ def standings_figure(found: RunComparison) -> NamedFigure:
     title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
-        draw_standings(
-            standings, found.metric.axis, against.pop() if len(against) == 1 else "the first", title, credits_of(found)
+        draw_summaries(
+            standings,
+            found.metric.axis,
+            against.pop() if len(against) == 1 else "the first",
+            title,
+            credit_lines(found),
         ),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
-        " with failures counted, success rates, and the median difference trial by trial to the first of those that"
-        " differ from it in one thing.",
+        " with failures counted, success rates, and the median of the paired differences to the first subject that"
+        " differs in one factor only.",
         f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
     )
 
 
-def _bases(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
-    """Find for every subject the first one that it is held against: what differs in it, and the difference."""
+def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
+    """Return for each subject with a reference the level that differs in the first one, and the median difference."""
     order = {one.names: place for place, one in enumerate(found.subjects)}
-    held: dict[tuple[str, ...], tuple[str, Measured]] = {}
+    references: dict[tuple[str, ...], tuple[str, Measured]] = {}
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
-        held.setdefault(one.first, (changed(one), one.median))
-    return held
+        references.setdefault(one.first, (differing_level(one), one.median))
+    return references
+
+
+def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
+    """Return the colour of each subject: that of its estimator, or its own where estimators are pooled."""
+    keys = [one.estimator or found.label(one.names) for one in found.subjects]
+    named = [key for key in dict.fromkeys(keys) if key != CONTROL]
+    pooled = any(not one.estimator for one in found.subjects)
+    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] if pooled else colour_of(key) for i, key in enumerate(named)}
+    return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
+
+
+def credit_lines(found: RunComparison) -> list[str]:
+    """Return the credit lines of all runs, each once."""
+    return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
+
+
+def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
+    """Group the subjects that differ in the estimator alone: name of the group to label to subject.
+
+    Where estimators are pooled, all subjects are one group.
+    """
+    gathered: dict[str, dict[str, Subject]] = {}
+    for one in found.subjects:
+        named = dict(zip(found.factors, one.names, strict=True))
+        if ESTIMATOR not in found.factors:
+            gathered.setdefault("", {})[found.label(one.names)] = one
+            continue
+        label = named.pop(ESTIMATOR)
+        kept = [level for factor, level in named.items() if factor in found.varied]
+        gathered.setdefault(", ".join(kept), {})[label] = one
+    return gathered
+
+
+def figure_title(found: RunComparison, what: str, group: str) -> str:
+    """Return the title of a figure of one group."""
+    return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

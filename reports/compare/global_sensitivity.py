@@ -1,15 +1,16 @@
-"""How much of an outcome's variation each varied key of a scenario explains.
+"""Global sensitivity analysis: the share of an outcome's variance that each varied key of a scenario explains.
 
 Sobol's indices by the estimators of Saltelli and Jansen (A. Saltelli et al., Variance based sensitivity analysis of
-model output, Computer Physics Communications 181, 2010), as SALib has them: the first-order index is the share of the
-variance that a key explains by itself, the total index the share that is left where all others are known. Of a Latin
-hypercube, the rank correlations of the outcome with each key.
+model output, Computer Physics Communications 181, 2010), as SALib implements them: the first-order index is the share
+of the variance that a key explains by itself, the total index the share that remains when all other keys are known.
+For a Latin hypercube, the rank correlations of the outcome with each key.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,9 @@ from SALib.analyze import sobol
 from scipy.stats import spearmanr
 
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
+from reports.figures.provenance import add_provenance
+from reports.figures.style import save_figure
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid
 from reports.schema.records import CONTROL
@@ -25,18 +29,52 @@ from reports.statistics.measured import WORST, Measured, Statistic, bounded
 from reports.tables import interval
 
 _KEY = ("trial", "scenario")
-_CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
+_CONDITIONS = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
 _RESULTS = (
     "rows", "stages", "landmarks", "diagnostics", "epochs", "vision", "crater_matches", "detections", "orbits",
     "navigation", "surveyed_images", "surveyed_craters",
 )  # fmt: skip
-"""Tables of what methods find, of any kind of trial."""
+"""Tables of results of methods, over all kinds of trial."""
 FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
 
 
+def write_sensitivity(
+    run: RunData,
+    found: Sequence[Sensitivity],
+    grid: Grid,
+    varied: Sequence[VariedKey],
+    samples: FloatArray,
+    metric: Metric,
+) -> Path:
+    """Write a sensitivity analysis into the folder ``sensitivity`` of a run; return the path of the page.
+
+    The files are ``sensitivity.md``, ``samples.csv`` (every sample with its outcomes), ``indices.csv`` and the figure.
+    """
+    folder = run.folder / "sensitivity"
+    folder.mkdir(parents=True, exist_ok=True)
+    keys = [one.key for one in varied]
+    table = pd.DataFrame(samples, columns=keys).assign(**{one.estimator: one.outcomes for one in found})
+    table.to_csv(folder / "samples.csv", index=False, lineterminator="\n")
+    indices = [
+        {"estimator": one.estimator, "key": key, "index": name, "value": m.value, "low": m.low, "high": m.high}
+        for one in found
+        for name, shares in one.shares.items()
+        for key, m in zip(keys, shares, strict=True)
+    ]
+    pd.DataFrame(indices).to_csv(folder / "indices.csv", index=False, lineterminator="\n")
+    rows = [EstimatorPanels(one.estimator, one.outcomes, one.base, one.shares) for one in found]
+    figure = draw_sensitivity(rows, keys, samples, metric.axis, "Sensitivity")
+    add_provenance(figure, [run])
+    save_figure(figure, folder / "sensitivity")
+    unmoved = [f"- {key} changes no result of {one.estimator}, bit for bit." for one in found for key in one.unmoved]
+    parts = [grid.markdown(), "\n".join(unmoved), "![Indices and outcomes of each varied key](sensitivity.png)"]
+    (folder / "sensitivity.md").write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")
+    return folder / "sensitivity.md"
+
+
 @dataclass(frozen=True, slots=True)
-class Varied:
-    """A key of the scenarios with the bounds between which it is varied."""
+class VariedKey:
+    """A key of the scenarios and the bounds between which it is varied."""
 
     key: str
     low: float
@@ -45,22 +83,22 @@ class Varied:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
-    """What varied keys do to one estimator.
+    """Sensitivity of one estimator to the varied keys.
 
     Parameters
     ----------
     estimator
         Its label.
     base
-        The outcome where nothing is varied.
+        Outcome with no key varied.
     outcomes
-        (n,) of the samples.
+        (n,) outcomes of the samples.
     alone
-        By key the outcomes at its lower and upper bound, all else as it was.
+        Key to the outcomes at its lower and upper bound, with all other keys as in the base.
     shares
-        By the name of an index, one for each key; None where the outcome does not vary.
+        Name of an index to its values, one for each key; empty where the outcome does not vary.
     unmoved
-        Keys that change no result of this estimator, bit for bit, at either bound.
+        Keys that change no result of this estimator at either bound, bit for bit.
     """
 
     estimator: str
@@ -71,11 +109,11 @@ class Sensitivity:
     unmoved: tuple[str, ...]
 
 
-def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
+def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
     """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
 
-    A failure counts with its prior's error. Where there are no priors it counts in medians and percentiles, as worse
-    than any error; a mean of such does not exist, and is that of the solved trials.
+    A failure counts with the error of its prior. Without priors, medians and percentiles count it as worse than any
+    error; means are then over the solved trials alone, as the mean with failures does not exist.
     """
     own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator) & ~nothing_to_find(run, metric)
     values, prior = metric_values(run, metric)[own], prior_values(run, metric)
@@ -88,7 +126,7 @@ def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, e
 
 
 def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
-    """Whether an estimator gives the same results in two scenarios, bit for bit, whatever its trials are like."""
+    """Whether an estimator gives the same results in two scenarios, bit for bit; conditions and truth may differ."""
     tables = [table for table in (run.rows if name == "rows" else run.table(name) for name in _RESULTS) if len(table)]
     return all(_results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables)
 
@@ -97,15 +135,15 @@ def _results(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame
     own = table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
     if "stage" in own:
         own = own[own["stage"] != CONTROL]
-    about = [name for name in own if name in (*_KEY, *_CIRCUMSTANCES) or str(name).startswith(("prior_", "true_"))]
+    about = [name for name in own if name in (*_KEY, *_CONDITIONS) or str(name).startswith(("prior_", "true_"))]
     return own.drop(columns=about).reset_index(drop=True)
 
 
-def sobol_shares(varied: Sequence[Varied], outcomes: FloatArray, seed: int) -> dict[str, tuple[Measured, ...]]:
+def sobol_shares(varied: Sequence[VariedKey], outcomes: FloatArray, seed: int) -> dict[str, tuple[Measured, ...]]:
     """Estimate Sobol's indices with their 95 % bootstrap intervals; none where the outcomes (n,) are all the same."""
     if float(np.ptp(outcomes)) == 0.0:
         return {}
-    found = sobol.analyze(problem(varied), outcomes, calc_second_order=False, conf_level=LEVEL, seed=seed)
+    found = sobol.analyze(salib_problem(varied), outcomes, calc_second_order=False, conf_level=LEVEL, seed=seed)
     return {
         name: tuple(
             Measured(float(x), float(x - c), float(x + c)) for x, c in zip(found[s], found[f"{s}_conf"], strict=True)
@@ -128,12 +166,12 @@ def rank_shares(samples: FloatArray, outcomes: FloatArray) -> dict[str, tuple[Me
     return {RANK: tuple(found)}
 
 
-def problem(varied: Sequence[Varied]) -> dict[str, object]:
-    """Describe what is varied as SALib wants it."""
+def salib_problem(varied: Sequence[VariedKey]) -> dict[str, object]:
+    """Describe the varied keys in SALib's format."""
     return {"num_vars": len(varied), "names": [v.key for v in varied], "bounds": [[v.low, v.high] for v in varied]}
 
 
-def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], metric: Metric, statistic: str) -> Grid:
+def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[VariedKey], metric: Metric, statistic: str) -> Grid:
     """Tabulate the indices of every estimator and key."""
     names = list(dict.fromkeys(name for one in found for name in one.shares))
     unit = f", {metric.unit}" if metric.unit else ""
@@ -156,9 +194,10 @@ def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], met
             remark = "changes no result" if key.key in one.unmoved else ""
             rows.append((one.estimator, key.key, f"{key.low:g}", f"{key.high:g}", *alone, *shares, remark))
     note = (
-        f"Outcome: {statistic} of the {metric.label} over the trials of a sample, the same draws in all samples; a"
-        " failure counts with its prior's error, without priors in medians and percentiles as worse than any. At from,"
-        " at to: that key alone at its bounds. 'changes no result': at both bounds every number of the estimator is"
-        " that of the base, bit for bit. An index whose interval is wider than 1 says nothing: take more --samples."
+        f"Outcome: {statistic} of the {metric.label} over the trials of a sample, with the same draws in all samples. A"
+        " failure counts with the error of its prior; without priors, medians and percentiles count it as worse than"
+        " any error. 'at from' and 'at to': this key alone at its bounds. 'changes no result': at both bounds every"
+        " number of the estimator is that of the base, bit for bit. An index whose interval is wider than 1 says"
+        " nothing: take more --samples."
     )
     return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)

@@ -1,4 +1,4 @@
-"""What runs are compared by: an error of each trial, and the error that a failure is counted with."""
+"""Metrics by which runs are compared: a number of each trial, and the prior's number that a failure counts with."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from reports.compare.craters import THERE, crater_numbers
 from reports.run.data import TRIAL_KEY, RunData, in_order_of
 from reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
+from reports.schema.kinds.crater_detection import CENTRE_ERROR, COMMON_CENTRE_ERROR, FALSE_ALARMS, MISSED
+from reports.schema.kinds.crater_matching import MATCHING, WRONG
 from reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
 from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.tables import is_error, kind_schema, measure_label, unit_of
@@ -20,6 +22,71 @@ from scenarios.errors import BoresightError
 _AFTER = re.compile(r"error_after_([1-9]\d*)_m")
 _TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
+
+N_FINDABLE = "n_there"
+"""Column: number of craters that could be found or matched."""
+
+
+def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
+    """Return the numbers of a run that is about craters in images, by their names; none of another run.
+
+    Each is a column of a table with `N_FINDABLE` and a row for each trial and method (`TRIAL_KEY`). A share with a zero
+    denominator is NaN: that of false alarms where no detection is false or of a detectable crater, that of missed
+    craters where there are none.
+    """
+    if not run.table("crater_matches").empty:
+        matched = run.table("crater_matches")
+        made, common = matched["n_correct"] + matched["n_wrong"], matched["n_common"]
+        shares = {MISSED: _percent(matched["n_missed"], common), WRONG: _percent(matched["n_wrong"], made)}
+        return dict.fromkeys(MATCHING, matched.assign(**shares, **{N_FINDABLE: common}))
+    if not run.table("crater_images").empty:
+        counts = detection_counts(run)
+        missed, false = counts[N_FINDABLE] - counts["n_hits"], counts["n_false"]
+        shares = {MISSED: _percent(missed, counts[N_FINDABLE]), FALSE_ALARMS: _percent(false, false + counts["n_hits"])}
+        numbers = dict.fromkeys((MISSED, FALSE_ALARMS, CENTRE_ERROR), counts.assign(**shares))
+        return numbers | {COMMON_CENTRE_ERROR: _common_centres(run)}
+    return {}
+
+
+def detection_counts(run: RunData) -> pd.DataFrame:
+    """Count the detections of each image that reach the detector's own threshold.
+
+    Returns
+    -------
+    counts
+        A row for each row of the run: `TRIAL_KEY`, `N_FINDABLE` (detectable craters), ``n_kept`` (detections),
+        ``n_hits`` (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the
+        hits.
+    """
+    found = run.table("detections")[run.table("detections")["kept"].astype(bool)]
+    hits = found[found["detectable"].astype(bool)]
+    rows = run.rows[TRIAL_KEY].merge(
+        run.table("crater_images")[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"]
+    )
+    tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
+    counted = {name: _count(rows, table) for name, table in tables.items()}
+    centre = in_order_of(rows, hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
+    return rows.rename(columns={"n_detectable": N_FINDABLE}).assign(**counted, **{CENTRE_ERROR: centre})
+
+
+def _common_centres(run: RunData) -> pd.DataFrame:
+    """Return `TRIAL_KEY`, `N_FINDABLE` (detectable craters found by all methods) and their `COMMON_CENTRE_ERROR`."""
+    found = run.table("detections")
+    hits = found[found["kept"].astype(bool) & found["detectable"].astype(bool)]
+    methods = run.rows.groupby("scenario")["estimator"].nunique()
+    finders = hits.groupby(["scenario", "trial", "crater"])["estimator"].transform("nunique")
+    common = hits[finders == hits["scenario"].map(methods)]
+    centre = in_order_of(run.rows, common.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
+    return run.rows[TRIAL_KEY].assign(**{N_FINDABLE: _count(run.rows, common), COMMON_CENTRE_ERROR: centre})
+
+
+def _count(rows: pd.DataFrame, table: pd.DataFrame) -> NDArray[np.float64]:
+    """Count the lines of a table that belong to each row."""
+    return np.nan_to_num(in_order_of(rows, table.groupby(TRIAL_KEY).size()), nan=0.0)
+
+
+def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
+    return 100.0 * part / whole.where(whole > 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +97,7 @@ class Metric:
     ----------
     name
         A column of the rows, `LATERAL`, `BORESIGHT`, ``error_after_K_m`` (sequences, after K revolutions), one of
-        `ORBIT_COLUMNS`, one of what `reports.compare.craters` has, or a number that estimators report.
+        `ORBIT_COLUMNS`, one of what `reports.compare.metrics` has, or a number that estimators report.
     """
 
     name: str
@@ -55,7 +122,7 @@ class Metric:
 
     @property
     def is_error(self) -> bool:
-        """Whether smaller is better; of what methods report, as a count of landmarks, nobody can say."""
+        """Whether smaller is better; False for numbers that methods report, such as a count of landmarks."""
         return is_error(self.name) or _AFTER.fullmatch(self.name) is not None
 
 
@@ -132,11 +199,11 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
 
 
 def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
-    """Tell of which rows of a run the metric says nothing: no crater was to be found, or none was found by all."""
+    """Return which rows of a run cannot have the metric: no crater could be found, or none was found by all methods."""
     table = crater_numbers(run).get(metric.name)
     if table is None:
         return pd.Series(False, index=run.rows.index)
-    nothing = _laid_on(run.rows, table, THERE) == 0.0
+    nothing = _laid_on(run.rows, table, N_FINDABLE) == 0.0
     return nothing & (run.rows["status"] != "error") & metric_values(run, metric).isna()
 
 

@@ -1,8 +1,8 @@
-"""Differences between subjects: trial by trial where trials are the same, between samples where they are not.
+"""Differences between subjects: paired by trial where trials are the same, else between independent samples.
 
-Tests of many pairs find something by chance alone; Holm's correction (S. Holm, A simple sequentially rejective multiple
-test procedure, Scandinavian Journal of Statistics 6, 1979) holds the chance of a single false finding in the whole
-table at the level of one test.
+Among tests of many pairs some are significant by chance alone. Holm's correction (S. Holm, A simple sequentially
+rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979) keeps the probability of a single false
+finding in the whole table at the level of one test.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from reports.statistics.paired import rate_difference, sign_test
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """One subject against another.
+    """Difference between two subjects.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ def holm(chances: Sequence[float]) -> list[float]:
     order = np.argsort(chances, kind="stable")
     factors = np.arange(len(chances), 0, -1)
     ascending = np.minimum(np.maximum.accumulate(np.asarray(chances)[order] * factors), 1.0)
-    corrected = np.empty(len(chances))
-    corrected[order] = ascending
-    return [float(p) for p in corrected]
+    adjusted = np.empty(len(chances))
+    adjusted[order] = ascending
+    return [float(p) for p in adjusted]
 
 
-def corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
+def holm_corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     """Correct the p of all tests of a table, those over the trials that both solved and those over all trials."""
     tests = [(i, name) for i, one in enumerate(contrasts) for name in ("p", "p_of_all")]
     known = [(i, name) for i, name in tests if getattr(contrasts[i], name) is not None]
@@ -84,13 +84,15 @@ def corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     return [replace(one, **found.get(i, {})) for i, one in enumerate(contrasts)]  # type: ignore[arg-type]
 
 
-def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame) -> Contrast | None:
+def paired_contrast(
+    names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
+) -> Contrast | None:
     """Compare two subjects trial by trial; None where they share no trial."""
     both = one.merge(other, on=KEY, suffixes=("", "_other"))
     if both.empty:
         return None
     difference = (both["value"] - both["value_other"]).to_numpy(dtype=np.float64)
-    clusters = coarser(both["cluster"], both["cluster_other"])
+    clusters = coarser_clusters(both["cluster"], both["cluster_other"])
     solved = np.isfinite(difference)
     median, mean = measure(difference[solved], clusters[solved], (MEDIAN, MEAN))
     better, chance, _ = sign_test(difference[solved], clusters[solved])
@@ -102,18 +104,18 @@ def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, 
     )  # fmt: skip
 
 
-def coarser(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
-    """Return the labels of the side of which less is independent: one may rest on few data bases, the other on none."""
+def coarser_clusters(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
+    """Return the cluster labels of the side with fewer clusters, as one side may share few data bases."""
     return (one if one.nunique() <= other.nunique() else other).to_numpy()
 
 
 def without_failures(one: Contrast) -> Contrast:
-    """Leave out who wins where one failed: of numbers that are no errors a failure is neither more nor less."""
+    """Remove the test over all trials: for numbers that are not errors, a failure is neither more nor less."""
     return replace(one, better_of_all=Measured(None), p_of_all=None)
 
 
 def _with_failures(difference: FloatArray, mine: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> FloatArray:
-    """Let a failure lose against what did not fail, and two failures decide nothing."""
+    """Replace differences with failures: a failure is worse than any success, two failures are a tie."""
     alone = mine.astype(float) - theirs.astype(float)
     return np.where(mine | theirs, alone, np.nan_to_num(difference))
 
@@ -122,7 +124,7 @@ def independent_contrast(
     names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
 ) -> Contrast:
     """Compare two subjects as independent samples, by the test of Mann and Whitney."""
-    samples = [_solved(table) for table in (one, other)]
+    samples = [_solved_values(table) for table in (one, other)]
     median, mean = _differences(samples)
     better, p = _superiority(*(_by_cluster(*sample) for sample in samples))
     worst = float(max((values.max() for values, _ in samples if len(values)), default=0.0)) + 1.0
@@ -138,7 +140,7 @@ def independent_contrast(
     )  # fmt: skip
 
 
-def _solved(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
+def _solved_values(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
     known = table["value"].notna()
     return table.loc[known, "value"].to_numpy(dtype=np.float64), table.loc[known, "cluster"].to_numpy()
 

@@ -1,4 +1,4 @@
-"""A comparison worked out: every subject by itself, and the differences between those that differ in one thing."""
+"""Comparison of runs: statistics of every subject, and differences between subjects that differ in one factor."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.factors import ESTIMATOR, SCENARIO, check_factors
 from reports.compare.metrics import Metric, choose_metric
-from reports.compare.pairs import Contrast, contrast, corrected, independent_contrast, without_failures
-from reports.compare.trials import all_factors, check_pairs, tabulate_trials
+from reports.compare.pairs import Contrast, holm_corrected, independent_contrast, paired_contrast, without_failures
+from reports.compare.trials import ESTIMATOR, SCENARIO, all_factors, check_factors, check_pairs, tabulate_trials
 from reports.run.data import RunData, read_run
 from reports.schema.records import CONTROL
 from reports.statistics.intervals import FloatArray
@@ -41,7 +40,7 @@ _QUANTILES = tuple(statistic for statistic in STATISTICS if statistic.quantile i
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What stands in one line of a comparison.
+    """One line of a comparison: its statistics, with and without failures.
 
     Parameters
     ----------
@@ -102,12 +101,12 @@ class RunComparison:
 
     @property
     def shared(self) -> str:
-        """Say the levels that all subjects share."""
+        """Levels that all subjects share, as text."""
         first = self.subjects[0].names
         return ", ".join(name for factor, name in zip(self.factors, first, strict=True) if factor not in self.varied)
 
     def levels(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Keep what tells a subject from the others."""
+        """Keep the levels of the factors that vary."""
         return tuple(name for factor, name in zip(self.factors, names, strict=True) if factor in self.varied)
 
     def label(self, names: Sequence[str]) -> str:
@@ -134,7 +133,7 @@ def compare_runs(
     metric
         See `Metric`; by default the position error, of sequences after the last whole revolution.
     factors
-        What tells subjects apart: ``estimator``, ``scenario``, ``run`` or a key of the scenarios such as
+        Factors that define the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios such as
         ``brdf`` or ``camera.fov_deg``. Trials that differ in other things are pooled.
     unpaired
         Whether subjects whose trials are not the same are compared as independent samples.
@@ -171,7 +170,7 @@ def compared(
     pairs = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
     known = [one for one in pairs if one is not None]
     contrasts = known if chosen.is_error else [without_failures(one) for one in known]
-    return RunComparison(runs, chosen, own, trials, subjects, tuple(corrected(contrasts)))
+    return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:
@@ -212,7 +211,7 @@ def _contrast(
     second, first = pair
     names = (first.names, second.names)
     tables = [_of(trials, factors, one) for one in names]
-    found = contrast(names, *tables)
+    found = paired_contrast(names, *tables)
     return independent_contrast(names, *tables) if found is None and unpaired else found
 
 
@@ -235,13 +234,13 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
 
 
 def _counted(values: FloatArray, clusters: NDArray[np.generic], at_prior: bool) -> list[Measured]:
-    """Evaluate over all trials; without a prior only quantiles mean anything."""
+    """Evaluate over all trials; without a prior only quantiles are defined."""
     statistics: tuple[Statistic, ...] = STATISTICS if at_prior else _QUANTILES
     found = dict(zip(statistics, measure(values, clusters, statistics), strict=True))
     return [_bounded(found.get(statistic, Measured(None))) for statistic in STATISTICS]
 
 
 def _bounded(measured: Measured) -> Measured:
-    """Call what lies among the failures infinite."""
+    """Make quantiles that lie among the failures infinite."""
     ends = (measured.value, measured.low, measured.high)
     return Measured(*(None if end is None else bounded(end) for end in ends))

@@ -1,15 +1,20 @@
-"""All trials of the runs that are compared, in one table."""
+"""Table of all trials of the compared runs, the factors that define subjects, and which trials are the same.
+
+Two trials are the same if they have the same seed and trial number and their scenarios agree in everything from which
+views, priors and tracks are drawn. Other differences (a reflectance, a detector, knowledge on board) are compared.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData
@@ -19,9 +24,110 @@ from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError
 
 KEY = ["seed", "draws", "rest", "trial"]
-"""What is equal in two trials that are the same."""
+"""Columns that are equal in two trials that are the same."""
 
 CONDITIONS = ("range_m", "phase_deg", "latitude_deg", "n_landmarks")
+
+ESTIMATOR, SCENARIO, RUN = "estimator", "scenario", "run"
+NAME_FACTORS = (ESTIMATOR, SCENARIO, RUN)
+_NAMES = ("name", "description")
+_DRAWN = ("viewpoint", "lighting", "pose_error", "images", "sequence")
+_MISSING = object()
+
+
+def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
+    """Refuse factors that are neither names nor keys of every scenario.
+
+    Raises
+    ------
+    BoresightError
+        The first such factor, and what there is in its place.
+    """
+    for factor in factors:
+        if factor in NAME_FACTORS:
+            continue
+        for run in runs:
+            for name, spec in run.manifest.scenarios.items():
+                if value_at(spec, factor) is _MISSING:
+                    sections = ", ".join(key for key in spec if key not in _NAMES)
+                    raise BoresightError(
+                        f"--by {factor}: the scenario {name} of {run.folder} has no such key: give"
+                        f" {', '.join(NAME_FACTORS)} or a key of the scenarios ({sections})"
+                    )
+
+
+def value_at(spec: Mapping[str, Any], key: str) -> object:
+    """Look a dotted key up; `_MISSING` where there is none."""
+    value: object = spec
+    for part in key.split("."):
+        if not isinstance(value, Mapping) or part not in value:
+            return _MISSING
+        value = value[part]
+    return value
+
+
+def level_text(spec: Mapping[str, Any], factor: str) -> str:
+    """Print a scenario's value of a key: a section by its kind, and by what is set in it beside."""
+    value = value_at(spec, factor)
+    if not isinstance(value, Mapping):
+        return str(value)
+    rest = [f"{name} {part}" for name, part in value.items() if name != "kind" and part is not None]
+    return " ".join(filter(None, (str(value.get("kind", "")), ", ".join(rest))))
+
+
+def short_levels(levels: Sequence[str]) -> dict[str, str]:
+    """Shorten values of sections to their kinds where these alone tell them apart."""
+    kinds = {one: one.split(" ", 1)[0] for one in levels}
+    return kinds if len(set(kinds.values())) == len(kinds) else {one: one for one in levels}
+
+
+def remainder(spec: Mapping[str, Any], factors: Sequence[str]) -> str:
+    """Write the parts of a scenario that are not factors, as JSON; '' where its name is a factor."""
+    if SCENARIO in factors:
+        return ""
+    left = {key: value for key, value in spec.items() if key not in _NAMES}
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
+        left = _without(left, factor.split("."))
+    return _json(left)
+
+
+def _without(spec: Mapping[str, Any], path: Sequence[str]) -> dict[str, Any]:
+    first, *further = path
+    left = dict(spec)
+    inner = left.pop(first)
+    return {**left, first: _without(inner, further)} if further else left
+
+
+def drawn_settings(spec: Mapping[str, Any]) -> str:
+    """Write the parts of a scenario on which the random draws of its trials depend, as JSON.
+
+    The camera is part of it where views or priors are drawn in its pixels, the body where landmarks or views are.
+    """
+    viewpoint, pose_error = (spec.get(name) or {} for name in ("viewpoint", "pose_error"))
+    sequence = spec.get("sequence") or {}
+    in_sight = viewpoint.get("keep_clear_px") is not None
+    in_pixels = in_sight or pose_error.get("position_cam_px") is not None or bool(sequence)
+    on_body = in_sight or (bool(sequence) and sequence.get("sphere_radius_m") is None)
+    names = (*_DRAWN, *(["camera"] if in_pixels else []), *(["body"] if on_body else []))
+    return _json({name: spec.get(name) for name in names})
+
+
+def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return the first key in which the draws of two scenarios differ, with both values; '' if none."""
+    pair = (json.loads(drawn_settings(one)), json.loads(drawn_settings(other)))
+    return next(_differences(*pair), "")
+
+
+def _differences(one: object, other: object, path: str = "") -> Iterator[str]:
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in dict.fromkeys([*one, *other]):
+            yield from _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
+    elif one != other:
+        yield f"{path} is {_json(one)} and {_json(other)}"
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, sort_keys=True)
 
 
 def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[str]) -> pd.DataFrame:
@@ -36,7 +142,7 @@ def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[s
         has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
     """
     table = pd.concat([_of_run(run, metric, factors) for run in runs], ignore_index=True)
-    for factor in (factor for factor in factors if factor not in NAMED):
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
         table[factor] = table[factor].map(short_levels(list(table[factor].unique())))
     return table
 
@@ -46,7 +152,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
     prior, value = prior_values(run, metric), metric_values(run, metric)
     posed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy()
     seed = str(run.manifest.seed)
-    drawn = {name: draws(spec) for name, spec in specs.items()}
+    drawn = {name: drawn_settings(spec) for name, spec in specs.items()}
     rest = {name: remainder(spec, factors) for name, spec in specs.items()}
     beside = "" if "estimator" in factors else rows["estimator"]
     table = pd.DataFrame(
@@ -64,8 +170,8 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
             "cluster": np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         }
     )
-    for factor in (factor for factor in factors if factor not in NAMED):
-        table[factor] = rows["scenario"].map({name: level(spec, factor) for name, spec in specs.items()})
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
+        table[factor] = rows["scenario"].map({name: level_text(spec, factor) for name, spec in specs.items()})
     for name in CONDITIONS:
         table[name] = rows[name].astype(float) if name in rows else np.nan
     for name in (LATERAL, BORESIGHT, POSE_COLUMNS[1]):
@@ -75,7 +181,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
 
 
 def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:
-    """Tell the rows (n,) of the control, which estimates nothing, where it would be pooled with estimators."""
+    """Return which rows (n,) are of the control where it would be pooled with estimators; it estimates nothing."""
     control = np.asarray(run.rows["estimator"] == CONTROL)
     return np.asarray(control & (ESTIMATOR not in factors and not control.all()))
 
@@ -108,8 +214,8 @@ def _why_different(one: RunData, other: RunData) -> str:
     if seeds[0] != seeds[1]:
         return f"their seeds are {seeds[0]} and {seeds[1]}"
     ours, theirs = one.manifest.scenarios, other.manifest.scenarios
-    differences = [difference(a, b) for a in ours.values() for b in theirs.values()]
+    differences = [first_difference(a, b) for a in ours.values() for b in theirs.values()]
     if all(differences):
-        named = [difference(ours[name], theirs[name]) for name in ours if name in theirs]
+        named = [first_difference(ours[name], theirs[name]) for name in ours if name in theirs]
         return f"the views, priors or tracks of their scenarios differ: {(named or differences)[0]}"
     return "" if set(one.rows["trial"]) & set(other.rows["trial"]) else "they have no trial in common"

@@ -1,4 +1,4 @@
-"""Offsets of the brightness centroid as scatter with ellipses (the paper's figure 4)."""
+"""Scatter plots of the offsets of the brightness centroid (Rowell et al. 2015, figure 4)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figu
 
 
 def _limit(offsets: Mapping[str, FloatArray]) -> float:
-    """Choose round axes that hold every group whole."""
+    """Return a limit in whole pixels, at least 1, that contains all offsets."""
     reach = [float(np.abs(sample).max()) for sample in offsets.values() if len(sample)]
     return max(1.0, float(np.ceil(max(reach, default=1.0))))
 
@@ -55,7 +55,7 @@ def _draw_panel(axes: Axes, sample: FloatArray) -> None:
 
 
 def one_sigma_ellipse(sample: FloatArray) -> Ellipse:
-    """Return the contour at one standard deviation of a (n, 2) sample's mean and covariance."""
+    """Return the one-sigma ellipse of the mean and covariance of a sample (n, 2)."""
     variances, vectors = np.linalg.eigh(np.cov(sample.T))
     small, large = 2.0 * np.sqrt(np.maximum(variances, 0.0))
     angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
@@ -68,5 +68,5 @@ def one_sigma_ellipse(sample: FloatArray) -> Ellipse:
         fill=False,
         edgecolor=VERMILION,
         linewidth=1.5,
-        zorder=3.0,  # above the points, of which a dense cloud would hide it
+        zorder=3.0,  # above the points: a dense cloud would hide it
     )

@@ -1,4 +1,4 @@
-"""Figures of comparisons: errors against conditions, and normalised errors against chi-square."""
+"""Figures of comparisons: errors and success rates, errors against conditions, coverage of covariances."""
 
 from __future__ import annotations
 
@@ -13,28 +13,156 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.stats import binom, chi2
 
-from reports.figures.designs import Points
-from reports.figures.log_axis import mark_decades
+from reports.figures.axes import mark_decades
+from reports.figures.scenario_grids import Points
 from reports.figures.style import GREY, LINE_STYLES, FloatArray, add_credits, grid_figure, new_figure, styled
+from reports.statistics.measured import Measured
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
-"""Lines by the labels of their error and their condition."""
+"""Label of the error and label of the condition to the curves of a panel, by their labels."""
 
 _POINTS = np.linspace(0.0, 1.0, 201)
 
+_LINE_IN = 0.32
+_MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Claim:
-    """One curve.
+
+@dataclass(frozen=True, slots=True)
+class SubjectSummary:
+    """Errors and success rate of one subject of a comparison, a line of the figure.
 
     Parameters
     ----------
     label, colour
-        Of the curve.
+        Label on the ordinate; colour of the marks.
+    solved, counted
+        Median, RMS and the 75th, 95th and 99th percentiles over the solved trials, and over all trials with failures
+        counted.
+    success
+        Success rate; None for a control.
+    difference
+        Median difference to the reference subject; None where there is no reference.
+    """
+
+    label: str
+    colour: str
+    solved: Sequence[Measured]
+    counted: Sequence[Measured]
+    success: Measured | None
+    difference: Measured | None
+
+
+@styled
+def draw_summaries(
+    summaries: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw errors, success rates and differences, a line for each subject.
+
+    Parameters
+    ----------
+    summaries
+        The subjects, from top to bottom.
+    axis
+        Name of the error, with its unit.
+    against
+        Name of the reference of the differences; '' where there are none.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    shown = [True, any(one.success for one in summaries), any(one.difference for one in summaries)]
+    widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
+    height_in = 1.75 + _LINE_IN * len(summaries)
+    figure, places = grid_figure(1, 1, width_in=7.5 + 1.2 * shown[2], height_in=height_in)
+    places[0, 0].remove()
+    panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
+    _draw_errors(panels[0], summaries, axis)
+    if shown[1]:
+        _draw_success(panels[1], summaries)
+    if shown[2]:
+        _draw_differences(panels[-1], summaries, axis, against)
+    panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
+    panels[0].set_ylim(len(summaries) - 0.4, -0.6)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> None:
+    for row, one in enumerate(summaries):
+        median, *further = one.solved
+        _draw_interval(axes, row, median, one.colour)
+        for (name, marker), measured in zip(_MARKS, further, strict=True):
+            if measured.value is not None:
+                size = 4 if marker == "D" else 7 + 3 * (name == "95th") + 6 * (name == "99th")
+                axes.plot(measured.value, row, marker, color=one.colour, markersize=size, markerfacecolor="white")
+        counted = one.counted[0].value
+        if counted is not None and np.isfinite(counted) and counted != median.value:
+            axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
+    _add_legend(axes)
+    axes.set_xlabel(axis)
+    if axes.dataLim.x0 <= 0.0:  # Zero has no place on a logarithmic axis.
+        return
+    axes.set_xscale("log")
+    mark_decades(axes.xaxis)
+
+
+def _add_legend(axes: Axes) -> None:
+    """Explain the marks in grey, as the colour is that of the subject."""
+    marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
+    for marker, label in marks.items():
+        axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
+    axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
+
+
+def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
+    """Draw a value as a point and its interval as a thick bar."""
+    if measured.value is None:
+        return
+    if measured.low is not None and measured.high is not None:
+        axes.hlines(row, measured.low, measured.high, color=colour, linewidth=4.0, alpha=0.45)
+    axes.plot(measured.value, row, "o", color=colour, markersize=5)
+
+
+def _draw_success(axes: Axes, summaries: Sequence[SubjectSummary]) -> None:
+    for row, one in enumerate(summaries):
+        if one.success is not None:
+            _draw_interval(axes, row, _scaled_interval(one.success, 100.0), one.colour)
+    low, high = axes.get_xlim()
+    axes.set_xlim(max(low, 0.0), min(high, 101.0))
+    axes.set_xlabel("success, %")
+
+
+def _draw_differences(axes: Axes, summaries: Sequence[SubjectSummary], axis: str, against: str) -> None:
+    axes.axvline(0.0, color=GREY, linewidth=1.0)
+    for row, one in enumerate(summaries):
+        if one.difference is not None:
+            _draw_interval(axes, row, one.difference, one.colour)
+    low, high = axes.get_xlim()
+    edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
+    axes.set_xlim(min(low, -edge), max(high, edge))
+    unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
+    axes.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
+
+
+def _scaled_interval(measured: Measured, scale: float) -> Measured:
+    return Measured(*(None if x is None else scale * x for x in (measured.value, measured.low, measured.high)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverageCurve:
+    """Normalised squared errors of one subject, for a curve of coverage.
+
+    Parameters
+    ----------
+    label, colour
+        Label and colour of the curve.
     squares, degrees
-        (n,) weighed squares and the degrees of freedom of each.
+        (n,) squared errors normalised by the covariance, and their degrees of freedom.
     independent
-        How many of them are independent.
+        How many of the n values are independent.
     """
 
     label: str
@@ -45,27 +173,27 @@ class Claim:
 
 
 @styled
-def draw_calibration(claims: Sequence[Claim], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the share of trials within each claimed share of the chi-square distribution.
+def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the share of trials within each quantile of the chi-square distribution that the covariance claims.
 
     Parameters
     ----------
-    claims
-        The curves. The band is that of the fewest independent trials among them.
+    curves
+        The curves. The grey band is the binomial 95 % interval for the fewest independent trials among them.
     title
         Printed above the panel.
     credit_lines
         Credits of real images.
     """
-    figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(claims))
-    fewest = min(one.independent for one in claims)
+    figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(curves))
+    fewest = min(curve.independent for curve in curves)
     low, high = (binom.ppf(tail, fewest, _POINTS) / fewest for tail in (0.025, 0.975))
     axes.fill_between(_POINTS, low, high, color=GREY, alpha=0.2, linewidth=0)
     axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
-    for i, one in enumerate(claims):
-        reached = np.sort(chi2.cdf(one.squares, one.degrees))
+    for i, curve in enumerate(curves):
+        reached = np.sort(chi2.cdf(curve.squares, curve.degrees))
         share = np.searchsorted(reached, _POINTS, side="right") / len(reached)
-        axes.plot(_POINTS, share, color=one.colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=one.label)
+        axes.plot(_POINTS, share, color=curve.colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=curve.label)
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))
     axes.set_aspect("equal", adjustable="box")
     figure.legend(loc="outside lower center", ncols=1, fontsize=7.5)
@@ -75,15 +203,18 @@ def draw_calibration(claims: Sequence[Claim], title: str, credit_lines: Sequence
 
 
 @styled
-def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw binned curves with their intervals.
+def draw_binned_errors(
+    panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw errors and success rates in bins of a condition, with their intervals.
 
     Parameters
     ----------
     panels
-        A full grid of them; an error whose label ends in % has a linear ordinate, the others have a logarithmic one.
+        Curves of every pair of error and condition. A label that ends in % has a linear ordinate, any other a
+        logarithmic one.
     colours
-        Of the lines by their labels, in the order of the legend.
+        Label of each curve to its colour, in the order of the legend.
     title
         Printed above the panels.
     credit_lines
@@ -96,21 +227,21 @@ def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_l
     for row, error in zip(places, errors, strict=True):
         for axes, condition in zip(row, conditions, strict=True):
             for label, points in panels[error, condition].items():
-                _draw(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
+                _draw_points(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
         _share_ordinate(list(row), error)
     for axes, condition in zip(places[-1], conditions, strict=True):
         axes.set_xlabel(condition)
-    looks: list[dict[str, Any]] = [
+    styles: list[dict[str, Any]] = [
         {"color": colours[label], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]} for i, label in enumerate(lines)
     ]
-    handles = [Line2D([], [], marker="o", markersize=3, **look) for look in looks]
+    handles = [Line2D([], [], marker="o", markersize=3, **style) for style in styles]
     figure.legend(handles, lines, loc="outside lower center", ncols=min(4, len(lines)))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
+def _draw_points(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
     axes.errorbar(
         points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=colour, linestyle=style, marker="o",
         markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,
@@ -118,13 +249,13 @@ def _draw(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple
 
 
 def _share_ordinate(row: Sequence[Axes], error: str) -> None:
-    """Give the panels of a row one ordinate, told at the first."""
+    """Give the panels of a row the same limits; only the first is labelled."""
     low = min(axes.dataLim.y0 for axes in row)
     high = max(axes.dataLim.y1 for axes in row)
     for axes in row:
         axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         if not np.isfinite([low, high]).all():
-            pass  # No panel of the row has a point: too few trials for one bin.
+            pass  # No panel of the row has a point: there are too few trials for one bin.
         elif error.endswith("%"):
             axes.set_ylim(max(low - 0.06 * (high - low) - 0.5, -2.0), 102.0)
         elif low > 0.0:

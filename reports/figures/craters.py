@@ -1,23 +1,45 @@
-"""Craters in an image: edges, their grouping and what was detected (figures 2 and 3 of Cheng et al. 2003)."""
+"""Figures of crater detection and matching: rims over images, rates, ROC curves and matched pairs of images."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.style import BLUE, GREEN, ORANGE, VERMILION, grid_figure, hide_axes, new_figure, show_image, styled
+from reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    LINE_STYLES,
+    ORANGE,
+    VERMILION,
+    FloatArray,
+    colour_of,
+    grid_figure,
+    hide_axes,
+    new_figure,
+    plot_styles,
+    show_image,
+    styled,
+)
 from scenarios.geometry import Ellipses
 
-FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+_MISSED = "#ffffff"
+_MISSED_ON_WHITE = "#000000"
+
+RimSet = tuple[Ellipses, str]
+TRUE_COLOUR, FOUND_COLOUR, FALSE_COLOUR, OTHER_COLOUR = "#ffd21f", "#35c4ff", "#ff4d4d", "#8f8f3c"
 
 
 def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, dashed: bool = False) -> None:
-    """Draw rims over an image."""
+    """Draw crater rims over an image."""
     if len(ellipses):
         points, _ = ellipses.points(96)
         closed = np.concatenate([points, points[:, :1]], axis=1)
@@ -26,7 +48,7 @@ def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, d
         )
 
 
-def _shown(axes: Axes, image: NDArray[np.float32], title: str) -> None:
+def _show_titled(axes: Axes, image: NDArray[np.float32], title: str) -> None:
     show_image(axes, image)
     height, width = image.shape
     axes.set(xlim=(0, width), ylim=(height, 0))
@@ -41,7 +63,7 @@ def draw_stages(
     arcs: Mapping[str, Sequence[FloatArray]],
     detected: Ellipses,
 ) -> Figure:
-    """Draw the four panels of figure 2: the image, all edges, grouped edges and detected craters.
+    """Draw the image, all edges, grouped edges and detected craters (Cheng et al. 2003, figure 2).
 
     Parameters
     ----------
@@ -51,12 +73,12 @@ def draw_stages(
         Grouped edges, each (n, 2) pixels, under ``shaded`` and ``lit``.
     """
     figure, panels = grid_figure(2, 2, width_in=9.0, height_in=7.2)
-    _shown(panels[0, 0], image, "a  image")
-    _shown(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
-    _shown(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
+    _show_titled(panels[0, 0], image, "a  image")
+    _show_titled(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
+    _show_titled(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
     for side, colour in (("shaded", BLUE), ("lit", ORANGE)):
         panels[1, 0].add_collection(LineCollection(list(arcs[side]), colors=colour, linewidths=1.0))
-    _shown(panels[1, 1], image, f"d  {len(detected)} detected craters")
+    _show_titled(panels[1, 1], image, f"d  {len(detected)} detected craters")
     draw_rims(panels[1, 1], detected, GREEN)
     return figure
 
@@ -65,11 +87,205 @@ def draw_stages(
 def draw_detections(
     image: NDArray[np.float32], detected: Ellipses, predicted: Ellipses, names: Sequence[str], title: str
 ) -> Figure:
-    """Draw detected rims over an image (figure 3), and dashed and named those where craters were expected."""
+    """Draw detected rims over an image, and predicted rims dashed and named (Cheng et al. 2003, figure 3)."""
     figure, (axes,) = new_figure(1, width_in=8.0, height_in=6.4)
-    _shown(axes, image, title)
+    _show_titled(axes, image, title)
     draw_rims(axes, detected, GREEN)
     draw_rims(axes, predicted, VERMILION, dashed=True)
     for name, centre, radius in zip(names, predicted.centre_px, predicted.radius_px, strict=True):
         axes.annotate(name, centre - [0.0, radius + 3.0], color=VERMILION, fontsize=8, ha="center", va="bottom")
     return figure
+
+
+@styled
+def draw_found_and_true(
+    image: NDArray[np.float32], truth: Sequence[RimSet], found: Sequence[RimSet], title: str
+) -> Figure:
+    """Draw an image, its true craters and its detections side by side (after Cheng et al. 2003, figures 2 and 3).
+
+    Parameters
+    ----------
+    image
+        (H, W).
+    truth, found
+        Sets of rims, each with its colour.
+    title
+        Printed above the panels.
+    """
+    figure, axes = new_figure(3, width_in=11.0, height_in=3.3)
+    sets_of: tuple[Sequence[RimSet], ...] = ((), truth, found)
+    for place, sets, name in zip(axes, sets_of, ("image", "truth", "detections"), strict=True):
+        show_image(place, image)
+        for rims, colour in sets:
+            draw_rims(place, rims, colour, width=0.8)
+        height, width = image.shape
+        place.set(xlim=(0, width), ylim=(height, 0))
+        hide_axes(place)
+        place.set_title(name)
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfidenceCurve:
+    """ROC curve of a detector: shares (m,), %, as the threshold on its confidence falls.
+
+    ``false`` is the share of false alarms, ``detectable`` and ``clean`` those of the craters of each kind that are
+    found. ``chosen`` is the index of the detector's own threshold, -1 where no detection reaches it.
+    """
+
+    false: FloatArray
+    detectable: FloatArray
+    clean: FloatArray
+    chosen: int
+
+
+@styled
+def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) -> Figure:
+    """Draw the ROC curve of each detector: share of craters found over share of false alarms."""
+    figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
+    (place,) = axes
+    for label, curve in curves.items():
+        colour = colour_of(label)
+        for values, name, style in ((curve.detectable, "detectable", "-"), (curve.clean, "clean", LINE_STYLES[1])):
+            place.plot(curve.false, values, color=colour, linewidth=1.3, linestyle=style, label=f"{label}: {name}")
+            if curve.chosen >= 0:
+                place.plot(curve.false[curve.chosen], values[curve.chosen], marker="o", markersize=5, color=colour)
+    place.plot(
+        [5.0], [90.0], marker="*", markersize=11, color="black", linestyle="none", label="paper: over 90, under 5"
+    )
+    place.set(
+        xlabel="false alarms among those and detectable craters, %",
+        ylabel="craters found, %",
+        ylim=(0, 101),
+    )
+    place.set_xlim(left=0.0)
+    place.legend(loc="lower right")
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@styled
+def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, float, float]]]], title: str) -> Figure:
+    """Draw rates with intervals in bins.
+
+    Parameters
+    ----------
+    panels
+        Quantity that is binned, to detector, to the bins: (name, rate, low, high), %.
+    """
+    figure, axes = new_figure(len(panels), width_in=3.7 * len(panels), height_in=3.4)
+    for place, (what, detectors) in zip(axes, panels.items(), strict=True):
+        for k, (label, bins) in enumerate(detectors.items()):
+            x = np.arange(len(bins)) + 0.12 * (k - 0.5 * (len(detectors) - 1))
+            rate, low, high = (np.array([b[i] for b in bins], dtype=np.float64) for i in (1, 2, 3))
+            spread = np.stack([rate - low, high - rate])
+            colour = colour_of(label)
+            place.errorbar(x, rate, np.maximum(spread, 0.0), marker="o", markersize=3.5, color=colour, label=label)
+            place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
+        place.set(xlabel=what, ylim=(0, 101))
+    axes[0].set_ylabel("detectable craters found, %")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(detectors))
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShareCurve:
+    """Recall and share of wrong matches of a matcher at k points, each (k, 3): value, lower and upper bound, %."""
+
+    name: str
+    labels: tuple[str, ...]
+    recall: FloatArray
+    wrong: FloatArray
+
+
+@styled
+def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
+    """Draw recall on the left and wrong matches on the right; ``label`` names the abscissa."""
+    figure, axes = grid_figure(1, 2, height_in=3.2)
+    places = list(dict.fromkeys(name for curve in curves for name in curve.labels))
+    for panel, name, title in zip(axes[0], ("recall", "wrong"), ("recall, %", "wrong matches, %"), strict=True):
+        drawn = plot_styles(curve.name for curve in curves)
+        for k, curve in enumerate(curves):
+            at = np.array([places.index(one) for one in curve.labels]) + 0.06 * (k - 0.5 * (len(curves) - 1))
+            values = getattr(curve, name)
+            spread = np.abs(values[:, 1:].T - values[:, 0])
+            panel.errorbar(
+                at,
+                values[:, 0],
+                yerr=spread,
+                color=drawn[curve.name].colour,
+                linestyle=drawn[curve.name].line,
+                marker="o",
+                markersize=3,
+                capsize=2,
+                label=curve.name,
+            )
+        panel.set_xticks(range(len(places)), [place.replace(" deg", "") for place in places])
+        panel.set(xlabel=label, ylabel=title)
+        panel.set_ylim(bottom=0.0)
+    axes[0, 0].set_ylim(0.0, 102.0)
+    axes[0, 1].legend(loc="upper left")
+    return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedRims:
+    """Detected rims of two images and the matches between them.
+
+    Parameters
+    ----------
+    rims
+        Rims of the first and of the second image.
+    pairs
+        (k, 2) matched rims, by their indices in ``rims``.
+    right
+        (k,) True where both rims are of the same crater.
+    missed
+        (m, 2) indices of the rims of craters that both images show and that are not matched correctly.
+    """
+
+    rims: tuple[Ellipses, Ellipses]
+    pairs: IndexArray
+    right: NDArray[np.bool_]
+    missed: IndexArray
+
+
+@styled
+def draw_matched_pair(
+    images: tuple[NDArray[np.float32], NDArray[np.float32]], found: MatchedRims, title: str
+) -> Figure:
+    """Draw both images; correctly matched craters have the same colour and number in both.
+
+    Of an empty image the rims alone are drawn.
+    """
+    figure, panels = new_figure(2, width_in=11.0, height_in=5.0)
+    colours = colormaps["turbo"](np.linspace(0.05, 0.95, max(int(found.right.sum()), 1)))
+    for side, (axes, image) in enumerate(zip(panels, images, strict=True)):
+        rims, name = found.rims[side], ("first", "second")[side]
+        plain = image.size == 0
+        if not plain:
+            show_image(axes, image)
+            axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0))
+        draw_rims(axes, rims, GREY, width=0.5)
+        missed = rims[found.missed[:, side]]
+        draw_rims(axes, missed, _MISSED_ON_WHITE if plain else _MISSED, width=1.0, dashed=True)
+        draw_rims(axes, rims[found.pairs[~found.right, side]], VERMILION, width=1.3, dashed=True)
+        for number, (row, colour) in enumerate(zip(found.pairs[found.right, side], colours, strict=False)):
+            draw_rims(axes, rims[np.array([row])], colour, width=1.3)
+            _number(axes, rims.centre_px[row], number, colour)
+        if plain:
+            axes.set_aspect("equal")
+            axes.autoscale_view()
+            axes.invert_yaxis()
+        hide_axes(axes)
+        axes.set_title(f"{name} look: {len(rims)} detections")
+    right, wrong = int(found.right.sum()), int((~found.right).sum())
+    figure.suptitle(f"{title}: {right} right, {wrong} wrong, {len(found.missed)} missed", fontsize=9.5)
+    return figure
+
+
+def _number(axes: Axes, centre_px: NDArray[np.float64], number: int, colour: NDArray[np.float64]) -> None:
+    u, v = centre_px
+    axes.annotate(str(number + 1), (float(u), float(v)), color=colour, fontsize=6.5, ha="center", va="center")

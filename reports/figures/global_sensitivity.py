@@ -1,4 +1,4 @@
-"""Indices of varied keys, and the outcome against each of them."""
+"""Figures of sensitivity analyses: indices of the varied keys, and the outcome against each key."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from reports.statistics.measured import Measured
 
 _LONG = 18
 _SHOWN = (-1.1, 1.4)
-"""Indices that are shown; a bar of an interval that goes on beyond them says nothing more."""
+"""Limits of the axis of indices; wider intervals are cut off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
-    """One estimator: (n,) outcomes, the base's, and by the name of an index one for each key."""
+class EstimatorPanels:
+    """Results of one estimator: (n,) outcomes, that of the base, and by the name of an index its value for each key."""
 
     label: str
     outcomes: FloatArray
@@ -29,7 +29,9 @@ class Row:
 
 
 @styled
-def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArray, axis: str, title: str) -> Figure:
+def draw_sensitivity(
+    rows: Sequence[EstimatorPanels], keys: Sequence[str], samples: FloatArray, axis: str, title: str
+) -> Figure:
     """Draw a row of panels for each estimator: the indices of all keys, and the outcome against each key.
 
     Parameters
@@ -37,11 +39,11 @@ def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArr
     rows
         The estimators.
     keys
-        K names.
+        Names of the K keys.
     samples
-        (n, K) their values.
+        (n, K) values of the keys.
     axis
-        What the outcome is, with its unit.
+        Name of the outcome, with its unit.
     title
         Printed above the panels.
     """
@@ -53,7 +55,7 @@ def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArr
         for axes, key, values in zip(panels[1:], keys, samples.T, strict=True):
             axes.plot(values, row.outcomes, "o", color=BLUE, markersize=2.5, alpha=0.6)
             axes.axhline(row.base, color=GREY, linestyle="--", linewidth=1.0)
-            axes.set_xlabel("\n".join(_halves(key)), fontsize=8)
+            axes.set_xlabel("\n".join(_wrapped(key)), fontsize=8)
             axes.xaxis.set_major_locator(MaxNLocator(4))
         panels[1].set_ylabel(axis, fontsize=8)
         for axes in panels[2:]:
@@ -63,16 +65,16 @@ def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArr
     return figure
 
 
-def _indices(axes: Axes, row: Row, keys: Sequence[str]) -> None:
+def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:
     places = np.arange(len(keys))
     height = 0.8 / max(len(row.shares), 1)
     for i, ((name, shares), colour) in enumerate(zip(row.shares.items(), (BLUE, ORANGE), strict=False)):
-        values, low, high = (np.array([x or 0.0 for x in xs]) for xs in zip(*map(_ends, shares), strict=True))
+        values, low, high = (np.array([x or 0.0 for x in xs]) for xs in zip(*map(_value_low_high, shares), strict=True))
         axes.barh(places + i * height, values, height, color=colour, alpha=0.75, label=name)
         axes.errorbar(
             values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
         )
-    axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_halves(key)) for key in keys], fontsize=7)
+    axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_wrapped(key)) for key in keys], fontsize=7)
     axes.set_ylim(len(keys) - 0.1, -0.3)
     left, right = axes.get_xlim()
     axes.set_xlim(max(left, _SHOWN[0]), min(right, _SHOWN[1]))
@@ -84,11 +86,11 @@ def _indices(axes: Axes, row: Row, keys: Sequence[str]) -> None:
         axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
 
 
-def _ends(measured: Measured) -> tuple[float | None, float | None, float | None]:
+def _value_low_high(measured: Measured) -> tuple[float | None, float | None, float | None]:
     return measured.value, measured.low, measured.high
 
 
-def _halves(key: str) -> list[str]:
+def _wrapped(key: str) -> list[str]:
     """Break a long dotted key into lines at its dots."""
     lines = [""]
     for part in key.replace(".", ".\0").split("\0"):

@@ -1,4 +1,4 @@
-"""From candidate points to landmarks and their mesh (Rowell et al. 2015, figures 1 and 2)."""
+"""Figures of a landmark data base: clusters of points, triangulation and mesh (Rowell et al. 2015, figures 1 and 2)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reports.figures.style import BLUE, VERMILION, FloatArray, hide_axes, new_figure, show_image, styled
 
-# A golden-angle walk through the hues, so that neighbours in the list differ.
+# Steps of the golden ratio through the hues, so that consecutive numbers have different colours.
 _GOLDEN = 0.6180339887498949
 
 _EDGE = "#3c4043"
@@ -25,17 +25,17 @@ class SurfaceView:
     Parameters
     ----------
     landmarks_px
-        (n, 2) all landmarks.
+        (n, 2) positions of all landmarks.
     edges_px
         (e, 2, 2) ends of all edges of the tetrahedra.
     facets_px
-        (f, 3, 2) the facets that face the camera, the farthest first.
+        (f, 3, 2) corners of the facets that face the camera, the farthest first.
     shades
         (f,) brightness of each, 0 to 1.
     normals_px
         (f, 2, 2) centre of each facet, and the tip of its outward normal.
     n_tetrahedra, n_facets
-        How many there are in all.
+        Their total numbers.
     """
 
     landmarks_px: FloatArray
@@ -49,12 +49,12 @@ class SurfaceView:
 
 @styled
 def draw_triangulation(view: SurfaceView, title: str) -> Figure:
-    """Draw the Delaunay triangulation, the concave hull and its normals, from one place.
+    """Draw the Delaunay triangulation, the concave hull and its normals, as one camera sees them.
 
     Parameters
     ----------
     view
-        What to draw.
+        Their projection.
     title
         Printed above the panels.
     """
@@ -105,11 +105,11 @@ class ClusterView:
     Parameters
     ----------
     seed_px, merged_px
-        (n, 2) and (m, 2) the points on the near side that belong to a seed cluster, and to a merged one.
+        (n, 2) and (m, 2) points on the near side that belong to a seed cluster, and to a merged cluster.
     seed_of, merged_of
-        (n,) and (m,) number of the cluster of each.
+        (n,) and (m,) number of the cluster of each point.
     image
-        (H, W) the body from there.
+        (H, W) image of the body by this camera.
     """
 
     seed_px: FloatArray
@@ -121,12 +121,12 @@ class ClusterView:
 
 @styled
 def draw_clusters(view: ClusterView, title: str) -> Figure:
-    """Draw seed clusters, merged clusters and the body, seen from one place and cropped alike.
+    """Draw seed clusters, merged clusters and the body as one camera sees them, all cropped to the body.
 
     Parameters
     ----------
     view
-        What to draw.
+        Their projection.
     title
         Printed above the panels.
     """
@@ -152,7 +152,7 @@ def _scatter(axes: Axes, points_px: FloatArray, cluster: NDArray[np.intp]) -> No
 
 
 def cluster_colours(cluster: NDArray[np.intp]) -> FloatArray:
-    """Give each cluster number a colour of its own, (n, 3)."""
+    """Return a colour (n, 3) for each cluster number; consecutive numbers have different colours."""
     hue = np.mod(cluster * _GOLDEN, 1.0) * 6.0
     value = np.where(np.mod(cluster, 2) == 0, 0.85, 0.6)
     ramps = [np.clip(np.abs(np.mod(hue + shift, 6.0) - 3.0) - 1.0, 0.0, 1.0) for shift in (0.0, 4.0, 2.0)]
@@ -160,7 +160,7 @@ def cluster_colours(cluster: NDArray[np.intp]) -> FloatArray:
 
 
 def _window(image: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds (left, right), (top, bottom) of the lit body with a margin."""
+    """Return (left, right), (top, bottom) in pixels: the lit body with a margin."""
     rows, columns = np.nonzero(image > 0.0)
     left, right = float(columns.min()), float(columns.max()) + 1.0
     top, bottom = float(rows.min()), float(rows.max()) + 1.0

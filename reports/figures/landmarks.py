@@ -1,4 +1,4 @@
-"""Figures of landmarks: errors and their chi-square (the paper's figure 7), number an image (figure 10)."""
+"""Figures of recognised landmarks: errors, chi-square, number per image (Rowell et al. 2015, figures 7 and 10)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from reports.figures.style import (
 )
 
 DEGREES_OF_FREEDOM = 3
-# The range in which theory lives; a tail of wrong matches reaches a hundred times farther and would hide it.
+# The range of the theoretical distribution. Wrong matches reach values a hundred times larger and would hide it.
 _CHI_SQUARE_EDGES = np.linspace(0.0, 30.0, 61)
 _FILL = {"color": BLUE, "linewidth": 1.5}
 
@@ -37,7 +37,7 @@ _FILL = {"color": BLUE, "linewidth": 1.5}
 def draw_landmark_errors(
     error_m: FloatArray, chi_square: FloatArray, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the histogram of landmark errors, and that of chi-square against its theory with 3 degrees of freedom.
+    """Draw the histogram of landmark errors, and that of their chi-square with the density for 3 degrees of freedom.
 
     Parameters
     ----------
@@ -78,16 +78,16 @@ def _draw_sample(axes: Axes, sample: FloatArray, edges: FloatArray, unit: str, l
 def draw_landmark_counts(
     counts: FloatArray, title: str, published_median: float | None = None, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the histogram of the number of recognised landmarks an image.
+    """Draw the histogram of the number of recognised landmarks per image.
 
     Parameters
     ----------
     counts
-        (n,) numbers of landmarks, one an image.
+        (n,) number of landmarks in each image.
     title
         Printed above the panel.
     published_median
-        Median of a paper, marked by a second line.
+        Median that a paper prints, marked by a second line.
     credit_lines
         Credits of real images.
     """
@@ -113,14 +113,14 @@ def draw_landmark_counts(
 def draw_count_comparison(
     counts: Mapping[str, FloatArray], published: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the number of recognised landmarks an image for several sets of images (the paper's figure 10).
+    """Draw the number of recognised landmarks per image for several sets of images (Rowell et al. 2015, figure 10).
 
     Parameters
     ----------
     counts
-        Label of each set, and (n,) numbers of landmarks, one an image.
+        Label of each set to (n,) number of landmarks in each image.
     published
-        Medians of the paper by label, marked by triangles on the axis.
+        Medians that the paper prints, by label; marked by triangles on the axis.
     title
         Printed above the panel.
     credit_lines

@@ -1,15 +1,16 @@
-"""Figures of orbit determination and crater navigation over time (Cheng et al. 2003, figures 9 and 10)."""
+"""Figures of image surveys, crater navigation and orbit determination (Cheng et al. 2003, figures 8 to 10)."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from reports.figures.bands import band
-from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.axes import mark_decades, percentile_band
 from reports.figures.style import (
     BLUE,
     GREEN,
@@ -18,14 +19,58 @@ from reports.figures.style import (
     ORANGE,
     VERMILION,
     grid_figure,
+    mark_on_axis,
     new_figure,
+    plot_styles,
+    raise_top,
     styled,
 )
 
+_MOST_BARS = 60
+
 
 @styled
-def draw_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
-    """Draw how many craters images have (figure 8b of Cheng et al. 2003), and how many images landmarks (figure 9).
+def draw_count_histogram(
+    counts: NDArray[np.int64], label: str, ordinate: str, published: Mapping[str, float], title: str
+) -> Figure:
+    """Draw a histogram of counts with mean and median; values that a paper prints are triangles on the axis.
+
+    Parameters
+    ----------
+    counts
+        (n,) non-negative counts.
+    label, ordinate
+        Labels of the axes.
+    published
+        Name of each printed quantity to its value.
+    title
+        Printed above.
+    """
+    figure, (axes,) = new_figure(1, width_in=5.6, height_in=3.4)
+    width = max(1, int(np.ceil((counts.max(initial=0) + 1) / _MOST_BARS)))
+    edges = np.arange(0, counts.max(initial=0) + width + 1, width) - 0.5
+    axes.hist(counts, edges.tolist(), color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.4)
+    median, mean = float(np.median(counts)), float(counts.mean())
+    axes.axvline(median, color=GREY, linestyle=":", label=f"median {median:g}")
+    axes.axvline(mean, color=GREY, linestyle="--", label=f"mean {mean:.3g}")
+    for value in published.values():
+        mark_on_axis(axes, value, "black")
+    if published:
+        printed = ", ".join(f"{name} {value:g}" for name, value in published.items())
+        axes.plot(
+            [], [], marker="^", color="black", markerfacecolor="white", linestyle="none", label=f"paper: {printed}"
+        )
+    axes.set(xlabel=label, ylabel=ordinate)
+    axes.set_xlim(left=-0.5)
+    raise_top(axes, 2)
+    axes.legend(loc="upper right")
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@styled
+def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
+    """Draw histograms of craters per image and of images per landmark (Cheng et al. 2003, figures 8b and 9).
 
     Parameters
     ----------
@@ -54,7 +99,7 @@ def draw_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Fi
 
 @styled
 def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
-    """Draw from when to when each landmark was seen, those with sightings of another crater marked.
+    """Draw the time span of each landmark; landmarks with sightings of another crater have a second colour.
 
     Parameters
     ----------
@@ -73,7 +118,7 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
         axes.plot(own["first_days"], own.index, ".", color=colour, markersize=2.0)
     axes.set(xlabel="time after the epoch, days", ylabel="landmark, by its first image")
     axes.tick_params(axis="y", colors=GREY)
-    # Bars go from one corner to the other, so that no place within is free of them.
+    # The bars run diagonally across the panel, so the legend has to stand above it.
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
     figure.suptitle(title)
     return figure
@@ -81,12 +126,12 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
-    """Draw residuals of columns above those of rows.
+    """Draw the column residuals above the row residuals, over time.
 
     Parameters
     ----------
     residuals
-        Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; what was edited is left out.
+        Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; edited sightings are left out.
     title
         Printed above.
     """
@@ -103,7 +148,7 @@ def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
-    """Draw the position error over time, median and band over the trials, for each estimator.
+    """Draw median and band of the position error over the trials against time, for each estimator.
 
     Parameters
     ----------
@@ -113,12 +158,12 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
         Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=6.0)
-    drawn = looks(map(str, errors["estimator"].unique()))
+    drawn = plot_styles(map(str, errors["estimator"].unique()))
     for name, own in errors.groupby("estimator", sort=False):
         colour = drawn[str(name)].colour
         over = own.groupby("time_days")
         median = over["position_error_m"].median()
-        low, high = band(own["position_error_m"], own["time_days"])
+        low, high = percentile_band(own["position_error_m"], own["time_days"])
         axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
         axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle="--", linewidth=0.9)
@@ -133,7 +178,7 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
-    """Draw the error of one solution: its components, and its length beside what the covariance foretells.
+    """Draw the position error of one solution: its components, and its length with the RMS by the covariance.
 
     Parameters
     ----------
@@ -152,7 +197,11 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
     above.set(ylabel="error, m")
     below.plot(errors["time_days"], errors["position_error_m"], color=BLUE, label="position error")
     below.plot(
-        errors["time_days"], errors["position_sigma_m"], color=GREY, linestyle="--", label="RMS that it foretells"
+        errors["time_days"],
+        errors["position_sigma_m"],
+        color=GREY,
+        linestyle="--",
+        label="RMS predicted by its covariance",
     )
     below.set(xlabel="time after the epoch, days", ylabel="m", ylim=(0.0, None))
     arc = errors[~errors["predicted"].astype(bool)]
@@ -165,7 +214,7 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
-    """Draw all residuals of one solution by whether the filter used them and whether they are of the right crater.
+    """Draw all residuals of one solution: used or edited by the filter, of the right crater or of a wrong one.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of pose errors: histograms after each stage (the paper's figure 6) and cumulative shares of all trials."""
+"""Figures of pose errors: histograms by stage and method (Rowell et al. 2015, figures 5 and 6), cumulative shares."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.axes import mark_decades
 from reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
     LINE_STYLES,
     ORANGE,
+    SERIES_COLOURS,
     FloatArray,
     add_credits,
     beyond_text,
+    grid_figure,
     mark_on_axis,
     new_figure,
+    plot_styles,
     raise_top,
     shared_edges,
     step_histogram,
@@ -41,7 +43,84 @@ _CURVE_POINTS = 2000
 _LEGEND_INSIDE = 8
 _LINE_IN = 0.17
 _FAR_APART = 8.0
-_TICKS = 5  # of four decimals there is no room for more
+_TICKS = 5  # labels of four decimals leave no room for more
+
+_METHODS_INSIDE = 4
+_LEGEND_TITLE = "median (share beyond the axis)"
+_SHARE_TOLD = 1.0
+_METHOD_PANELS = (
+    ("attitude_error_deg", "attitude error, deg", "frequency per degree"),
+    ("position_error_m", "position error, m", "frequency per metre"),
+)
+
+
+@styled
+def draw_method_errors(
+    groups: Mapping[str, Mapping[str, pd.DataFrame]], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw normalised histograms of the errors of methods, a row of panels for each group of them.
+
+    Parameters
+    ----------
+    groups
+        Title of each row to its methods: label to errors with columns ``attitude_error_deg`` and
+        ``position_error_m``. All rows share their axes, and a label has the same colour in all rows.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, rows = grid_figure(
+        len(groups), 2, height_in=0.5 + sum(_row_height_in(len(methods)) for methods in groups.values())
+    )
+    labels = list(dict.fromkeys(label for methods in groups.values() for label in methods))
+    for column, (name, label, frequency) in enumerate(_METHOD_PANELS):
+        samples = {
+            row: {method: np.asarray(errors[name].dropna(), dtype=np.float64) for method, errors in methods.items()}
+            for row, methods in groups.items()
+        }
+        edges = _common_edges([sample for methods in samples.values() for sample in methods.values()])
+        for axes, (row, methods) in zip(rows[:, column], samples.items(), strict=True):
+            _draw_methods(axes, methods, labels, edges)
+            axes.set(xlabel=label, ylabel=frequency, title=row)
+        top = max(axes.get_ylim()[1] for axes in rows[:, column])
+        for axes in rows[:, column]:
+            axes.set_ylim(0.0, top)
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _row_height_in(methods: int) -> float:
+    """Return the height of a row, with room below the panels for a legend that is too long to stand in them."""
+    return 2.9 if methods <= _METHODS_INSIDE else 2.9 + 0.18 * methods
+
+
+def _common_edges(samples: Sequence[FloatArray]) -> FloatArray:
+    """Choose bins for most methods, so that the errors of one that fails do not flatten the others."""
+    ends = [float(np.percentile(sample, 99.0)) for sample in samples if len(sample)]
+    return shared_edges([np.array([1.2 * float(np.median(ends))])] if ends else [], bins=60)
+
+
+def _draw_methods(axes: Axes, methods: Mapping[str, FloatArray], labels: Sequence[str], edges: FloatArray) -> None:
+    for method, sample in methods.items():
+        index = labels.index(method)
+        line = {
+            "color": SERIES_COLOURS[index % len(SERIES_COLOURS)],
+            "linestyle": LINE_STYLES[index % len(LINE_STYLES)],
+            "linewidth": 1.5,
+        }
+        share = 100.0 * np.count_nonzero(sample > edges[-1]) / max(len(sample), 1)
+        median = f"{np.median(sample):.3g}" if len(sample) else "none"
+        beyond = f" ({share:.0f} %)" if share >= _SHARE_TOLD else ""
+        step_histogram(axes, sample, edges, label=f"{method}: {median}{beyond}", **line)
+    axes.set_xlim(0.0, edges[-1])
+    if len(methods) <= _METHODS_INSIDE:
+        raise_top(axes, len(methods))
+        legend = axes.legend(loc="upper right", title=_LEGEND_TITLE, title_fontsize=7.5, fontsize=7.5)
+        legend.set_in_layout(False)
+    else:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), title=_LEGEND_TITLE, title_fontsize=8.0)
 
 
 @styled
@@ -56,12 +135,12 @@ def draw_pose_errors(
     Parameters
     ----------
     stages
-        Label of each stage and its errors, with columns ``attitude_error_deg`` and ``position_error_m``, in order.
-        A stage that leaves the attitude of the first as it was is left out of the attitude panel.
+        Label of each stage, in order, to its errors, with columns ``attitude_error_deg`` and ``position_error_m``.
+        A stage with the same attitude errors as the first one is left out of the attitude panel.
     title
         Printed above the panels.
     published
-        Medians of a paper by (stage label, column), marked by triangles at the upper edge.
+        Medians that a paper prints, by (stage label, column); marked by triangles on the axis.
     credit_lines
         Credits of real images.
     """
@@ -72,7 +151,7 @@ def draw_pose_errors(
             samples = _without_repeats(samples)
         medians = {name: v for (name, wanted), v in (published or {}).items() if wanted == column and name in samples}
         edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
-        beyond = _draw_stages(axes, samples, list(stages), edges, unit)
+        beyond = _draw_stage_histograms(axes, samples, list(stages), edges, unit)
         for name, value in medians.items():
             mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
@@ -87,7 +166,7 @@ def _finite(values: pd.Series) -> FloatArray:
 
 
 def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Drop the stages whose errors are those of the first."""
+    """Drop the stages whose errors are the same as those of the first."""
     first = next(iter(samples.values()))
     return {
         name: sample
@@ -97,7 +176,7 @@ def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _line(index: int, count: int) -> dict[str, Any]:
-    """Style of a stage: grey for the first, blue for the last, orange and green between them."""
+    """Return the line style of a stage: grey for the first, blue for the last, orange and green between them."""
     if index == 0:
         return {"color": GREY, "linestyle": "--", "linewidth": 1.3}
     if index == count - 1:
@@ -105,10 +184,10 @@ def _line(index: int, count: int) -> dict[str, Any]:
     return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
 
 
-def _draw_stages(
+def _draw_stage_histograms(
     axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], edges: FloatArray, unit: str
 ) -> str:
-    """Draw the histograms and return what to add to the axis label."""
+    """Draw the histograms; return the note on values beyond the axis, to be added to its label."""
     beyond = 0
     for name, sample in samples.items():
         line = _line(order.index(name), len(order))
@@ -125,12 +204,12 @@ def _draw_stages(
 
 
 def _short(value: float) -> str:
-    """Print three digits, and no exponent for what people read as metres."""
+    """Print three digits, without an exponent."""
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
 def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Values (m,) of a curve and its shares (m + 1,) of n; more points than the eye can tell apart are left out."""
+    """Return values (m,) of a curve and its shares (m + 1,) of n, thinned to about 2000 points to keep PDFs small."""
     stride = max(1, len(ascending) // _CURVE_POINTS)
     kept = ascending[stride - 1 :: stride]
     return kept, np.append(np.arange(len(kept)) * stride, len(ascending)) / n
@@ -144,25 +223,25 @@ def draw_cumulative_errors(
     panels: Mapping[str, str] = MappingProxyType({column: label for column, label, _, _ in _PANELS}),
     colours: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw the share of all trials whose error is below a bound, so that failures lower the curve.
+    """Draw the share of all trials whose error is below the abscissa; failures lower the curve.
 
     Parameters
     ----------
     estimators
-        Label of each estimator, its errors where it is ok, and its number of trials.
+        Label of each estimator to its errors where it is ok, and its number of trials.
     title
         Printed above the panels.
     credit_lines
         Credits of real images.
     panels
-        Columns of the errors, with what stands on their axes.
+        Columns of the errors to the labels of their axes.
     colours
-        Of the curves by their labels; by default those of the estimators of these names.
+        Colours of the curves by their labels; by default those of the estimators of these names.
     """
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
     lines = -(-len(estimators) // 2) if below else 0
-    drawn = looks(estimators)
+    drawn = plot_styles(estimators)
     figure, places = new_figure(len(panels), 3.75 * max(len(panels), 1.5), 3.4 + _LINE_IN * lines)
     for axes, (column, label) in zip(places, panels.items(), strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
@@ -192,13 +271,13 @@ def draw_cumulative_errors(
 
 
 def _far_apart(samples: Sequence[FloatArray]) -> bool:
-    """Whether the best curve would lie upon a linear ordinate."""
+    """Whether the medians are so far apart that a linear abscissa would squeeze the best curve against the ordinate."""
     medians = [float(np.median(sample)) for sample in samples if len(sample)]
     return bool(medians) and 0.0 < _FAR_APART * min(medians) < max(medians)
 
 
 def _spread(axes: Axes, samples: Sequence[FloatArray], limit: float) -> None:
-    """Choose a logarithmic abscissa for curves that are far apart."""
+    """Make the abscissa logarithmic for curves that are far apart."""
     low = min((float(np.quantile(sample, 0.02)) for sample in samples if len(sample)), default=0.0)
     if _far_apart(samples) and low > 0.0:
         axes.set(xscale="log", xlim=(low, limit))

@@ -1,4 +1,4 @@
-"""Where a figure comes from, printed in its footer and its caption, so that it tells so when it stands alone."""
+"""Provenance of figures: the runs in the footer, numbers of trials in the caption."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from reports.schema.named_figure import NamedFigure
 _FEW = 6
 
 
-def made_by(manifest: Manifest) -> str:
-    """Name a run: campaign, trials, seed and commit."""
+def run_label(manifest: Manifest) -> str:
+    """Describe a run on one line: campaign, trials, seed and commit."""
     commit = f", commit {manifest.commit}" if manifest.commit else ""
     return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}"
 
 
-def stamp(figure: Figure, runs: Sequence[RunData]) -> None:
-    """Print the runs that a figure is of in its footer."""
-    add_footer(figure, list(dict.fromkeys(made_by(run.manifest) for run in runs)))
+def add_provenance(figure: Figure, runs: Sequence[RunData]) -> None:
+    """Print the runs behind a figure in its footer."""
+    add_footer(figure, list(dict.fromkeys(run_label(run.manifest) for run in runs)))
 
 
-def counted(figure: NamedFigure, runs: Sequence[RunData]) -> NamedFigure:
-    """Say at the end of a caption of how many trials the runs are that it shows, and how many each method solved."""
+def with_trial_counts(figure: NamedFigure, runs: Sequence[RunData]) -> NamedFigure:
+    """Append to a caption how many trials the runs have, and how many of them each method solved."""
     told = [_counts(run) for run in runs]
     named = told if len(told) == 1 else [f"{run.manifest.name} {one}" for run, one in zip(runs, told, strict=True)]
     return replace(figure, caption=f"{figure.caption} Of {'; '.join(dict.fromkeys(named))}.")

@@ -1,4 +1,4 @@
-"""Receiver operating characteristics of numbers that are to tell bad solutions from good ones."""
+"""Receiver operating characteristics (ROC) of scores that distinguish bad solutions from good ones."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from reports.figures.style import (
 )
 
 MOST_CURVES = 5
-"""More lines in a panel could not be told apart."""
+"""Largest number of curves in a panel that can still be distinguished."""
 
 _LineStyle = str | tuple[int, tuple[int, ...]]
-# As many as there can be of both, so that neighbours differ in colour and in dashes.
-_LOOKS = [
+# The numbers of line styles and colours have no common divisor, so that consecutive curves differ in both.
+_STYLES = [
     (LINE_STYLES[i % len(LINE_STYLES)], SERIES_COLOURS[i % len(SERIES_COLOURS)])
     for i in range(len(LINE_STYLES) * len(SERIES_COLOURS))
 ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """One characteristic: its name, (m,) false and true positive rates that ascend, and the area below it."""
+class RocCurve:
+    """ROC curve of one score: its name, (m,) ascending false and true positive rates, and the area below it (AUC)."""
 
     name: str
     false_positives: FloatArray
@@ -41,13 +41,13 @@ class Curve:
 
 
 @styled
-def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw a panel of curves for each definition of a bad solution.
 
     Parameters
     ----------
     panels
-        Definition to at most `MOST_CURVES` curves.
+        Definition of a bad solution to at most `MOST_CURVES` curves.
     title
         Printed above the panels.
     credit_lines
@@ -55,20 +55,20 @@ def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Se
     """
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
     names = dict.fromkeys(curve.name for curves in panels.values() for curve in curves)
-    looks = dict(zip(names, itertools.cycle(_LOOKS), strict=False))
+    styles = dict(zip(names, itertools.cycle(_STYLES), strict=False))
     for place, (definition, curves) in zip(axes, panels.items(), strict=True):
-        _draw_panel(place, curves, looks)
+        _draw_panel(place, curves, styles)
         place.set_title(f"bad: {definition}")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw_panel(axes: Axes, curves: Sequence[Curve], looks: Mapping[str, tuple[_LineStyle, str]]) -> None:
-    """Draw the curves of a panel; a score looks the same in all of them."""
+def _draw_panel(axes: Axes, curves: Sequence[RocCurve], styles: Mapping[str, tuple[_LineStyle, str]]) -> None:
+    """Draw the curves of a panel; a score has the same style in all panels."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
     for curve in curves:
-        style, colour = looks[curve.name]
+        style, colour = styles[curve.name]
         label = f"{curve.name}: AUC {curve.area:.2f}"
         x, y = curve.false_positives, curve.true_positives
         axes.plot(x, y, color=colour, linestyle=style, linewidth=1.4, label=label)

@@ -1,27 +1,122 @@
-"""Errors along the frames of sequences, from each start (Delpech et al. 2015, figures 3.1, 3.2, 5.1 and 5.2)."""
+"""Figures of sequences: errors over the frames and after whole revolutions, features found in an image."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from reports.figures.bands import band
-from reports.figures.log_axis import scale_ordinate
-from reports.figures.looks import Look, looks
-from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
-from reports.figures.turns import mark_turns
+from reports.figures.axes import mark_revolutions, percentile_band, scale_ordinate
+from reports.figures.style import (
+    LINE_STYLES,
+    ORANGE,
+    SERIES_COLOURS,
+    PlotStyle,
+    add_credits,
+    hide_axes,
+    new_figure,
+    plot_styles,
+    show_image,
+    styled,
+)
+from reports.statistics.measured import MEAN, measure
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}
 _BANDS_AT_MOST = 3
 
+AFTER_REVOLUTIONS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
+"""Columns of rows to the words for them on the ordinate."""
+
+_WIDTH = 0.6
+
+
+@styled
+def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa: str, title: str) -> Figure:
+    """Draw the mean error at each level of a series, with its interval and the standard deviation of the trials.
+
+    After figures 4.1 and 4.2 of Delpech et al. (2015).
+
+    Parameters
+    ----------
+    errors
+        Label of each line to level to the rows of its trials. Rows of the same ``cluster`` are not independent. A
+        panel without any value is left out.
+    abscissa
+        Name of the levels.
+    title
+        Printed above the panels.
+    """
+    every = [table for levels in errors.values() for table in levels.values()]
+    shown = [name for name in AFTER_REVOLUTIONS if any(table[name].notna().any() for table in every)]
+    figure, panels = new_figure(len(shown), width_in=max(6.0, 4.0 * len(shown)))
+    drawn = plot_styles(errors)
+    levels = list(dict.fromkeys(level for line in errors.values() for level in line))
+    for axes, name in zip(panels, shown, strict=True):
+        for i, (label, line) in enumerate(errors.items()):
+            shift = _WIDTH * ((i + 0.5) / len(errors) - 0.5)
+            _draw_series(
+                axes, {levels.index(level) + shift: table[[name, "cluster"]] for level, table in line.items()},
+                label, drawn[label],
+            )  # fmt: skip
+        axes.set_xticks(range(len(levels)), levels)
+        axes.set(xlabel=abscissa, ylabel=f"position error {AFTER_REVOLUTIONS[name]}, m")
+        scale_ordinate(axes, [float(table[name].median()) for table in every])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, style: PlotStyle) -> None:
+    colour = style.colour
+    known = {x: table.dropna() for x, table in errors.items() if table.iloc[:, 0].notna().any()}
+    means = []
+    for x, table in known.items():
+        values = table.iloc[:, 0].to_numpy(dtype=np.float64)
+        spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+        found = measure(values, table["cluster"].to_numpy(), (MEAN,))[0]
+        means.append(mean := float(values.mean()))
+        axes.vlines(x, max(mean - spread, 0.0), mean + spread, color=colour, linewidth=0.8)
+        if found.low is not None and found.high is not None:
+            axes.vlines(x, found.low, found.high, color=colour, linewidth=3.0)
+        axes.plot(x, float(np.median(values)), marker="_", color=colour, markersize=9, linestyle="none")
+    axes.plot(
+        list(known), means, marker="o", markersize=4, linewidth=1.0, linestyle=style.line, color=colour, label=label
+    )
+
+
+@styled
+def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title: str) -> Figure:
+    """Draw an image with rings around features (Delpech et al. 2015, figures 6.1 and 6.2).
+
+    Parameters
+    ----------
+    image
+        (H, W) any linear measure of radiance.
+    uv_px
+        (n, 2) features to mark, centre of the first pixel at (0.5, 0.5); empty for the image alone.
+    title
+        Printed above.
+    """
+    figure, (axes,) = new_figure(1, width_in=5.0, height_in=5.2)
+    show_image(axes, image)
+    if len(uv_px):
+        axes.scatter(uv_px[:, 0], uv_px[:, 1], s=70, facecolors="none", edgecolors=ORANGE, linewidths=1.2)
+    height, width = image.shape
+    axes.set(xlim=(0, width), ylim=(height, 0))
+    hide_axes(axes)
+    axes.set_title(title)
+    return figure
+
 
 @styled
 def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
-    """Draw the position error of every trial against the anomaly gone through.
+    """Draw the position error of every trial against the anomaly (Delpech et al. 2015, figures 3.1 and 5.1).
 
     Parameters
     ----------
@@ -34,7 +129,7 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
         colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
         axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
-    mark_turns(axes, epochs["anomaly_deg"])
+    mark_revolutions(axes, epochs["anomaly_deg"])
     axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()
@@ -50,10 +145,10 @@ def draw_traces(
     credit_lines: Sequence[str] = (),
     panels: Sequence[str] = (POSITION, LANDMARKS),
 ) -> Figure:
-    """Draw the median error over trials against the anomaly, with the band of most of them and the first trial.
+    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % and the first trial.
 
-    More estimators than three have no bands: they would hide each other.
-    A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out; with none, none is.
+    Bands are drawn for at most three estimators, as more would hide each other. A panel for which no estimator has a
+    value, such as the landmarks of dead reckoning, is left out, unless that holds for all panels.
 
     Parameters
     ----------
@@ -64,15 +159,15 @@ def draw_traces(
     credit_lines
         Credits of real images.
     panels
-        Which errors to show.
+        Columns of the errors to show.
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
-    drawn = looks(epochs)
+    drawn = plot_styles(epochs)
     for axes, name in zip(places, shown, strict=True):
         for estimator, table in epochs.items():
-            _draw(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
-        mark_turns(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
+            _draw_trace(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
+        mark_revolutions(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
@@ -82,18 +177,18 @@ def draw_traces(
     return figure
 
 
-def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look, *, banded: bool) -> None:
+def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, style: PlotStyle, *, banded: bool) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
     over_trials = known.groupby("anomaly_deg")[name]
-    colour = look.colour
+    colour = style.colour
     middle = over_trials.median()
     anomaly = middle.index.to_numpy(dtype=float)
     if banded:
-        low, high = band(known[name], known["anomaly_deg"])
+        low, high = percentile_band(known[name], known["anomaly_deg"])
         axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):
             axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
-    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=look.line, label=label)
+    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=style.line, label=label)

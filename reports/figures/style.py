@@ -1,11 +1,14 @@
-"""What all figures share: colours, axes, histograms, and files that do not change with the clock."""
+"""Style of all figures: colours and lines of estimators, panels, histograms, and files without dates."""
 
 from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ParamSpec
 
 import matplotlib.style
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Parameters = ParamSpec("Parameters")
 
-# Okabe and Ito's palette, which colour-blind readers can tell apart; line styles differ as well, for print in grey.
+# Okabe and Ito's palette, for colour-blind readers. Line styles differ as well, for print in grey.
 GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
     "#5f6368",
     "#e69f00",
@@ -33,7 +36,7 @@ LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
 _PARAMETERS: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so the same bytes on every machine
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that files are the same on every machine
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.spines.top": False,
@@ -49,9 +52,81 @@ _PARAMETERS: dict[Any, Any] = {
     "savefig.facecolor": "white",
 }
 
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+
+# Six colours serve more than six methods: those that are often in one figure differ. Controls are grey.
+_COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "prior": GREY,
+        "landmark-harris": BLUE,
+        "whole-image": SKY,
+        "landmark-ransac": ORANGE,
+        "minimal-sets": SKY,
+        "photometric": PURPLE,
+        "lmaps": GREEN,
+        "landmark-altimeter": VERMILION,
+        "landmark-sift": VERMILION,
+        "landmark-orb": PURPLE,
+        "crater-pose": SKY,
+        "dead-reckoning": GREY,
+        "ba-slam": BLUE,
+        "ekf-slam": ORANGE,
+        "iterated-ekf-slam": VERMILION,
+        "consistent-ekf-slam": PURPLE,
+        "fixed-lag": GREEN,
+        "batch": SKY,
+        "dynamic-smoother": VERMILION,
+        "loop-smoother": PURPLE,
+        "gtsam-fixed-lag": ORANGE,
+        "gtsam-isam2": VERMILION,
+        "crater-classic": BLUE,
+        "crater-learned": ORANGE,
+        "correlation": PURPLE,
+        "context": BLUE,
+        "invariants": VERMILION,
+        "hybrid": ORANGE,
+        "vote": GREEN,
+        "batch-filter": BLUE,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlotStyle:
+    """Colour, line style and marker of an estimator, as Matplotlib takes them."""
+
+    colour: str
+    line: LineStyle
+    marker: str
+
+
+def plot_styles(labels: Iterable[str]) -> dict[str, PlotStyle]:
+    """Choose the styles of the estimators of a figure, by label.
+
+    The colour is that of the method whose name the label is or begins with (``ba-slam-5`` is a ``ba-slam``). Unknown
+    labels have a colour that depends on the label alone. Consecutive labels and labels of the same colour differ in
+    line style, for print in grey. Up to ten labels have different markers.
+    """
+    found: dict[str, PlotStyle] = {}
+    for place, label in enumerate(dict.fromkeys(labels)):
+        colour = colour_of(label)
+        taken = {style.line for style in found.values() if style.colour == colour}
+        lines = LINE_STYLES[place % len(LINE_STYLES) :] + LINE_STYLES[: place % len(LINE_STYLES)]
+        line = next((line for line in lines if line not in taken), lines[0])
+        found[label] = PlotStyle(colour, line, MARKERS[place % len(MARKERS)])
+    return found
+
+
+def colour_of(label: str) -> str:
+    """Return the colour of a label, the same in all figures."""
+    known = [name for name in _COLOURS if label == name or label.startswith(f"{name}-")]
+    if known:
+        return _COLOURS[max(known, key=len)]
+    return SERIES_COLOURS[zlib.crc32(label.encode()) % len(SERIES_COLOURS)]
+
 
 def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
-    """Run a drawing function in the style of this module, whatever the reader's own matplotlib settings are."""
+    """Decorate a drawing function to use the style of this module instead of the user's matplotlib settings."""
 
     @functools.wraps(draw)
     def inner(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
@@ -62,7 +137,7 @@ def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
 
 def new_figure(columns: int, width_in: float = 7.5, height_in: float = 3.4) -> tuple[Figure, list[Axes]]:
-    """Make a figure with ``columns`` panels side by side, without pyplot's global state."""
+    """Make a figure with ``columns`` panels in one row, without pyplot's global state."""
     figure, axes = grid_figure(1, columns, width_in, height_in)
     return figure, list(axes[0])
 
@@ -102,7 +177,7 @@ def show_image(axes: Axes, image: NDArray[np.floating[Any]]) -> None:
 
 
 def hide_axes(axes: Axes) -> None:
-    """Leave only what is drawn: no ticks, no frame, no grid."""
+    """Remove ticks, frame and grid."""
     axes.set(xticks=[], yticks=[])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
@@ -115,25 +190,30 @@ def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
 
 
 def add_footer(figure: Figure, lines: Sequence[str]) -> None:
-    """Print lines below all else, small, under those that are there already; nothing can be drawn on it afterwards.
+    """Print small lines at the bottom of a figure, below those of earlier calls, and make the figure higher for them.
 
-    The figure grows by a strip for them.
+    The layout is fixed afterwards: nothing more can be drawn.
     """
     before = next((text for text in figure.texts if text.get_gid() == _FOOTER), None)
     _grow(figure, _FOOTER_LINE_IN * len(lines))
-    told = [] if before is None else [before.get_text()]
+    earlier = [] if before is None else [before.get_text()]
     if before is not None:
         before.remove()
-    words = "\n".join([*told, *lines])
+    words = "\n".join([*earlier, *lines])
     text = figure.text(0.995, 0.01 / figure.get_figheight(), words, fontsize=_FOOTER_SIZE, color=GREY, ha="right")
     text.set_gid(_FOOTER)
 
 
 def _grow(figure: Figure, strip_in: float) -> None:
-    """Add an empty strip at the bottom and keep all else as it is laid out: legends outside the axes know no strip."""
+    """Add an empty strip at the bottom without changing the rest of the layout.
+
+    Everything is placed by hand, as the constrained layout would put a legend outside the axes into the strip.
+    """
     with matplotlib.style.context(["default", _PARAMETERS]):
         figure.draw_without_rendering()
-        figure.set_layout_engine(None)  # "none" would leave a place holder, for which each file is drawn twice
+        figure.set_layout_engine(
+            None
+        )  # with "none", a placeholder engine would stay and each file would be drawn twice
     before = figure.get_figheight()
     after = before + strip_in
     figure.set_figheight(after)
@@ -147,7 +227,7 @@ def _grow(figure: Figure, strip_in: float) -> None:
 
 
 def shared_edges(samples: Sequence[FloatArray], bins: int = 40, percent: float = 99.0) -> FloatArray:
-    """Choose bin edges (bins + 1,) from 0 to a round number that holds ``percent`` of every sample."""
+    """Choose bin edges (bins + 1,) from 0 to a round number above the percentile ``percent`` of every sample."""
     top = max((float(np.percentile(sample, percent)) for sample in samples if len(sample)), default=1.0) or 1.0
     unit = 10.0 ** np.floor(np.log10(top))
     step = next(s for s in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if s * unit >= top * (1 - 1e-9))
@@ -160,7 +240,7 @@ def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: An
     Returns
     -------
     beyond
-        How many values lie beyond the last edge; they count in the normalisation, not in the drawing.
+        How many values lie beyond the last edge. They are not drawn, but the normalisation includes them.
     """
     inside = np.histogram(sample, edges)[0]
     axes.stairs(inside / (max(len(sample), 1) * np.diff(edges)), edges, **line)
@@ -168,12 +248,12 @@ def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: An
 
 
 def beyond_text(beyond: int, limit: float, unit: str) -> str:
-    """Say, as an addition to the axis label, how many values the axis leaves out."""
+    """Return a note for the axis label on how many values lie beyond the axis; '' if none."""
     return f"  ({beyond} beyond {limit:g}{f' {unit}' if unit else ''})" if beyond else ""
 
 
 def mark_on_axis(axes: Axes, value: float, colour: str) -> None:
-    """Mark a paper's value by an open triangle on the axis."""
+    """Mark a published value by an open triangle on the axis."""
     axes.plot(
         [value],
         [0.0],

@@ -1,4 +1,4 @@
-"""Accuracy of several methods against what it costs: time an image, and size of the data base."""
+"""Figure of the accuracy of methods against their costs: time per image, and size of the data base."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
-from reports.figures.style import GREY, add_credits, grid_figure, styled
+from reports.figures.axes import mark_decades
+from reports.figures.style import GREY, add_credits, grid_figure, plot_styles, styled
 from reports.statistics.measured import Measured
 
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 
 
 @dataclass(frozen=True, slots=True)
-class TradeMark:
-    """One method.
+class TradeOffPoint:
+    """Accuracy and costs of one method.
 
     Parameters
     ----------
     errors
         Median errors with their intervals, by ``position_error_m`` and ``attitude_error_deg``.
     seconds
-        Time an image; None if unknown.
+        Time per image; None if unknown.
     size_bytes
-        Of its data base; None where it has none.
+        Size of its data base; None if it has none.
     """
 
     errors: Mapping[str, Measured]
@@ -37,16 +36,16 @@ class TradeMark:
 
 @styled
 def draw_trade_off(
-    marks: Mapping[str, TradeMark], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+    points: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw errors of position and attitude, a row each, against time and size, a column each; all axes logarithmic.
+    """Draw position and attitude errors (rows) against time and size (columns), all axes logarithmic.
 
     Parameters
     ----------
-    marks
+    points
         Methods by label.
     prior
-        Median error before any of them, by the same names.
+        Median errors of the prior, by the names of `TradeOffPoint.errors`.
     title
         Printed above the panels.
     credit_lines
@@ -54,13 +53,13 @@ def draw_trade_off(
     """
     figure, places = grid_figure(2, 2, height_in=5.6)
     for row, (name, label) in zip(places, _ERRORS, strict=True):
-        times = {key: 1e3 * mark.seconds for key, mark in marks.items() if mark.seconds is not None}
-        sizes = {key: 1e-3 * mark.size_bytes for key, mark in marks.items() if mark.size_bytes is not None}
+        times = {key: 1e3 * point.seconds for key, point in points.items() if point.seconds is not None}
+        sizes = {key: 1e-3 * point.size_bytes for key, point in points.items() if point.size_bytes is not None}
         for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
-            _draw(axes, {key: mark.errors[name] for key, mark in marks.items()}, costs)
+            _draw_methods(axes, {key: point.errors[name] for key, point in points.items()}, costs)
             axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
             axes.set(xlabel=abscissa, ylabel=label)
-            _logarithmic(axes)
+            _use_log_axes(axes)
         row[1].sharey(row[0])
     handles, labels = places[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
@@ -69,8 +68,8 @@ def draw_trade_off(
     return figure
 
 
-def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
-    drawn = looks(errors)
+def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
+    drawn = plot_styles(errors)
     for label, error in errors.items():
         if label not in costs or error.value is None:
             continue
@@ -89,8 +88,8 @@ def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]
         )
 
 
-def _logarithmic(axes: Axes) -> None:
-    """Write plain numbers, at 1, 2 and 5 of every decade where there are few."""
+def _use_log_axes(axes: Axes) -> None:
+    """Make both axes logarithmic, labelled with plain numbers."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(0.15)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.figures.crater_results import ShareCurve, draw_shares
+from reports.figures.craters import ShareCurve, draw_shares
 from reports.kinds import ReportKind
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid, value_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports.figures.orbit import draw_counts, draw_landmark_spans
+from reports.figures.orbit import draw_crater_counts, draw_landmark_spans
 from reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
 from reports.run.clusters import clusters_of
 from reports.run.data import TRIAL_KEY, RunData, select
@@ -123,7 +123,7 @@ def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     title = f"Craters of images and images of landmarks, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("crater_counts", scenario, estimator),
-        draw_counts(images, landmarks, title),
+        draw_crater_counts(images, landmarks, title),
         f"{title} (figures 8b and 9 of Cheng et al. 2003): {images['n_detections'].mean():.3g}"
         f" craters an image on average, median {images['n_detections'].median():.3g}.",
         "Two histograms: craters detected in an image, and images that show a landmark.",

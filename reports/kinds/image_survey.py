@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reports.figures.survey import draw_counts
+from reports.figures.orbit import draw_count_histogram
 from reports.kinds import ReportKind
 from reports.published import Comparison
 from reports.run.data import RunData
@@ -45,7 +45,7 @@ def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[Name
         share = 100.0 * float((counts["n_similar"] > 0).mean())
         yield NamedFigure(
             file_stem("similar_images", scenario),
-            draw_counts(
+            draw_count_histogram(
                 counts["n_similar"], "other images of the same area, Suns within 10 deg", "images", {},
                 f"Photometrically similar images: {what}",
             ),
@@ -56,7 +56,7 @@ def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[Name
         )  # fmt: skip
         yield NamedFigure(
             file_stem("craters_an_image", scenario),
-            draw_counts(
+            draw_count_histogram(
                 counts["n_detections"], "craters detected in an image", "images", _published(comparison),
                 f"{counts['n_detections'].sum():,} craters detected: {what}",
             ),
@@ -67,7 +67,9 @@ def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[Name
         hits = craters["hits"].to_numpy(dtype=np.int64)
         yield NamedFigure(
             file_stem("hits", scenario),
-            draw_counts(hits, "images in which a crater is detected", "craters", {}, f"{len(hits):,} craters: {what}"),
+            draw_count_histogram(
+                hits, "images in which a crater is detected", "craters", {}, f"{len(hits):,} craters: {what}"
+            ),
             f"Histogram of the number of hits: in how many images each of {len(hits):,} craters is detected; {what}.",
             "Histogram of the number of images that show a crater.",
         )

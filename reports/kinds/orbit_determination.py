@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reports.figures.bands import band_of
+from reports.figures.axes import band_label
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.kinds import Content, ReportKind, Tables
 from reports.kinds.designs import REPORT as DESIGN_REPORT
@@ -119,7 +119,7 @@ def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
                 file_stem("orbit_errors", scenario),
                 draw_orbit_errors(errors, title),
                 f"{title}: median over {count_of(errors['trial'].nunique(), 'trial')} and"
-                f" {band_of(errors['trial'].nunique())}; dashed: what the covariance foretells; behind the line the"
+                f" {band_label(errors['trial'].nunique())}; dashed: what the covariance foretells; behind the line the"
                 " orbit is predicted.",
                 "Position error against time for each estimator.",
             )

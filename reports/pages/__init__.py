@@ -1,1 +1,1 @@
-"""What is written for a reader: pages, Markdown, terminal."""
+"""Reports as HTML pages, Markdown and tables for the terminal."""

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.figures.provenance import counted, stamp
+from reports.figures.provenance import add_provenance, with_trial_counts
 from reports.figures.style import save_figure
 from reports.kinds import Content, draw_figures, report_grids
 from reports.pages.content import read_content
 from reports.pages.distributions import distributions
-from reports.pages.templates import embedded, filled, text_of
+from reports.pages.templates import embed_figures, fill_template, template_text
 from reports.run.row_files import row_links, write_row_files
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
@@ -29,21 +29,21 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     Parameters
     ----------
     content
-        What is said.
+        Content of the report.
     figures
         Each with its PNG, which is embedded.
     """
     manifest = content.run.manifest
-    return filled(
+    return fill_template(
         "page.html",
         manifest=manifest,
         progress=content.run.progress(),
         facts=_facts(content),
         notes=content.notes,
-        js=text_of("page.js"),
+        js=template_text("page.js"),
         grids=[(grid, row_links(content.run, grid)) for grid in report_grids(content)],
         distributions=list(distributions(content.run)),
-        figures=embedded(figures),
+        figures=embed_figures(figures),
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
@@ -59,7 +59,7 @@ def reproduce_command(content: Content) -> str:
 
 
 def _facts(content: Content) -> list[tuple[str, str]]:
-    """Say how the run was made, as names and values."""
+    """List campaign, trials, seed, date, commit, machine and versions of a run."""
     manifest = content.run.manifest
     done, total = content.run.progress()
     facts = [
@@ -75,14 +75,14 @@ def _facts(content: Content) -> list[tuple[str, str]]:
 
 
 def _listed(mapping: Mapping[str, object]) -> str:
-    """Write what a mapping says on one line."""
+    """Write a mapping on one line, without empty values."""
     said = {name: value for name, value in mapping.items() if value not in ("", None)}
     return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportFiles:
-    """Where a report lies, and what it says.
+    """Paths of a written report, and its content.
 
     Parameters
     ----------
@@ -160,14 +160,14 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
 
 
 def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
-    """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
+    """Write all files into ``folder`` and list their names; the page is last, so that it never shows missing files."""
     names = _write_tables(content, folder)
-    figures = [*(counted(figure, [content.run]) for figure in draw_figures(content)), *extra]
+    figures = [*(with_trial_counts(figure, [content.run]) for figure in draw_figures(content)), *extra]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
     if twice:
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
     for figure in figures:
-        stamp(figure.figure, [content.run])
+        add_provenance(figure.figure, [content.run])
         names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
     (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
     with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]

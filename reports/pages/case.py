@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from reports.figures.style import save_figure
-from reports.pages.templates import embedded, filled
+from reports.pages.templates import embed_figures, fill_template
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure
 from scenarios.atomic import write_text
@@ -15,7 +15,7 @@ from scenarios.atomic import write_text
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CasePage:
-    """What is said of a case.
+    """Content of the page of an inspected case.
 
     Parameters
     ----------
@@ -28,13 +28,13 @@ class CasePage:
     grids
         Tables below them.
     command
-        What makes the page again.
+        Command line that makes the page again.
     traceback
-        Of an estimator that raised; '' of others.
+        Traceback of an estimator that raised; '' otherwise.
     said
-        What the method wrote, by stream.
+        Stream to the text that the method wrote to it.
     credits
-        Of real images.
+        Credit lines of real images.
     """
 
     title: str
@@ -57,5 +57,5 @@ def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> 
     """
     pngs = [save_figure(figure.figure, folder / figure.stem)[0].read_bytes() for figure in figures]
     path = folder / "index.html"
-    write_text(path, filled("case.html", case=page, figures=embedded(zip(figures, pngs, strict=True))))
+    write_text(path, fill_template("case.html", case=page, figures=embed_figures(zip(figures, pngs, strict=True))))
     return path

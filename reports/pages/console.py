@@ -1,4 +1,4 @@
-"""What the terminal shows at the end of a run; it fits 80 columns."""
+"""Tables of a run for the terminal, 80 columns wide."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenarios.errors import printable
 
 
 def console_table(run: Path | Content) -> Group:
-    """Build the tables of what a run is about, and the verdicts where values are published.
+    """Build the main tables of a run, and the verdicts where values are published.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def console_table(run: Path | Content) -> Group:
 
 
 def rich_parts(grid: Grid) -> Iterator[Table | Text]:
-    """Yield a grid as a table, and below it what was known on board, where it says so."""
+    """Yield a grid as a table, followed by its line on what was known on board, if it has one."""
     yield rich_table(grid)
     if grid.known:
         yield Text(f"{printable(grid.known)}\n", style="dim")

@@ -1,4 +1,4 @@
-"""What a report says, worked out once for all its forms, and what must be known before reading it."""
+"""Content of a report: records, verdicts and notes, computed once for all formats."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     yield (
         "Intervals are of 95 %: of medians and percentiles between order statistics, of means by the studentised"
         " bootstrap (2,000 resamples of whole trials or, for real images, of whole images, because the noise"
-        " realisations of one image are not independent), of fewer than ten by Student's t. Of an RMS of few trials"
-        " with some far worse than the others they hold less than they say. Percentiles beyond which less than one"
-        " trial is to be expected are left out."
+        " realisations of one image are not independent), of fewer than ten by Student's t. The intervals of an RMS of"
+        " few trials, some far worse than the others, cover the true value less often than 95 %. Percentiles beyond"
+        " which less than one trial is expected are left out."
     )
     yield from filter(None, [database_line(run)])
     yield from _set_lines(run)
@@ -67,7 +67,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
 
 
 def _set_lines(run: RunData) -> Iterator[str]:
-    """Say on how many sets of images the sequences of a run begin, where they see images."""
+    """Yield the number of sets of images and of starts of sequences that use images."""
     scenarios = [name for name in dict.fromkeys(run.rows["scenario"]) if image_set(run.manifest.scenarios[name])]
     if scenarios:
         seen = run.rows[run.rows["scenario"].isin(scenarios)]
@@ -81,7 +81,7 @@ def _set_lines(run: RunData) -> Iterator[str]:
 
 
 def _scenario_lines(run: RunData) -> Iterator[str]:
-    """Say what each scenario is, in the words of its file."""
+    """Yield the description of each scenario from its file."""
     scenarios = run.manifest.scenarios
     if isinstance(scenarios, dict) and run.manifest.grid is None:
         for name, spec in scenarios.items():
@@ -90,7 +90,7 @@ def _scenario_lines(run: RunData) -> Iterator[str]:
 
 
 def read_content(folder: Path) -> Content:
-    """Read a run folder and work out what is to be said.
+    """Read a run folder and compute the content of its report.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def read_content(folder: Path) -> Content:
 
 
 def content_of(run: RunData) -> Content:
-    """Work out what is to be said of a run that is read.
+    """Compute the content of the report of a run.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def content_of(run: RunData) -> Content:
 
 
 def summary(folder: str | PathLike[str]) -> pd.DataFrame:
-    """Work out every number of a run's report, as its table.csv has them: one row each, with n_ok, n and interval.
+    """Compute every number of a run's report, as its table.csv has them: one row each, with n_ok, n and interval.
 
     Its ``attrs["known"]`` are the lines of what on board was identical with the truth, and what was not.
 
@@ -134,6 +134,6 @@ def summary(folder: str | PathLike[str]) -> pd.DataFrame:
 def beside_published(
     run: RunData, records: Sequence[Record], comparison: Comparison
 ) -> tuple[tuple[ComparedValue, ...], tuple[ComparedClaim, ...]]:
-    """Set published values and orders beside ours; of sets of images that are pooled, beside the pool alone."""
+    """Compare published values and orders with ours; of pooled sets of images, with the pool alone."""
     judged = without_pooled(run, records)
     return compare(judged, comparison), compare_claims(judged, comparison)

@@ -1,4 +1,4 @@
-"""Cumulative errors of a run as inline drawings of the page, which tell the shares of trials under the pointer."""
+"""Cumulative errors of a run as interactive SVG drawings: the page shows the share of trials at the pointer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.figures.looks import Look, looks
+from reports.figures.style import PlotStyle, plot_styles
 from reports.run.data import RunData, select
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +22,7 @@ _DASHES = {"-": "none", "--": "7 4", "-.": "7 3 2 3", ":": "2 3"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Errors:
+class SolvedErrors:
     """The errors of an estimator: (k,) of the solved trials, ascending, and the number of all trials."""
 
     values: FloatArray
@@ -37,7 +37,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distribution:
-    """A drawing: what it is of, its markup, and the label and colour of each curve."""
+    """A drawing: title, markup, and the label and colour of each curve."""
 
     title: str
     svg: Markup
@@ -52,17 +52,17 @@ def distributions(run: RunData) -> Iterator[Distribution]:
             rows = select(run.rows, scenario, label)
             values = np.sort(rows["position_error_m"].dropna().to_numpy(dtype=np.float64))
             if len(values):
-                found[label] = Errors(values, len(rows))
+                found[label] = SolvedErrors(values, len(rows))
         if found and max(float(errors.values[-1]) for errors in found.values()) > 0.0:
-            legend = tuple((label, look.colour) for label, look in looks(found).items())
-            yield Distribution(f"Position error, {scenario}", drawn(found, "m"), legend)
+            legend = tuple((label, look.colour) for label, look in plot_styles(found).items())
+            yield Distribution(f"Position error, {scenario}", distribution_svg(found, "m"), legend)
 
 
-def drawn(curves: Mapping[str, Errors], unit: str) -> Markup:
+def distribution_svg(curves: Mapping[str, SolvedErrors], unit: str) -> Markup:
     """Draw shares of all trials over a logarithmic error."""
     positive = np.concatenate([errors.values[errors.values > 0.0] for errors in curves.values()])
     low, high = _decades(float(np.quantile(positive, 0.005)), float(np.quantile(positive, 0.995)))
-    look = looks(curves)
+    look = plot_styles(curves)
     told = {
         "unit": unit,
         "across": [_LEFT, _RIGHT],
@@ -77,7 +77,7 @@ def drawn(curves: Mapping[str, Errors], unit: str) -> Markup:
             for label, errors in curves.items()
         ],
     }
-    across = _Across(low, high)
+    across = _LogAbscissa(low, high)
     parts = [
         Markup('<svg class="distribution" viewBox="0 0 {} {}" role="img"><desc>{}</desc>').format(
             _WIDTH, _HEIGHT, json.dumps(told)
@@ -90,7 +90,7 @@ def drawn(curves: Mapping[str, Errors], unit: str) -> Markup:
 
 
 @dataclass(frozen=True, slots=True)
-class _Across:
+class _LogAbscissa:
     """The logarithmic abscissa."""
 
     low: float
@@ -118,7 +118,7 @@ def _y(share: float) -> float:
     return _BOTTOM - share * (_BOTTOM - _TOP)
 
 
-def _axes(across: _Across, unit: str) -> Sequence[Markup]:
+def _axes(across: _LogAbscissa, unit: str) -> Sequence[Markup]:
     lines = []
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         y = _y(share)
@@ -136,7 +136,7 @@ def _axes(across: _Across, unit: str) -> Sequence[Markup]:
     return lines
 
 
-def _curve(across: _Across, errors: Errors, look: Look) -> Markup:
+def _curve(across: _LogAbscissa, errors: SolvedErrors, look: PlotStyle) -> Markup:
     """Draw the steps of one estimator."""
     values = errors.steps()
     shares = len(errors.values) / errors.trials * np.arange(1, len(values) + 1) / len(values)

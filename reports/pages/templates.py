@@ -1,4 +1,4 @@
-"""Pages filled from the templates of this package: one environment, one style, and figures that are embedded."""
+"""HTML pages from the templates of this package, with embedded style sheet and figures."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from reports.schema.named_figure import NamedFigure
 
 
-def filled(template: str, **values: object) -> str:
-    """Fill a template, which has the style sheet beside the values."""
+def fill_template(template: str, **values: object) -> str:
+    """Fill a template with values and the style sheet."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=PackageLoader("reports.pages", "."),
     )  # fmt: skip
-    return environment.get_template(template).render(css=text_of("page.css"), **values)
+    return environment.get_template(template).render(css=template_text("page.css"), **values)
 
 
-def text_of(name: str) -> str:
+def template_text(name: str) -> str:
     """Read a file that lies beside the templates."""
     return resources.files("reports.pages").joinpath(name).read_text(encoding="utf-8")
 
 
-def embedded(figures: Iterable[tuple[NamedFigure, bytes]]) -> list[tuple[NamedFigure, str]]:
+def embed_figures(figures: Iterable[tuple[NamedFigure, bytes]]) -> list[tuple[NamedFigure, str]]:
     """Encode the PNG of each figure for its place in a page."""
     return [(figure, base64.b64encode(png).decode()) for figure, png in figures]

@@ -1,1 +1,1 @@
-"""The page of a whole paper."""
+"""Page of a reproduced paper."""

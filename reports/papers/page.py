@@ -1,4 +1,4 @@
-"""One page for a whole paper: every published number beside ours, and every figure."""
+"""Page of a reproduced paper: every published number with ours, and all figures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pandas as pd
 from reports.figures import save_figure
 from reports.kinds import Content
 from reports.pages.content import beside_published
-from reports.pages.templates import embedded, filled
+from reports.pages.templates import embed_figures, fill_template
 from reports.published import Comparison
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of
 from reports.schema.labels import stage_label
@@ -32,16 +32,16 @@ from reports.verdicts import (
 
 @dataclass(frozen=True, slots=True)
 class PaperLine:
-    """One published number or statement beside ours.
+    """One published number or statement with our numbers.
 
     Parameters
     ----------
     campaign, scenario, estimator
-        What it was held against; scenario and estimator are '' where nothing was run.
+        Source of our numbers; scenario and estimator are '' where nothing was run.
     place
-        Where it is printed.
+        Place in the paper.
     quantity, statistic
-        What it is.
+        Measured quantity and its statistic.
     printed
         The paper's number or words.
     ours
@@ -76,7 +76,7 @@ class PaperLine:
 def paper_lines(
     campaign: str, comparison: Comparison, content: Content | None, labels: Sequence[str]
 ) -> Iterator[PaperLine]:
-    """Set every number and statement of a comparison beside those of a run, or beside nothing where there is none.
+    """Pair every number and statement of a paper with those of a run, or with none if there is no run.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def paper_lines(
         claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
         yield from (_claim_line(campaign, item) for item in claims)
         return
-    # A run that was made before its campaign named published values is held against them all the same.
+    # A run made before its campaign named published values is compared with them too.
     made = content.compared, content.claims
     compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
     told = [item for item in compared if item.estimator in labels]
@@ -277,10 +277,10 @@ def _markdown(page: PaperPage) -> str:
 
 
 def _html(page: PaperPage, folder: Path) -> str:
-    return filled(
+    return fill_template(
         "paper.html",
         page=page,
         tally=verdict_tally(page.lines),
         grids=[paper_grid(page.lines), *page.grids],
-        figures=embedded((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
+        figures=embed_figures((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
     )

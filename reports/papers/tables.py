@@ -1,4 +1,4 @@
-"""The tables of a paper under their numbers, what they print beside ours, and drawn as figures."""
+"""Tables of a paper by their numbers, with our values, drawn as figures."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def table_figure(number: str, lines: Sequence[PaperLine]) -> NamedFigure:
 
 
 def _narrowed(grid: Grid, title: str) -> Grid:
-    """Leave out columns in which nothing stands."""
+    """Remove columns without any value."""
     cells = zip(grid.columns, zip(*grid.rows, strict=True), strict=True)
     kept = grid.keep(*(name for name, column in cells if set(column) != {NO_VALUE}))
     return Grid(title, kept.columns, kept.rows, kept.text, kept.note, kept.known)

@@ -75,7 +75,7 @@ class NormalisedErrors:
 
 @dataclass(frozen=True, slots=True)
 class ConsistencyTest:
-    """NormalisedErrors errors against their distribution.
+    """Normalised errors against their distribution.
 
     Parameters
     ----------

@@ -10,8 +10,8 @@ from reports.compare.global_sensitivity import (
     FIRST,
     RANK,
     TOTAL,
-    Varied,
-    outcome,
+    VariedKey,
+    outcome_of,
     rank_shares,
     same_results,
     sobol_shares,
@@ -21,7 +21,7 @@ from reports.run.data import read_run
 from reports.statistics.measured import MEAN, MEDIAN
 from scenarios.errors import BoresightError
 
-PI = [Varied(name, -np.pi, np.pi) for name in "abc"]
+PI = [VariedKey(name, -np.pi, np.pi) for name in "abc"]
 
 
 def test_indices_of_ishigami_s_function_are_those_in_closed_form():
@@ -64,7 +64,7 @@ def test_a_range_that_is_none(text, why):
 
 
 def test_a_range_is_read():
-    assert parse_over("pose_error.attitude.angle_deg.max=.5:5e0") == Varied(
+    assert parse_over("pose_error.attitude.angle_deg.max=.5:5e0") == VariedKey(
         "pose_error.attitude.angle_deg.max", 0.5, 5.0
     )
     with pytest.raises(BoresightError, match="power of two"):
@@ -80,7 +80,7 @@ def test_failures_count_and_results_are_compared_bit_for_bit(tmp_path):
             builder.trial(trial, prior, None if length is None else ((length, 0.0, 0.0), 0.5))
             builder.tables["rows"][-1]["scenario"] = scenario
     run = read_run(builder.write(scenarios={name: {} for name in errors}))
-    assert outcome(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
+    assert outcome_of(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
     assert same_results(run, SCENARIO, "same", "landmark-harris")
     assert not same_results(run, SCENARIO, "other", "landmark-harris")
 
@@ -94,7 +94,7 @@ def test_without_priors_a_failure_is_worse_than_any_error(tmp_path, lengths, med
     for trial, length in enumerate(lengths):
         builder.trial(trial, ((np.nan, 0.0, 0.0), np.nan), None if length is None else ((length, 0.0, 0.0), 0.5))
     run = read_run(builder.write())
-    found = [outcome(run, Metric("position_error_m"), one, SCENARIO, "landmark-harris") for one in (MEDIAN, MEAN)]
+    found = [outcome_of(run, Metric("position_error_m"), one, SCENARIO, "landmark-harris") for one in (MEDIAN, MEAN)]
     assert found == pytest.approx([median, mean])
 
 

@@ -19,7 +19,7 @@ from campaign.kinds.orbit_determination.show import image_sets, landmark_errors,
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
-from reports.pages.look import BAD, GOOD, Look, lifted_from, write_look
+from reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
 from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.geometry import Ellipses
@@ -129,12 +129,12 @@ def test_craters_of_a_pair_are_counted_by_hand():
 
 def test_landmarks_are_drawn_just_above_the_surface(world):
     mesh = world.asteroid.mesh
-    look = Look("a", "b", mesh.vertices_m, mesh.faces, ())
-    lifted = lifted_from(look, world.asteroid.points_m)
+    look = View3D("a", "b", mesh.vertices_m, mesh.faces, ())
+    lifted = raised_points(look, world.asteroid.points_m)
     # Along the craters' own normals, which come from the mesh by another way.
     heights = np.einsum("ni,ni->n", lifted - world.asteroid.points_m, world.asteroid.normals)
     np.testing.assert_allclose(heights, 0.02 * mesh.radius_m, rtol=0.05)
-    assert lifted_from(look, np.zeros((0, 3))).shape == (0, 3)
+    assert raised_points(look, np.zeros((0, 3))).shape == (0, 3)
 
 
 @needs_chromium
@@ -147,7 +147,9 @@ def test_the_page_of_an_orbit_changes_what_colours_the_landmarks(world, shown, t
     ]
     marks = orbit_marks(orbit, shown.truth, sightings, "middle")
     note = "The trial of median error and the worst one. " * 6
-    write_look(Look("orbit / batch-filter", note, mesh.vertices_m, mesh.faces, marks, cameras), tmp_path / "look.html")
+    write_view3d(
+        View3D("orbit / batch-filter", note, mesh.vertices_m, mesh.faces, marks, cameras), tmp_path / "look.html"
+    )
     with opened(tmp_path / "look.html", SPEED) as page:
         page.wait_for_selector(".gl-container canvas")
         names = page.locator(".legendtext").all_text_contents()

@@ -11,7 +11,7 @@ from tiny_campaign import CAMPAIGN, write_campaign
 from campaign.cli import main
 from campaign.runs.resolve import resolve
 from campaign.runs.sensitivity import make_design
-from reports.compare.global_sensitivity import Varied
+from reports.compare.global_sensitivity import VariedKey
 
 
 def sensitivity(file, out, *arguments):
@@ -84,7 +84,7 @@ def test_a_campaign_of_several_scenarios_wants_one_named(tmp_path, capsys, chose
 def test_a_scenario_of_a_grid_is_varied_where_it_stands(tmp_path):
     file = write_campaign(tmp_path, CAMPAIGN + GRID)
     resolved = resolve(str(file), ["detector.read_noise_e=3"])
-    varied = [Varied("camera.fov_deg", 10.0, 20.0)]
+    varied = [VariedKey("camera.fov_deg", 10.0, 20.0)]
     design = make_design(str(file), resolved, "scene-1000", varied, 2, "latin-hypercube")
     specs = {one.spec.name: one.spec for one in design.campaign.scenarios}
     assert {(one.viewpoint.range_m, one.detector.read_noise_e) for one in specs.values()} == {(1000.0, 3.0)}

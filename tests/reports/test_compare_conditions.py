@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from scipy.stats import bootstrap, chi2
 
-from reports.compare.conditions import SUCCESS, binned, frames_of, split_of_frames, split_of_trials
+from reports.compare.conditions import SUCCESS, binned_errors, frames_by_condition, prepare_frames, trials_by_condition
 from reports.compare.metrics import Metric
-from reports.figures.comparison import Claim, draw_calibration
+from reports.figures.comparison import CoverageCurve, draw_coverage
 
 POSITION = Metric("position_error_m")
 
@@ -34,10 +34,10 @@ def trials(rng, n, scale=1.0):
 
 def test_bins_hold_the_medians_of_their_trials():
     table = trials(np.random.default_rng(1), 400)
-    split = split_of_trials({"one": table}, POSITION)
+    split = trials_by_condition({"one": table}, POSITION)
     assert split.conditions == ("phase_deg", "prior"), "a range that never changes and unknown ones are left out"
     assert split.errors == ("value", "lateral_error_m", "boresight_error_m", SUCCESS)
-    ((label, points),) = binned(split, "value", "phase_deg")
+    ((label, points),) = binned_errors(split, "value", "phase_deg")
     assert label == "one"
     in_order = table.sort_values("phase_deg")
     parts = [in_order.iloc[50 * i : 50 * (i + 1)] for i in range(8)]
@@ -53,7 +53,7 @@ def test_bins_hold_the_medians_of_their_trials():
 def test_success_is_a_rate_of_all_trials_of_a_bin():
     table = trials(np.random.default_rng(2), 400)
     table.loc[table["failed"], "value"] = np.nan
-    ((_, points),) = binned(split_of_trials({"one": table}, POSITION), SUCCESS, "phase_deg")
+    ((_, points),) = binned_errors(trials_by_condition({"one": table}, POSITION), SUCCESS, "phase_deg")
     order = np.argsort(table["phase_deg"].to_numpy())
     rates = 100.0 * (~table["failed"].to_numpy()[order]).reshape(8, 50).mean(axis=1)
     np.testing.assert_allclose(points.y, rates)
@@ -64,12 +64,12 @@ def test_subjects_share_bins_but_those_of_their_own_landmarks():
     rng = np.random.default_rng(3)
     few, many = trials(rng, 200), trials(rng, 200, scale=0.5)
     few["n_landmarks"], many["n_landmarks"] = rng.poisson(30, 200), rng.poisson(300, 200)
-    split = split_of_trials({"few": few, "many": many}, POSITION)
-    landmarks = dict(binned(split, "value", "n_landmarks"))
+    split = trials_by_condition({"few": few, "many": many}, POSITION)
+    landmarks = dict(binned_errors(split, "value", "n_landmarks"))
     assert landmarks["few"].x.max() < 60 < landmarks["many"].x.min()
     assert len(landmarks["few"].x) > 5
     assert len(landmarks["many"].x) > 5
-    phases = dict(binned(split, "value", "phase_deg"))
+    phases = dict(binned_errors(split, "value", "phase_deg"))
     assert abs(phases["few"].x - phases["many"].x).max() < 3.0
 
 
@@ -87,12 +87,12 @@ def test_frames_are_thinned_and_trials_stay_what_is_independent():
                 }
             )
         )  # fmt: skip
-    frames = frames_of(pd.concat(parts))
+    frames = prepare_frames(pd.concat(parts))
     assert frames.groupby("cluster").size().max() <= 61
-    split = split_of_frames({"one": frames})
+    split = frames_by_condition({"one": frames})
     assert split.conditions == ("anomaly_deg",)
     assert split.errors == ("value", "radial_error_m", "transverse_error_m")
-    points = {error: dict(binned(split, error, "anomaly_deg"))["one"] for error in split.errors}
+    points = {error: dict(binned_errors(split, error, "anomaly_deg"))["one"] for error in split.errors}
     np.testing.assert_allclose(points["radial_error_m"].y, 3.0)
     np.testing.assert_allclose(points["transverse_error_m"].y, np.hypot(4.0, 12.0))
     # Thirty trials, each with one error for all its frames: the interval is that of thirty numbers.
@@ -104,7 +104,7 @@ def test_frames_are_thinned_and_trials_stay_what_is_independent():
 def test_coverage_curves_of_true_claims_stay_in_the_band(scale, inside):
     degrees = np.full(300, 3.0)
     squares = scale * np.random.default_rng(5).chisquare(3, 300)
-    figure = draw_calibration([Claim("one", "#0072b2", squares, degrees, 300)], "T")
+    figure = draw_coverage([CoverageCurve("one", "#0072b2", squares, degrees, 300)], "T")
     (axes,) = figure.axes
     claimed, share = axes.lines[-1].get_data()
     np.testing.assert_allclose(share[100], np.mean(squares <= chi2.ppf(0.5, 3)))

@@ -117,7 +117,7 @@ def test_the_nis_is_held_against_its_degrees_of_freedom():
     assert found.band.value == 1.0
     assert found.band.low < found.mean.value < found.band.high
     assert found.inside.value == pytest.approx(0.95, abs=0.012)
-    # NormalisedErrors by degrees the mean is chi-square of them all; by trials its spread is at least that.
+    # Weighted by degrees the mean is chi-square of them all; by trials its spread is at least that.
     assert found.band.high - found.band.low == pytest.approx(2 * 1.96 * np.sqrt(2 / degrees.sum()), rel=0.01)
 
 

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error
 
-from reports.figures.designs import CurvePanel, Points, draw_curves
-from reports.figures.matrix import Matrix, draw_matrix
+from reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
 from reports.kinds import report_grids
 from reports.kinds.designs.figures import design_figures
 from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
@@ -150,10 +149,10 @@ def test_an_unfinished_grid_has_a_report(builder, square):
 
 
 def test_matrix_shows_its_numbers_where_they_belong():
-    matrix = Matrix(
+    matrix = HeatMap(
         "error", ("r0", "r1"), ("c0", "c1"), np.array([[1.0, np.nan], [3.0, 4.0]]), [["a", "b"], ["c", "d"]]
     )
-    [axes] = draw_matrix([matrix], "down", "across", "title").axes
+    [axes] = draw_heat_maps([matrix], "down", "across", "title").axes
     assert [(text.get_text(), text.get_position()) for text in axes.texts] == [
         ("a", (0, 0)), ("b", (1, 0)), ("c", (0, 1)), ("d", (1, 1)),
     ]  # fmt: skip

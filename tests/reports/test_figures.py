@@ -8,7 +8,7 @@ from scipy import stats
 
 from reports.figures import (
     ClusterView,
-    Fit,
+    FitPanels,
     Overlay,
     SurfaceView,
     draw_alignment_panels,
@@ -25,8 +25,8 @@ from reports.figures import (
     save_figure,
 )
 from reports.figures.centroid import one_sigma_ellipse
-from reports.figures.fit import MATCH_SIGMAS
 from reports.figures.landmark_database import cluster_colours
+from reports.figures.recognition import MATCH_SIGMAS
 from reports.figures.style import render, shared_edges
 
 CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
@@ -47,7 +47,7 @@ def _fit():
     covariances = scales @ scales.transpose(0, 2, 1) + 0.1 * np.eye(2)
     image = np.zeros((200, 240), np.float32)
     image[50:150, 60:190] = np.linspace(0.2, 1.0, 130)
-    return Fit(
+    return FitPanels(
         image=image,
         mesh_image=0.5 * image,
         before=Overlay(points, covariances, edges),

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from reports.figures import draw_landmark_counts
-from reports.figures.provenance import counted
+from reports.figures.provenance import with_trial_counts
 from reports.pages.build import write_report
 from reports.pages.content import read_content
 from reports.run.data import read_run
@@ -75,7 +75,7 @@ def test_captions_of_many_methods_give_the_range(builder):
             final = ((1.0, 2.0, 3.0), 0.1) if trial or estimator == "0" else None
             builder.trial(trial, ((9.0, 9.0, 9.0), 1.0), final, estimator=estimator)
     run = read_run(builder.write(estimators=list(map(str, range(8)))))
-    told = counted(NamedFigure("stem", Figure(), "What it shows.", ""), [run]).caption
+    told = with_trial_counts(NamedFigure("stem", Figure(), "What it shows.", ""), [run]).caption
     assert told == "What it shows. Of 3 trials, solved: 2 to 3 by each of 8 methods."
 
 

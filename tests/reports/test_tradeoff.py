@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from reports.figures import TradeMark, draw_trade_off
+from reports.figures import TradeOffPoint, draw_trade_off
 from reports.figures.style import render
 from reports.kinds.single_image.tradeoff import costs, trade_grid
 from reports.pages.build import write_report
@@ -91,7 +91,7 @@ def test_an_estimator_that_never_answers_has_no_accuracy(builder):
 
 def test_marks_lie_at_their_costs():
     errors = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
-    marks = {"maplets": TradeMark(errors, 0.5, 160_000), "shape": TradeMark(errors, 2.0, None)}
+    marks = {"maplets": TradeOffPoint(errors, 0.5, 160_000), "shape": TradeOffPoint(errors, 2.0, None)}
     figure = draw_trade_off(marks, {"position_error_m": 45.0, "attitude_error_deg": 1.0}, "T", ["Credit"])
     assert render(figure, "png")[:4] == b"\x89PNG"
     time, size = figure.axes[:2]

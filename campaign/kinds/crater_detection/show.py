@@ -12,13 +12,13 @@ from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from campaign.kinds.crater_detection.examples import crater_examples
 from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
 from reports.kinds.crater_detection.figures import draw_example, ellipses_of
-from reports.pages.look import Look
+from reports.pages.view3d import View3D
 from reports.run.data import select
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 
 
-def look_at_detections(scene: EstimatorRun) -> Look:
+def look_at_detections(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are detected when they could be, and the cameras of all images.
 
     Of several worlds the first is shown.

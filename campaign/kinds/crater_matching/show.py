@@ -17,8 +17,8 @@ from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, Simu
 from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.figures.crater_results import MatchedRims, draw_matched_pair
-from reports.pages.look import Look
+from reports.figures.craters import MatchedRims, draw_matched_pair
+from reports.pages.view3d import View3D
 from reports.run.data import RunData, read_run, select
 from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.craters.simulated import NO_CRATER
@@ -33,7 +33,7 @@ _MOST_PAIRS = 60
 """Trials of matching that are recomputed: which crater each match is of is not stored."""
 
 
-def look_at_matches(scene: EstimatorRun) -> Look:
+def look_at_matches(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are matched when both looks show them, and both cameras of each trial."""
     experiment, run = scene.opened(CraterMatching), scene.run
     rows = select(run.rows, scene.scenario, scene.label).head(_MOST_PAIRS)

@@ -14,7 +14,7 @@ from campaign.kinds.orbit_determination.score import orbit_errors, residual_reco
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.orbit.contract import Orbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
-from reports.pages.look import FAILED, Cameras, Look, Marks
+from reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
 from reports.schema.named_figure import NamedFigure
 from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
@@ -29,7 +29,7 @@ _NOTE = (
 )
 
 
-def look_at_orbits(scene: EstimatorRun) -> Look:
+def look_at_orbits(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one; also solutions that were rejected.
 
     Raises
@@ -54,8 +54,8 @@ def look_at_orbits(scene: EstimatorRun) -> Look:
         )
     body = coarsened(world.asteroid.mesh, MOST_FACES)
     factor, told = camera_scale(np.concatenate([cameras.points_m for cameras in seen]), body.radius_m)
-    drawn = [Cameras(cameras.name, cameras.colour, cameras.points_m / factor, cameras.texts) for cameras in seen]
-    return Look(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)
+    drawn = [CameraSet(cameras.name, cameras.colour, cameras.points_m / factor, cameras.texts) for cameras in seen]
+    return View3D(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)
 
 
 def sightings_of(shown: DeterminedOrbit, orbit: Orbit) -> pd.DataFrame:
@@ -72,7 +72,7 @@ def sightings_of(shown: DeterminedOrbit, orbit: Orbit) -> pd.DataFrame:
     )
 
 
-def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: str) -> list[Marks]:
+def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: str) -> list[PointSet]:
     """Colour the landmarks of a solution by their errors, where the truth has places for craters, and residuals."""
     grouped = sightings.groupby("number")
     at = orbit.numbers
@@ -84,9 +84,9 @@ def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: 
         f"<br>residual, RMS {finite_or_dash(rms, 'px')}"
         for number, h, u, error, rms in zip(at, hits, used, errors, residual, strict=True)
     ]
-    marks = [Marks(f"residual, {name} trial", orbit.points_body_m, residual, texts, "px")]
+    marks = [PointSet(f"residual, {name} trial", orbit.points_body_m, residual, texts, "px")]
     if np.isfinite(errors).any():
-        marks.insert(0, Marks(f"landmark error, {name} trial", orbit.points_body_m, errors, texts, "m"))
+        marks.insert(0, PointSet(f"landmark error, {name} trial", orbit.points_body_m, errors, texts, "m"))
     return marks
 
 
@@ -111,7 +111,7 @@ def landmark_errors(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame) ->
 
 def image_sets(
     shown: DeterminedOrbit, sightings: pd.DataFrame, rotation: UniformRotation, case: Case, called: tuple[str, str]
-) -> list[Cameras]:
+) -> list[CameraSet]:
     """Place the images of a trial in body axes: those that the orbit rests on, and those without a used sighting."""
     (name, colour), times = called, shown.data.pictures.times_s
     places = np.einsum("nij,nj->ni", rotation.at(times), shown.truth.image_states[:, :3])
@@ -128,7 +128,7 @@ def image_sets(
         dtype=object,
     )
     sets = ((f"images, {name} trial", colour, used > 0), (f"images of no use, {name} trial", FAILED, used == 0))
-    return [Cameras(what, shade, places[own], list(texts[own])) for what, shade, own in sets if own.any()]
+    return [CameraSet(what, shade, places[own], list(texts[own])) for what, shade, own in sets if own.any()]
 
 
 def draw_orbit_case(again: Recomputed) -> CaseFigures | None:

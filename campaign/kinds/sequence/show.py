@@ -18,15 +18,15 @@ from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import Record
 from estimators.slam.contract import SequenceEstimate
-from reports.figures.followed import (
-    Followed,
-    TrackLives,
+from reports.figures.trajectory import (
+    TrackLifetimes,
+    TrajectoryErrors,
     draw_error_bands,
     draw_landmark_map,
     draw_tracks,
     draw_trajectory,
 )
-from reports.pages.look import TRUE, Cameras, Look, Marks
+from reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
 from reports.schema.named_figure import NamedFigure
 from scenarios.bodies import load_body
 from scenarios.bodies.embedded import sphere
@@ -64,7 +64,7 @@ def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
 
 def followed_of(
     estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth, epochs: list[Record], radius_m: float
-) -> Followed:
+) -> TrajectoryErrors:
     """Collect trajectory and errors; positions in the axes of the true orbit at its first frame."""
     axes = _orbit_axes(truth)
     n = len(epochs)
@@ -75,7 +75,7 @@ def followed_of(
             turn = known_from_true(truth.trajectory.R_body_inertial[index], sequence.frames[index].R_body_inertial)
             own = orbit_frame(truth, index) @ turn.T
             sigma[index] = np.sqrt(np.maximum(np.diag(own @ frame.covariance_m2 @ own.T), 0.0))
-    return Followed(
+    return TrajectoryErrors(
         anomaly_deg=_columns(epochs, "anomaly_deg")[:, 0],
         true_m=place["true_"] @ axes.T,
         estimated_m=place[""] @ axes.T,
@@ -110,7 +110,7 @@ def last_seen(
 
 def lives_of(
     sequence: TrackSequence, truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], estimated: int
-) -> TrackLives:
+) -> TrackLifetimes:
     """Say from where to where each track lives, and where it was seen at a wrong place."""
     anomaly, wrong = truth.anomaly_deg, []
     span: dict[int, tuple[int, int]] = {}
@@ -122,7 +122,7 @@ def lives_of(
     place = {track: row for row, track in enumerate(tracks)}
     first, last = (anomaly[[span[track][end] for track in tracks]] for end in (0, 1))
     error = [float(np.linalg.norm(ends[track][0])) if track in ends else np.nan for track in tracks]
-    return TrackLives(
+    return TrackLifetimes(
         first, last, np.array(error),
         np.array([(at, place[track]) for at, track in wrong]).reshape(-1, 2),
         np.array([(anomaly[index], len(frame.tracks)) for index, frame in enumerate(sequence.frames)]),
@@ -134,7 +134,7 @@ def _columns(records: list[Record], *names: str) -> FloatArray:
     return np.array([[float(str(record[name])) for name in names] for record in records])
 
 
-def _trajectory(followed: Followed, what: str) -> NamedFigure:
+def _trajectory(followed: TrajectoryErrors, what: str) -> NamedFigure:
     return NamedFigure(
         "trajectory",
         draw_trajectory(followed, what),
@@ -143,7 +143,7 @@ def _trajectory(followed: Followed, what: str) -> NamedFigure:
     )
 
 
-def _bands(followed: Followed, what: str) -> NamedFigure:
+def _bands(followed: TrajectoryErrors, what: str) -> NamedFigure:
     return NamedFigure(
         "errors",
         draw_error_bands(followed, what),
@@ -153,7 +153,7 @@ def _bands(followed: Followed, what: str) -> NamedFigure:
     )
 
 
-def _tracks(lives: TrackLives, what: str) -> NamedFigure:
+def _tracks(lives: TrackLifetimes, what: str) -> NamedFigure:
     return NamedFigure(
         "tracks",
         draw_tracks(lives, what),
@@ -176,7 +176,7 @@ def _landmarks(truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], wh
     )
 
 
-def look_at_sequences(scene: EstimatorRun) -> Look:
+def look_at_sequences(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one, in the axes that the body has at each frame."""
     marks, cameras, ground = [], [], None
     for name, colour, case in middle_and_worst(scene):
@@ -192,7 +192,7 @@ def look_at_sequences(scene: EstimatorRun) -> Look:
         _mesh_of(scene.campaign, scene.scenario, isinstance(ground, MeshGround), ground.reach_m), MOST_FACES
     )
     note = "The trial of median error and the worst one; a landmark stands where it truly is."
-    return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+    return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
 
 
 def _mesh_of(campaign: ResolvedCampaign, scenario: str, meshed: bool, radius_m: float) -> TriangleMesh:
@@ -203,7 +203,7 @@ def _mesh_of(campaign: ResolvedCampaign, scenario: str, meshed: bool, radius_m: 
     return TriangleMesh(ball.vertices_m * (radius_m / ball.radius_m), ball.faces)
 
 
-def _track_marks(shown: FollowedSequence, name: str) -> list[Marks]:
+def _track_marks(shown: FollowedSequence, name: str) -> list[PointSet]:
     if shown.estimate is None:
         return []
     truth = shown.seen.truth
@@ -213,17 +213,17 @@ def _track_marks(shown: FollowedSequence, name: str) -> list[Marks]:
     texts = [
         f"track {t}<br>error {e:.3g} m<br>seen in {ends[t][1]} frames" for t, e in zip(tracks, errors, strict=True)
     ]
-    return [Marks(f"landmark error, {name} trial", truth.points_m[tracks].reshape(-1, 3), errors, texts, "m")]
+    return [PointSet(f"landmark error, {name} trial", truth.points_m[tracks].reshape(-1, 3), errors, texts, "m")]
 
 
-def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[Cameras]:
+def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[CameraSet]:
     frames = () if shown.estimate is None else shown.estimate.frames
     true = np.array([pose.camera_position_m for pose in shown.seen.truth.poses])
     estimated = np.array([frame.position_m for frame in frames]).reshape(-1, 3)
     errors = np.linalg.norm(estimated - true[: len(estimated)], axis=1)
     texts = [f"trial {case.trial}, frame {i}<br>{error:.3g} m from the truth" for i, error in enumerate(errors)]
-    truth = Cameras(f"truth, {name} trial", TRUE, true, [f"frame {i}" for i in range(len(true))], joined=True)
-    return [truth, Cameras(f"estimate, {name} trial", colour, estimated, texts, joined=True)]
+    truth = CameraSet(f"truth, {name} trial", TRUE, true, [f"frame {i}" for i in range(len(true))], joined=True)
+    return [truth, CameraSet(f"estimate, {name} trial", colour, estimated, texts, joined=True)]
 
 
 def kept(shown: object) -> CaseFiles:

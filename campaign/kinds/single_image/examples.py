@@ -18,7 +18,7 @@ from campaign.trial.in_turn import part_of
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks, visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
-from reports.figures import Fit, Overlay, draw_fit_panels
+from reports.figures import FitPanels, Overlay, draw_fit_panels
 from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Camera, Pose, TriangleMesh
 from scenarios.observation import Observation
@@ -107,7 +107,7 @@ def _words(what: str) -> tuple[str, str]:
     return caption, "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
 
 
-def fit_of(look: SecondLook) -> Fit | None:
+def fit_of(look: SecondLook) -> FitPanels | None:
     """Collect what the figure of a fit shows; None where the recognition failed before its end."""
     found = look.found
     if not found.alignment.steps or found.corners is None or found.solution is None or found.solution.fit is None:
@@ -117,16 +117,16 @@ def fit_of(look: SecondLook) -> Fit | None:
     return _fit(look, found.solution.fit.T_cam_body, found.corners.uv_px, matched)
 
 
-def alignment_of(look: SecondLook) -> Fit | None:
+def alignment_of(look: SecondLook) -> FitPanels | None:
     """Collect what the figure of an alignment shows; None where there was none."""
     if not look.found.alignment.steps:
         return None
     return _fit(look, look.found.alignment.T_cam_body, np.empty((0, 2)), np.empty(0, dtype=np.bool_))
 
 
-def _fit(look: SecondLook, after: Pose, corners_px: NDArray[np.float64], matched: NDArray[np.bool_]) -> Fit:
+def _fit(look: SecondLook, after: Pose, corners_px: NDArray[np.float64], matched: NDArray[np.bool_]) -> FitPanels:
     first = look.found.alignment.steps[0]
-    return Fit(
+    return FitPanels(
         image=look.image,
         mesh_image=first.rendered,
         before=overlay(look.database, look.camera, look.found.prior),

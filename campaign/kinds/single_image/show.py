@@ -33,10 +33,9 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer
 from renderers.mitsuba3 import BodyRenderer
-from reports.figures.fit import draw_alignment_panels, draw_fit_panels
-from reports.figures.posed import PosedLook, draw_posed
-from reports.figures.recognised import Recognised, draw_recognised
-from reports.pages.look import Look, Marks
+from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
+from reports.figures.recognition import MatchedLandmarks, draw_alignment_panels, draw_fit_panels, draw_matched_landmarks
+from reports.pages.view3d import PointSet, View3D
 from reports.run.data import select
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
@@ -79,7 +78,7 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
             none += f" Nothing can be rendered at the {pose[0]}: {error}."
     return NamedFigure(
         "poses",
-        draw_posed(image, looks, what, lines),
+        draw_pose_renderings(image, looks, what, lines),
         f"{what}. Above, the outline of the true body at the prior, at the estimate and at the truth. Below, the image"
         f" less a rendering of it there, scaled to the image; at the truth only noise and the lens are left.{none}",
         "The image with the outline of the body at each pose, and below it what a rendering leaves of the image.",
@@ -100,7 +99,7 @@ def _reached(estimate: Estimate | None) -> tuple[str, Pose] | None:
 
 def _look(
     renderer: BodyRenderer, camera: Camera, sun_dir_cam: FloatArray, image: FloatArray, posed: tuple[str, str, Pose]
-) -> PosedLook:
+) -> PoseRendering:
     """Render the true body at a pose; the Sun stands still in the camera, as it is known to."""
     name, heading, T_cam_body = posed
     view = View(camera, T_cam_body, sun_dir_cam @ T_cam_body.rotation)
@@ -109,7 +108,7 @@ def _look(
     rendered = renderer.render(view).astype(np.float64)
     design = np.column_stack([rendered.ravel(), np.ones(rendered.size)])
     scale, offset = np.linalg.lstsq(design, image.ravel())[0]
-    return PosedLook(name, heading, body, image - scale * rendered - offset)
+    return PoseRendering(name, heading, body, image - scale * rendered - offset)
 
 
 def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> Iterator[NamedFigure]:
@@ -134,7 +133,7 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
         yield NamedFigure("alignment", draw_alignment_panels(aligned, what, lines), caption, alt)
 
 
-def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | None:
+def _recognised(shown: EstimatedImage, scored: list[Record]) -> MatchedLandmarks | None:
     """Collect recognised landmarks before the camera with their true errors; None where there are none."""
     estimate = shown.estimate
     table = None if estimate is None else estimate.details.get("landmarks")
@@ -145,13 +144,13 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | Non
     predicted = shown.observation.camera.project(estimate.pose.transform(places))
     errors = np.array([np.nan if record["error_m"] is None else float(str(record["error_m"])) for record in scored])
     ahead = np.isfinite(predicted).all(axis=1)
-    return Recognised(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
+    return MatchedLandmarks(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
 
 
-def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[str]) -> NamedFigure:
+def _matches(shown: EstimatedImage, found: MatchedLandmarks, what: str, lines: list[str]) -> NamedFigure:
     return NamedFigure(
         "matches",
-        draw_recognised(shown.observation.frame.image, found, what, lines),
+        draw_matched_landmarks(shown.observation.frame.image, found, what, lines),
         f"{what}. Left, recognised landmarks where the estimate projects them, with magnified residuals. Middle, the"
         " residuals. Right, each residual over the true distance between the landmark and the surface point that was"
         " taken for it: far to the right and low is a wrong match that the fit has swallowed.",
@@ -159,7 +158,7 @@ def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[st
     )
 
 
-def look_at_images(scene: EstimatorRun) -> Look:
+def look_at_images(scene: EstimatorRun) -> View3D:
     """Show the landmarks of the first data base and the cameras of all its trials."""
     experiment, run = scene.opened(SingleImage), scene.run
     tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
@@ -173,10 +172,10 @@ def look_at_images(scene: EstimatorRun) -> Look:
     middle = rows["position_error_m"].median()
     note = f"{len(rows)} trials. Good and bad: below and above the median error of {middle:.3g} m.{told}"
     cameras = camera_sets(rows, errors, "error {:.3g} m".format, lambda trial: places[trial] / factor)
-    return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+    return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
 
 
-def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -> list[Marks]:
+def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -> list[PointSet]:
     """Colour the landmarks that an estimator has, or the craters of its data base; others have places of neither."""
     if isinstance(estimator, CraterPose):
         return [crater_marks(estimator.landmarks)]
@@ -189,17 +188,17 @@ def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -
     return landmark_marks(database.means_m, seen, recognised)
 
 
-def crater_marks(craters: Landmarks) -> Marks:
+def crater_marks(craters: Landmarks) -> PointSet:
     """Colour the craters of a data base by the images that they were found in, of which it was made."""
     sigma_m = np.sqrt(np.trace(craters.covariance_m2, axis1=1, axis2=2))
     texts = [
         f"crater {number}<br>{2.0 * radius:.3g} m across<br>in {images} images of the data base<br>sigma {sigma:.3g} m"
         for number, radius, images, sigma in zip(craters.number, craters.radius_m, craters.images, sigma_m, strict=True)
     ]
-    return Marks("images of the data base", craters.position_body_m, craters.images.astype(float), texts, "")
+    return PointSet("images of the data base", craters.position_body_m, craters.images.astype(float), texts, "")
 
 
-def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.DataFrame) -> list[Marks]:
+def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.DataFrame) -> list[PointSet]:
     """Colour landmarks by how often they are recognised and by how far they then are from what is seen.
 
     Parameters
@@ -222,8 +221,8 @@ def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.Dat
         for i in numbers
     ]
     return [
-        Marks("recognised when in view", places_m, share, texts, "%"),
-        Marks("median landmark error", places_m, error, texts, "m"),
+        PointSet("recognised when in view", places_m, share, texts, "%"),
+        PointSet("median landmark error", places_m, error, texts, "m"),
     ]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.figures.crater_results import (
+from reports.figures.craters import (
     FALSE_COLOUR,
     FOUND_COLOUR,
     OTHER_COLOUR,
@@ -17,8 +17,8 @@ from reports.figures.crater_results import (
     draw_confidence_curves,
     draw_found_and_true,
     draw_rates,
+    draw_stages,
 )
-from reports.figures.craters import draw_stages
 from reports.kinds.crater_detection.rates import (
     BINNINGS,
     DetectorResults,

@@ -6,12 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from reports.compare.figures import cumulative_figure, standings_figure
-from reports.compare.looks import groups
+from reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
 from reports.compare.metrics import Metric
 from reports.compare.subjects import compared
-from reports.figures.designs import CurvePanel, Effect, Points, draw_curves, draw_effects
-from reports.figures.matrix import Matrix, draw_matrix
+from reports.figures.scenario_grids import (
+    CurvePanel,
+    Effect,
+    HeatMap,
+    Points,
+    draw_curves,
+    draw_effects,
+    draw_heat_maps,
+)
 from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from reports.run.data import GridAxis, RunData
 from reports.schema.grid import number
@@ -47,7 +53,10 @@ def _by_level(run: RunData) -> Iterator[NamedFigure]:
     if run.rows[POSITION].isna().all():
         return
     found = compared((run,), Metric(POSITION))
-    drawn = (standings_figure(found), *(cumulative_figure(found, level, own) for level, own in groups(found).items()))
+    drawn = (
+        summary_figure(found),
+        *(cumulative_figure(found, level, own) for level, own in subjects_by_group(found).items()),
+    )
     yield from drawn
 
 
@@ -72,10 +81,10 @@ def _matrix(data: DesignData, base: str, names: list[str], estimator: str) -> It
                 median = data.median(name, outcome) if name else Measured(None)
                 values[i, j] = np.nan if median.value is None else median.value
                 texts[i][j] = _cell_text(median, data.ok([name], outcome) if name else "")
-        matrices.append(Matrix(outcome.label, down.levels, across.levels, values, texts))
+        matrices.append(HeatMap(outcome.label, down.levels, across.levels, values, texts))
     yield NamedFigure(
         file_stem(f"matrix_{base}_{estimator}"),
-        draw_matrix(matrices, down.label, across.label, title),
+        draw_heat_maps(matrices, down.label, across.label, title),
         f"{title}: median error with its 95 % interval, and the trials behind it, of all.",
         f"Heat maps of {', '.join(matrix.title for matrix in matrices)} over {down.label} and {across.label}.",
     )

@@ -8,9 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.figures.bands import band_of
-from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
-from reports.figures.sequences import LANDMARKS, POSITION, draw_starts, draw_traces
+from reports.figures.axes import band_label
+from reports.figures.sequences import AFTER_REVOLUTIONS, LANDMARKS, POSITION, draw_revolutions, draw_starts, draw_traces
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.contrasts import ERROR_RATIOS
 from reports.kinds.sequence.vision import vision_grid
@@ -155,7 +154,7 @@ def trace_figure(
     trials = here["trial"].nunique()
     return (
         draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
-        f"{title}: median over {count_of(trials, 'trial')}, and {band_of(trials)}; a thin line: the"
+        f"{title}: median over {count_of(trials, 'trial')}, and {band_label(trials)}; a thin line: the"
         " first trial; a trial that failed ends with its last good frame.",
         f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
     )

@@ -9,8 +9,8 @@ import pandas as pd
 
 from reports.figures import (
     MOST_CURVES,
-    Curve,
-    TradeMark,
+    RocCurve,
+    TradeOffPoint,
     draw_centroid_offsets,
     draw_cumulative_errors,
     draw_landmark_counts,
@@ -116,16 +116,16 @@ def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterato
         )
 
 
-def _curves(found: Sequence[OutlierScore]) -> dict[str, list[Curve]]:
+def _curves(found: Sequence[OutlierScore]) -> dict[str, list[RocCurve]]:
     """Choose the scores whose area is farthest from chance, for each definition of bad."""
-    curves: dict[str, list[Curve]] = {}
+    curves: dict[str, list[RocCurve]] = {}
     for one in found:
         sign = -1.0 if one.low_is_bad else 1.0
         false, true, _ = roc_curve(sign * one.score, one.bad)
         size = area(sign * one.score, one.bad)
         name = f"{one.name} (low)" if one.low_is_bad else one.name
         panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
-        curves.setdefault(panel, []).append(Curve(name, false, true, size))
+        curves.setdefault(panel, []).append(RocCurve(name, false, true, size))
     return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
 
 
@@ -149,7 +149,7 @@ def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
     """Set accuracy against what it costs."""
     run = content.run
     marks = {
-        cost.estimator: TradeMark(
+        cost.estimator: TradeOffPoint(
             {POSITION: cost.position_m, ATTITUDE: cost.attitude_deg}, cost.seconds.value, cost.size_bytes
         )
         for cost in costs(run)

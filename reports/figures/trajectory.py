@@ -1,4 +1,4 @@
-"""One trial of a sequence: the trajectory, its error with what its covariance foretells, tracks and landmarks."""
+"""Figures of one trial of a sequence: trajectory, errors with their covariance, tracks and landmarks."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from reports.figures.axes import mark_revolutions
 from reports.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, FloatArray, grid_figure, new_figure, styled
-from reports.figures.turns import mark_turns
 
 SIGMAS = 3.0
 _COMPONENTS = ("radial", "along-track", "cross-track")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """A trajectory that was estimated frame by frame, and the true one.
+class TrajectoryErrors:
+    """An estimated trajectory and the true one.
 
     Parameters
     ----------
     anomaly_deg
-        (F,) anomaly gone through at each estimated frame.
+        (F,) anomaly since the first frame, deg, at each estimated frame.
     true_m, estimated_m
         (F, 3) inertial positions in the axes of the orbit: towards the first position, along the motion there, and
         across the plane.
     error_m
         (F, 3) radial, along-track and cross-track components of the error.
     sigma_m
-        (F, 3) standard deviation of each that the estimator's covariance foretells; NaN where it has none.
+        (F, 3) standard deviation of each component by the estimator's covariance; NaN where it has none.
     body_radius_m
-        Of a sphere about the body.
+        Radius of a sphere around the body.
     """
 
     anomaly_deg: FloatArray
@@ -45,21 +45,21 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackLives:
-    """The tracks of a sequence, each by its number.
+class TrackLifetimes:
+    """Lifetimes of the tracks of a sequence, and errors of their landmarks.
 
     Parameters
     ----------
     first, last
-        (T,) anomaly, deg, of the first and of the last frame that sees it.
+        (T,) anomaly, deg, of the first and of the last frame that sees the track.
     error_m
-        (T,) error of its landmark when it was seen last; NaN where the estimator held none.
+        (T,) error of its landmark when it was last seen; NaN where the estimator had no landmark.
     wrong_at
-        (k, 2) anomaly, deg, and track of sightings at a wrong place.
+        (k, 2) anomaly, deg, and track of each wrong sighting.
     per_frame
         (F, 2) anomaly, deg, and number of tracks.
     ended
-        Anomaly, deg, of the estimate's last frame; None where it has all of them.
+        Anomaly, deg, of the last estimated frame; None where all frames are estimated.
     """
 
     first: FloatArray
@@ -71,22 +71,22 @@ class TrackLives:
 
 
 @styled
-def draw_trajectory(followed: Followed, title: str) -> Figure:
-    """Draw the trajectory in the plane of the orbit and seen along it, errors magnified so that they can be seen."""
+def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
+    """Draw the trajectory in the plane of the orbit and edge-on, with magnified errors."""
     figure, (plane, edge) = new_figure(2, width_in=9.0, height_in=4.6)
-    scale = _magnification(followed)
-    shown = followed.true_m + scale * (followed.estimated_m - followed.true_m)
+    scale = _magnification(trajectory)
+    shown = trajectory.true_m + scale * (trajectory.estimated_m - trajectory.true_m)
     pairs = ((plane, 1, 1e-3, "along the first motion, km"), (edge, 2, 1.0, "across the orbit, m"))
     for axes, which, unit, label in pairs:
         scaled = np.array([1e-3, unit])
-        true, estimated = (points_m[:, [0, which]] * scaled for points_m in (followed.true_m, shown))
+        true, estimated = (points_m[:, [0, which]] * scaled for points_m in (trajectory.true_m, shown))
         axes.plot(*true.T, color=GREEN, linewidth=1.6, label="truth")
-        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=_label(scale))
+        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=_estimate_label(scale))
         axes.plot(*true[:1].T, "o", color=GREEN, markersize=5, label="first frame")
         axes.plot(*estimated[-1:].T, "s", color=BLUE, markersize=5, label="last estimate")
         axes.set(xlabel="towards the first position, km", ylabel=label)
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    radius_km = 1e-3 * followed.body_radius_m
+    radius_km = 1e-3 * trajectory.body_radius_m
     plane.fill(radius_km * np.cos(angle), radius_km * np.sin(angle), color=GREY, alpha=0.35, label="body")
     plane.set_aspect("equal")
     handles, labels = plane.get_legend_handles_labels()
@@ -95,36 +95,36 @@ def draw_trajectory(followed: Followed, title: str) -> Figure:
     return figure
 
 
-def _label(scale: float) -> str:
+def _estimate_label(scale: float) -> str:
     return "estimate" if scale == 1.0 else f"estimate, error x {scale:g}"
 
 
-def _magnification(followed: Followed) -> float:
-    """Choose a round factor at which the largest error is a sixth of the orbit's radius or less."""
-    largest = float(np.linalg.norm(followed.error_m, axis=1).max(initial=0.0))
-    room = float(np.linalg.norm(followed.true_m, axis=1).max(initial=1.0)) / 6.0
+def _magnification(trajectory: TrajectoryErrors) -> float:
+    """Choose the largest round factor at which no error exceeds a sixth of the orbit's radius."""
+    largest = float(np.linalg.norm(trajectory.error_m, axis=1).max(initial=0.0))
+    room = float(np.linalg.norm(trajectory.true_m, axis=1).max(initial=1.0)) / 6.0
     return max((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if s * largest <= room), default=1.0)
 
 
 @styled
-def draw_error_bands(followed: Followed, title: str) -> Figure:
-    """Draw each component of the error over the anomaly, in the band of three standard deviations."""
+def draw_error_bands(trajectory: TrajectoryErrors, title: str) -> Figure:
+    """Draw each component of the error over the anomaly, with the band of three standard deviations."""
     figure, panels = grid_figure(3, 1, width_in=7.5, height_in=6.0)
     for k, (axes, name) in enumerate(zip(panels[:, 0], _COMPONENTS, strict=True)):
-        band = SIGMAS * followed.sigma_m[:, k]
+        band = SIGMAS * trajectory.sigma_m[:, k]
         known = np.isfinite(band)
         if known.any():
             axes.fill_between(
-                followed.anomaly_deg, -band, band, where=list(known), color=ORANGE, alpha=0.25, linewidth=0,
+                trajectory.anomaly_deg, -band, band, where=list(known), color=ORANGE, alpha=0.25, linewidth=0,
                 label=f"{SIGMAS:g} sigma of its covariance",
             )  # fmt: skip
-        axes.plot(followed.anomaly_deg, followed.error_m[:, k], color=BLUE, linewidth=1.1, label="error")
+        axes.plot(trajectory.anomaly_deg, trajectory.error_m[:, k], color=BLUE, linewidth=1.1, label="error")
         axes.axhline(0.0, color=GREY, linewidth=0.7)
-        outside = np.count_nonzero(np.abs(followed.error_m[known, k]) > band[known])
+        outside = np.count_nonzero(np.abs(trajectory.error_m[known, k]) > band[known])
         share = f": {100.0 * outside / known.sum():.0f} % of frames outside" if known.any() else ": no covariance"
         axes.set_title(f"{name}{share}", loc="left")
         axes.set_ylabel("error, m")
-        mark_turns(axes, followed.anomaly_deg)
+        mark_revolutions(axes, trajectory.anomaly_deg)
     panels[0, 0].legend(loc="upper left", ncols=2)
     panels[-1, 0].set_xlabel("anomaly, deg")
     figure.suptitle(title, fontsize=9.5)
@@ -132,28 +132,31 @@ def draw_error_bands(followed: Followed, title: str) -> Figure:
 
 
 @styled
-def draw_tracks(lives: TrackLives, title: str) -> Figure:
-    """Draw the life of every track, coloured by its landmark's error, wrong sightings, and the tracks of each frame."""
+def draw_tracks(tracks: TrackLifetimes, title: str) -> Figure:
+    """Draw the lifetime of every track, coloured by the error of its landmark, and the number of tracks per frame.
+
+    Wrong sightings are marked by crosses.
+    """
     figure, panels = grid_figure(2, 1, width_in=7.5, height_in=6.4)
     above, below = panels[:, 0]
-    numbers = np.arange(len(lives.first), dtype=np.float64)
-    ends = np.stack([np.column_stack([lives.first, numbers]), np.column_stack([lives.last, numbers])], axis=1)
-    known = np.isfinite(lives.error_m)
-    above.add_collection(LineCollection(list(ends[~known]), colors=GREY, linewidths=0.8, label="no landmark of it"))
+    numbers = np.arange(len(tracks.first), dtype=np.float64)
+    ends = np.stack([np.column_stack([tracks.first, numbers]), np.column_stack([tracks.last, numbers])], axis=1)
+    known = np.isfinite(tracks.error_m)
+    above.add_collection(LineCollection(list(ends[~known]), colors=GREY, linewidths=0.8, label="without a landmark"))
     lines = LineCollection(list(ends[known]), cmap="viridis", linewidths=1.0)
-    lines.set_array(lives.error_m[known])
-    lines.set_clim(0.0, float(np.percentile(lives.error_m[known], 95)) if known.any() else 1.0)
+    lines.set_array(tracks.error_m[known])
+    lines.set_clim(0.0, float(np.percentile(tracks.error_m[known], 95)) if known.any() else 1.0)
     above.add_collection(lines)
     figure.colorbar(lines, ax=above, label="landmark error when seen last, m", pad=0.01)
-    if len(lives.wrong_at):
-        above.plot(*lives.wrong_at.T, "x", color=VERMILION, markersize=4, label=f"{len(lives.wrong_at)} seen wrongly")
-    above.set(ylabel="track", xlim=_span(lives.per_frame[:, 0]), ylim=(-1.0, len(lives.first)))
-    for axes in (above, below) if lives.ended is not None else ():
-        axes.axvline(lives.ended, color=VERMILION, linewidth=1.0, linestyle="--", label="the estimate ends")
+    if len(tracks.wrong_at):
+        above.plot(*tracks.wrong_at.T, "x", color=VERMILION, markersize=4, label=f"{len(tracks.wrong_at)} seen wrongly")
+    above.set(ylabel="track", xlim=_span(tracks.per_frame[:, 0]), ylim=(-1.0, len(tracks.first)))
+    for axes in (above, below) if tracks.ended is not None else ():
+        axes.axvline(tracks.ended, color=VERMILION, linewidth=1.0, linestyle="--", label="the estimate ends")
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper left")
-    below.step(*lives.per_frame.T, where="mid", color=BLUE)
-    below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=_span(lives.per_frame[:, 0]))
+    below.step(*tracks.per_frame.T, where="mid", color=BLUE)
+    below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=_span(tracks.per_frame[:, 0]))
     below.set_ylim(bottom=0.0)
     figure.suptitle(title, fontsize=9.5)
     return figure
@@ -165,16 +168,16 @@ def _span(anomaly_deg: FloatArray) -> tuple[float, float]:
 
 @styled
 def draw_landmark_map(points_m: FloatArray, error_m: FloatArray, new: NDArray[np.bool_], title: str) -> Figure:
-    """Draw landmarks on the body by their errors when they were seen last.
+    """Draw a map of landmark errors, and height errors over errors along the ground, when landmarks were last seen.
 
     Parameters
     ----------
     points_m
-        (n, 3) true places, body frame.
+        (n, 3) true positions, body frame.
     error_m
-        (n, 3) estimated less true, body frame.
+        (n, 3) estimated less true position, body frame.
     new
-        (n,) landmarks that were seen once alone, of unknown depth.
+        (n,) landmarks that were seen only once, so that their depth is unknown.
     """
     figure, (chart, parts) = new_figure(2, width_in=9.4, height_in=3.6)
     length = np.linalg.norm(error_m, axis=1)
@@ -194,7 +197,7 @@ def draw_landmark_map(points_m: FloatArray, error_m: FloatArray, new: NDArray[np
 
 
 def _errors(axes: Axes, across: FloatArray, radial: FloatArray, new: NDArray[np.bool_]) -> None:
-    """Height error over the error along the ground: depth is what a camera tells least of."""
+    """Draw the height error over the error along the ground: a camera measures depth worst."""
     for which, colour, label in ((~new, BLUE, "seen twice or more"), (new, VERMILION, "seen once")):
         if which.any():
             axes.plot(across[which], radial[which], "o", markersize=3, color=colour, label=label)

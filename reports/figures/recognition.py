@@ -1,4 +1,4 @@
-"""The stages of one recognition, drawn over its image (the paper's figure 8)."""
+"""Figures of landmark recognition in one image: stages of the fit, matched landmarks and their residuals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,118 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, hide_axes, new_figure, show_image, styled
+from reports.figures.style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILION,
+    FloatArray,
+    add_credits,
+    hide_axes,
+    new_figure,
+    show_image,
+    styled,
+)
 
 MATCH_SIGMAS = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MatchedLandmarks:
+    """Matched landmarks of one image.
+
+    Parameters
+    ----------
+    seen_px
+        (n, 2) where each was found in the image.
+    predicted_px
+        (n, 2) where the estimate projects its mean.
+    error_m
+        (n,) distance of the true surface point seen there from the landmark; NaN where the line of sight misses the
+        body.
+    """
+
+    seen_px: FloatArray
+    predicted_px: FloatArray
+    error_m: FloatArray
+
+    @property
+    def residual_px(self) -> FloatArray:
+        """(n, 2) seen less predicted."""
+        return self.seen_px - self.predicted_px
+
+
+@styled
+def draw_matched_landmarks(
+    image: NDArray[np.floating], found: MatchedLandmarks, title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw matches with magnified residuals over the image, the residuals alone, and residuals over true errors."""
+    figure, (over, spread, errors) = new_figure(3, width_in=10.6, height_in=3.7)
+    show_image(over, image)
+    scale = _magnification(image, found.residual_px)
+    _draw_arrows(over, image, found, scale)
+    _draw_spread(spread, found.residual_px)
+    _draw_true_errors(errors, found)
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _magnification(image: NDArray[np.floating], residual_px: FloatArray) -> float:
+    """Choose a round factor that makes the median residual about a thirtieth of the image."""
+    median = float(np.median(np.linalg.norm(residual_px, axis=1))) if len(residual_px) else 0.0
+    wanted = max(image.shape) / 30.0 / max(median, 1e-6)
+    return min((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)), key=lambda step: abs(np.log(step / wanted)))
+
+
+def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmarks, scale: float) -> None:
+    axes.plot(*found.predicted_px.T, "o", markersize=4, markerfacecolor="none", markeredgecolor=ORANGE)
+    axes.quiver(
+        *found.predicted_px.T, *(scale * found.residual_px).T, angles="xy", scale_units="xy", scale=1.0,
+        color=VERMILION, width=0.004,
+    )  # fmt: skip
+    axes.set(**_landmark_window(image, found))
+    axes.set_title(f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}")
+    hide_axes(axes)
+
+
+def _landmark_window(image: NDArray[np.floating], found: MatchedLandmarks) -> dict[str, tuple[float, float]]:
+    """Return the limits of the axes: the landmarks with a margin, within the image."""
+    height, width = image.shape
+    points = np.concatenate([found.seen_px, found.predicted_px])
+    margin = 0.15 * float(np.ptp(points, axis=0).max()) + 10.0
+    left, top = np.maximum(points.min(axis=0) - margin, 0.0)
+    right, bottom = np.minimum(points.max(axis=0) + margin, (width, height))
+    return {"xlim": (float(left), float(right)), "ylim": (float(bottom), float(top))}
+
+
+def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
+    axes.plot(*residual_px.T, "o", markersize=3.5, color=VERMILION, alpha=0.8)
+    rms = float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else float("nan")
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    axes.plot(rms * np.cos(angle), rms * np.sin(angle), color=GREY, linewidth=0.9, label=f"RMS {rms:.2g} px")
+    reach = 1.1 * max(float(np.abs(residual_px).max(initial=0.0)), rms, 1e-9) if len(residual_px) else 1.0
+    axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="column residual, px", ylabel="row residual, px")
+    axes.set_aspect("equal")
+    axes.legend(loc="upper right")
+
+
+def _draw_true_errors(axes: Axes, found: MatchedLandmarks) -> None:
+    """Draw residuals over true errors; a small residual with a large true error is a wrong match."""
+    known = np.isfinite(found.error_m)
+    length_px = np.linalg.norm(found.residual_px, axis=1)
+    axes.plot(found.error_m[known], length_px[known], "o", markersize=3.5, color=BLUE)
+    missed = int(np.count_nonzero(~known))
+    axes.set(xlabel="distance of the seen surface point from the landmark, m", ylabel="residual, px")
+    axes.set_title(f"{missed} lines of sight miss the body" if missed else "")
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """The data base, projected into an image with one pose.
+    """Landmarks and mesh of the data base, projected into an image with one pose.
 
     Parameters
     ----------
@@ -37,8 +141,8 @@ class Overlay:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """What the figure shows of one recognition, all of it in pixels of the image.
+class FitPanels:
+    """Projections and matches of one recognition, all in pixels of the image.
 
     Parameters
     ----------
@@ -65,13 +169,13 @@ class Fit:
 
 
 @styled
-def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the converged fit, cropped alike to the body.
+def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the initial fit, the rendered mesh and the converged fit (Rowell et al. 2015, figure 8).
 
     Parameters
     ----------
     fit
-        What to draw.
+        The recognition to draw.
     title
         Printed above the panels.
     credit_lines
@@ -86,13 +190,13 @@ def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> F
 
 
 @styled
-def draw_alignment_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the fit after the alignment of the centroids (the paper's figure 3).
+def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the initial fit, the rendered mesh and the fit with aligned centroids (Rowell et al. 2015, figure 3).
 
     Parameters
     ----------
     fit
-        What to draw; ``after`` is the data base with the aligned pose, and its corners are not drawn.
+        The recognition to draw; ``after`` is the data base with the aligned pose. Corners are not drawn.
     title
         Printed above the panels.
     credit_lines
@@ -106,9 +210,9 @@ def draw_alignment_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()
     return figure
 
 
-def _panels(fit: Fit, last: str) -> tuple[Figure, list[Axes]]:
-    """Show image, mesh and image again, cropped alike to the body."""
-    (left, right), (top, bottom) = _window(fit)
+def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
+    """Show the image, the mesh and the image again, all three cropped to the body."""
+    (left, right), (top, bottom) = _overlay_window(fit)
     height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
     figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
     names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
@@ -120,7 +224,7 @@ def _panels(fit: Fit, last: str) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _draw_initial(axes: Axes, fit: Fit) -> None:
+def _draw_initial(axes: Axes, fit: FitPanels) -> None:
     _draw_edges(axes, fit.before)
     if fit.before.covariances_px2 is not None:
         axes.add_collection(_ellipses(axes, fit.before.landmarks_px, fit.before.covariances_px2))
@@ -129,7 +233,7 @@ def _draw_initial(axes: Axes, fit: Fit) -> None:
         axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
 
 
-def _draw_final(axes: Axes, fit: Fit) -> None:
+def _draw_final(axes: Axes, fit: FitPanels) -> None:
     _draw_edges(axes, fit.after)
     free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
     axes.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
@@ -141,7 +245,7 @@ def _draw_edges(axes: Axes, overlay: Overlay) -> None:
 
 
 def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -> EllipseCollection:
-    """Build the ellipses within which a corner matches (d^2 < 36)."""
+    """Build the ellipses within which a corner can match a landmark (Mahalanobis d^2 < 36)."""
     variances, vectors = np.linalg.eigh(covariances_px2)
     diameters = 2.0 * MATCH_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
@@ -183,7 +287,7 @@ def _corner_marks(matched: NDArray[np.bool_]) -> list[Line2D]:
 
 
 def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
-    """Explain the marks and print the credits below the panels, where they hide nothing."""
+    """Explain the marks and print the credits below the panels."""
     figure.legend(
         handles=list(handles),
         loc="outside lower center",
@@ -195,8 +299,8 @@ def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequenc
     )
 
 
-def _window(fit: Fit) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
+def _overlay_window(fit: FitPanels) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
     height, width = fit.image.shape
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
     if len(points) == 0:

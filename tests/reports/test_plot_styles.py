@@ -6,14 +6,13 @@ import itertools
 
 import pytest
 
-from reports.figures.log_axis import mark_decades, scale_ordinate
-from reports.figures.looks import colour_of, looks
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure
+from reports.figures.axes import mark_decades, scale_ordinate
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, colour_of, new_figure, plot_styles
 
 
 @pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
 def test_the_colour_does_not_depend_on_what_else_is_shown(others):
-    assert looks([*others, "ba-slam"])["ba-slam"].colour == colour_of("ba-slam")
+    assert plot_styles([*others, "ba-slam"])["ba-slam"].colour == colour_of("ba-slam")
 
 
 @pytest.mark.parametrize(("label", "method"), [("ba-slam-5", "ba-slam"), ("fixed-lag-noisy", "fixed-lag")])
@@ -33,7 +32,7 @@ def test_controls_are_grey_and_nothing_else_is(label):
 
 def test_no_two_of_a_figure_look_alike():
     labels = ["prior", "ba-slam", "ba-slam-3", "ba-slam-5", "landmark-harris", "fixed-lag", "lmaps", "mine", "yours"]
-    found = looks(labels)
+    found = plot_styles(labels)
     assert list(found) == labels
     for one, other in itertools.combinations(found.values(), 2):
         assert one.colour != other.colour or one.line != other.line

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
+from reports.run.data import TRIAL_KEY
 from reports.run.limits import short_line
 from reports.run.outcomes import MEANING
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
 from reports.schema.records import CONTROL, FAILURES_AT_PRIOR
+from reports.statistics.consistency import ConsistencyTest, consistency_test, normalised_errors, normalised_label
+from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import Measured
 from reports.tables import chance, interval
 
@@ -23,7 +29,7 @@ _WORDS = {SOLVED: "solved", FAILURES_AT_PRIOR: "failures at prior", FAILURES_WOR
 _HEADS = ("median", "RMS", "75th", "95th", "99th")
 
 
-def lines_of(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
+def subject_lines(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
     """List the lines of a subject: how failures count, the statistics and the trials behind them."""
     lines = [(SOLVED, subject.solved, subject.n_ok)]
     if subject.n_ok < subject.n and found.metric.is_error:
@@ -40,7 +46,7 @@ def subject_grid(found: RunComparison) -> Grid:
     rows = []
     for subject in found.subjects:
         before = [number(_prior(found, subject)) for _ in prior]
-        for how, values, n in lines_of(found, subject):
+        for how, values, n in subject_lines(found, subject):
             success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
             told = (_WORDS[how], f"{n}/{subject.n}", success, *before)
             rows.append((*found.levels(subject.names), *told, *map(interval, values)))
@@ -91,7 +97,7 @@ def contrast_grid(found: RunComparison) -> Grid | None:
 
 
 def _note(is_error: bool) -> str:
-    """Say how differences are to be read."""
+    """Explain the columns of the differences."""
     good = ("negative is better", "Better", "the better") if is_error else ("negative is less", "Less", "the smaller")
     return (
         f"Differences trial by trial of the same views, priors or tracks, over the trials that both solved: {good[0]}."
@@ -103,13 +109,13 @@ def _note(is_error: bool) -> str:
 
 
 def _of_numbers(grid: Grid) -> Grid:
-    """Keep what can be said of numbers of which neither more nor less is better."""
+    """Remove the columns that need an order of better and worse, and say 'less' for 'better'."""
     kept = grid.keep(*(name for name in grid.columns if "of all" not in name))
     return replace(kept, columns=tuple(name.replace("better", "less") for name in kept.columns))
 
 
-def changed(one: Contrast) -> str:
-    """Name what a subject is held against by the one level that differs."""
+def differing_level(one: Contrast) -> str:
+    """Return the one level in which the second subject of a contrast differs."""
     return next(b for a, b in zip(one.first, one.second, strict=True) if a != b)
 
 
@@ -117,7 +123,7 @@ def _cells(found: RunComparison, one: Contrast) -> tuple[str, ...]:
     counts = f"{one.n_both}/{one.n}" if one.paired else f"{one.n_both} and {one.n}, unpaired"
     return (
         *found.levels(one.first),
-        changed(one),
+        differing_level(one),
         counts,
         interval(one.median),
         interval(one.mean),
@@ -138,7 +144,7 @@ def subject_table(found: RunComparison) -> pd.DataFrame:
         key = dict(zip(found.factors, subject.names, strict=True)) | {"metric": found.metric.name}
         success = {"trials": "all", "statistic": "success rate", "unit": "", **asdict(subject.success)}
         rows.append(key | success | {"n_ok": subject.n_ok, "n": subject.n})
-        for how, values, n_ok in lines_of(found, subject):
+        for how, values, n_ok in subject_lines(found, subject):
             for statistic, measured in zip(STATISTICS, values, strict=True):
                 about = {"trials": how, "statistic": statistic.name, "unit": found.metric.unit, **asdict(measured)}
                 rows.append(key | about | {"n_ok": n_ok, "n": subject.n})
@@ -155,5 +161,80 @@ def contrast_table(found: RunComparison) -> pd.DataFrame:
                 row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
             elif name not in ("first", "second"):
                 row[name] = value
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubjectConsistency:
+    """Errors of a subject, normalised by its covariance: (n,) ratios, degrees of freedom and clusters."""
+
+    subject: Subject
+    kind: str
+    expected: int
+    ratios: FloatArray
+    degrees: FloatArray
+    clusters: NDArray[np.generic]
+
+    def judged(self) -> ConsistencyTest:
+        """Evaluate mean, band, median and coverage."""
+        return consistency_test(self.ratios, self.degrees, self.expected, self.clusters)
+
+
+def subject_consistencies(found: RunComparison) -> Iterator[SubjectConsistency]:
+    """Yield the normalised errors of every subject, kind by kind, without the control."""
+    kinds: dict[str, int] = {}
+    tables: dict[str, list[pd.DataFrame]] = {}
+    for run in found.runs:
+        for weighed in normalised_errors(run):
+            kinds[weighed.name] = weighed.expected
+            tables.setdefault(weighed.name, []).append(weighed.table.assign(run=run.folder.name))
+    for kind, expected in kinds.items():
+        weighed_rows = pd.concat(tables[kind], ignore_index=True)
+        for subject in found.subjects:
+            own = found.of(subject)[[*TRIAL_KEY, "run", "cluster"]].merge(weighed_rows, on=[*TRIAL_KEY, "run"])
+            if len(own) and subject.estimator != CONTROL:
+                ratios, degrees = (own[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
+                yield SubjectConsistency(subject, kind, expected, ratios, degrees, own["cluster"].to_numpy())
+
+
+def consistency_grid(found: RunComparison) -> Grid | None:
+    """Tabulate NEES and NIS with their bands; None where no subject claims a covariance."""
+    rows = []
+    for one in subject_consistencies(found):
+        judged = one.judged()
+        rows.append(
+            (
+                *found.levels(one.subject.names),
+                f"{normalised_label(one.kind)} ({one.expected} expected)",
+                f"{judged.n}/{one.subject.n}",
+                interval(judged.mean),
+                f"{number(judged.band.low)} to {number(judged.band.high)}",
+                interval(judged.median),
+                interval(judged.inside, 100.0),
+            )
+        )
+    heads = (*found.varied, "weighed", "trials", "mean [95 %]", "95 % band", "median [95 %]", "within 95 % [95 %]")
+    note = (
+        "Squared errors (NEES) and innovations (NIS), normalised by the covariance that the estimator itself claims. If"
+        " it is true, the mean over this number of trials lies in the band with a probability of 95 %, and 95 % of the"
+        " trials lie within the central 95 % of the distribution. A mean above the band means that the covariance is"
+        " too small. Innovations that a filter's own gate rejected are not part of the NIS."
+    )
+    text = frozenset(range(len(found.varied) + 1))
+    return Grid("Covariances", heads, tuple(rows), text, note) if rows else None
+
+
+def consistency_table(found: RunComparison) -> pd.DataFrame:
+    """Tabulate NEES and NIS as numbers."""
+    rows = []
+    for one in subject_consistencies(found):
+        row: dict[str, object] = dict(zip(found.factors, one.subject.names, strict=True))
+        row |= {"weighed": one.kind, "expected": one.expected, "n": one.subject.n}
+        for name, value in asdict(one.judged()).items():
+            if isinstance(value, dict):
+                row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
+            else:
+                row["n_ok"] = value
         rows.append(row)
     return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""Figures of grids of scenarios: a number against each axis, and effects of levels, with intervals."""
+"""Figures of grids of scenarios: curves along each axis, effects of levels, and heat maps over two axes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
-from reports.figures.style import BLUE, GREY, FloatArray, new_figure, styled
+from reports.figures.axes import mark_decades
+from reports.figures.style import BLUE, GREY, FloatArray, new_figure, plot_styles, styled
 
 _PANELS_A_ROW = 3
 
@@ -22,9 +21,50 @@ _WIDE = 30.0
 _MOST = 100.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HeatMap:
+    """A heat map: (R, C) values, NaN where there is none, and the text of each cell."""
+
+    title: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: FloatArray
+    texts: Sequence[Sequence[str]]
+
+
+@styled
+def draw_heat_maps(matrices: Sequence[HeatMap], rows_label: str, columns_label: str, title: str) -> Figure:
+    """Draw heat maps side by side, each with its own colour scale from 0."""
+    down, across = matrices[0].values.shape
+    figure, panels = new_figure(len(matrices), 1.3 + len(matrices) * (0.5 + 0.85 * across), 1.5 + 0.62 * down)
+    for axes, matrix in zip(panels, matrices, strict=True):
+        _draw_heat_map(axes, matrix)
+        axes.set_xlabel(columns_label)
+    for axes in panels[1:]:
+        axes.set_yticklabels([])
+    panels[0].set_ylabel(rows_label)
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _draw_heat_map(axes: Axes, matrix: HeatMap) -> None:
+    finite = matrix.values[np.isfinite(matrix.values)]
+    high = float(finite.max()) if len(finite) else 1.0
+    # The scale begins at 0, so that values that differ little have similar colours.
+    axes.imshow(matrix.values, cmap="Blues", vmin=0.0, vmax=1.1 * high or 1.0, aspect="auto")
+    for (i, j), value in np.ndenumerate(matrix.values):
+        dark = np.isfinite(value) and value > 0.6 * high
+        colour = "white" if dark else "black"
+        axes.text(j, i, matrix.texts[i][j], ha="center", va="center", fontsize=6.5, color=colour)
+    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=20, ha="right")
+    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
+    axes.grid(visible=False)
+    axes.set_title(matrix.title)
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A factor with the bounds of its interval, NaN where there is none, and what stands beside it."""
+    """Effect of a level as a factor, with the bounds of its interval (NaN without one) and a note to print."""
 
     label: str
     value: float
@@ -35,8 +75,8 @@ class Effect:
 
 @styled
 def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
-    """Draw a panel of factors for each outcome, on one logarithmic scale about 1; an arrow is a factor beyond it."""
-    bounds = _bounds([effect for effects in panels.values() for effect in effects])
+    """Draw a panel of effects for each outcome, on one logarithmic scale about 1; arrows are factors beyond it."""
+    bounds = _factor_limits([effect for effects in panels.values() for effect in effects])
     most = max(len(effects) for effects in panels.values())
     figure, places = new_figure(len(panels), 3.2 + 2.2 * len(panels), 1.2 + 0.3 * most)
     for axes, (outcome, effects) in zip(places, panels.items(), strict=True):
@@ -65,15 +105,15 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
     return figure
 
 
-def _bounds(effects: Sequence[Effect]) -> tuple[float, float]:
-    """Choose limits that hold all factors but wild ones, wide enough for small effects to look small."""
+def _factor_limits(effects: Sequence[Effect]) -> tuple[float, float]:
+    """Choose limits that contain all factors up to 100, wide enough that small effects look small."""
     known = [x for effect in effects for x in (effect.value, effect.low, effect.high) if np.isfinite(x)]
     return min([0.7, *(x / 1.05 for x in known)]), min(max([1.4, *(x * 1.05 for x in known)]), _MOST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Points of a line: (n,) abscissae and values, and (n, 2) bounds of their intervals."""
+    """Points of a curve: (n,) abscissae and values, and (n, 2) bounds of their intervals."""
 
     x: FloatArray
     y: FloatArray
@@ -82,7 +122,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurvePanel:
-    """A panel: what its abscissa is, and its lines by label."""
+    """A panel: label of the abscissa, and the curves by their labels."""
 
     label: str
     lines: Mapping[str, Points]
@@ -90,14 +130,14 @@ class CurvePanel:
 
 @styled
 def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figure:
-    """Draw the panels in rows of three, on one logarithmic ordinate; all panels hold the same lines."""
+    """Draw the panels in rows of three with one logarithmic ordinate; all panels contain the same curves."""
     across = min(_PANELS_A_ROW, len(panels))
     down = -(-len(panels) // across)
     figure = Figure(figsize=(2.6 * across + 0.4, 2.2 * down + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     for axes, panel in zip(places, panels, strict=False):
-        _draw(axes, panel)
+        _draw_curve_panel(axes, panel)
     mark_decades(places[0].yaxis)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
@@ -108,8 +148,8 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     return figure
 
 
-def _draw(axes: Axes, panel: CurvePanel) -> None:
-    drawn = looks(panel.lines)
+def _draw_curve_panel(axes: Axes, panel: CurvePanel) -> None:
+    drawn = plot_styles(panel.lines)
     for label, points in panel.lines.items():
         order = np.argsort(points.x)
         x, y, low_high = points.x[order], points.y[order], points.low_high[order]
@@ -128,12 +168,12 @@ def _draw(axes: Axes, panel: CurvePanel) -> None:
         )
     axes.set_yscale("log")
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
-    _scale(axes, ticks)
+    _scale_abscissa(axes, ticks)
     axes.set_xlabel(panel.label)
 
 
-def _scale(axes: Axes, ticks: FloatArray) -> None:
-    """Choose a scale on which the values lie apart: logarithmic over a decade, with a place for 0; marked at them."""
+def _scale_abscissa(axes: Axes, ticks: FloatArray) -> None:
+    """Label the abscissa at the values; logarithmic where they span a factor of 8, with a linear part if 0 is one."""
     positive = ticks[ticks > 0]
     if np.all(ticks >= 0) and len(positive) and positive.max() >= 8 * positive.min():
         if ticks[0] > 0:

@@ -1,4 +1,4 @@
-"""A page with a body, its landmarks and the cameras of a run in space, self-contained and without network."""
+"""Interactive 3D view of a body, its landmarks and cameras: a self-contained HTML page, or a recording for rerun."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from reports.figures.style import BLUE, GREEN, VERMILION
 from scenarios.atomic import write_text
+from scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 
@@ -21,14 +24,14 @@ _BODY = "#9aa0a6"
 _SHADES = ((0.0, "#5f6369"), (1.0, "#eceef0"))
 _PERCENT = 95
 _SCENE = 0.78
-"""Share of the page's width that is the drawing's; legend and colour bar stand beside it, over nothing."""
+"""Share of the width of the page for the drawing; legend and colour bar are to its right."""
 _WIDTH = 140
 """Characters of a line below the title."""
 _TOP_PX, _LINE_PX = 115, 15
 _EYE = {"x": 1.25, "y": 1.25, "z": 0.85}
-_LAMP = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
-_LIFT = 0.02
-"""Radii of the body by which landmarks are drawn above it: half of a mark on the surface would lie in it."""
+_LIGHT_DIRECTION = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
+_RAISE = 0.02
+"""Height of landmarks above the surface, in radii of the body: on the surface, half of a mark would be hidden."""
 _AXIS = {
     "showspikes": False,
     "showbackground": False,
@@ -37,10 +40,63 @@ _AXIS = {
     "tickfont": {"size": 10},
 }
 
+_GREY = (154, 160, 166)
+
+
+def write_recording(look: View3D, path: Path) -> None:
+    """Write an ``.rrd`` with the body, landmarks and cameras, body axes, m.
+
+    Raises
+    ------
+    BoresightError
+        If rerun is not installed.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise BoresightError("--rerun: rerun is not installed: pip install 'boresight[rerun]'") from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # The name of a recording is drawn at random unless it is given.
+    recording = rerun.RecordingStream("boresight", recording_id=path.stem, send_properties=False)
+    recording.save(path)
+    body = rerun.Mesh3D(
+        vertex_positions=look.vertices_m.astype(np.float32),
+        triangle_indices=look.faces.astype(np.uint32),
+        albedo_factor=[*_GREY, 255],
+    )
+    recording.log("body", body, static=True)
+    for marks in look.marks:
+        points = rerun.Points3D(marks.points_m, colors=_colours(marks), labels=list(marks.texts), show_labels=False)
+        recording.log(f"landmarks/{_entity(marks.name)}", points, static=True)
+    for cameras in look.cameras:
+        colour = [round(255 * part) for part in to_rgb(cameras.colour)]
+        entity = f"cameras/{_entity(cameras.name)}"
+        recording.log(
+            entity, rerun.Points3D(cameras.points_m, colors=[colour], labels=list(cameras.texts), show_labels=False),
+            static=True,
+        )  # fmt: skip
+        if cameras.joined and len(cameras.points_m):
+            recording.log(f"{entity}/path", rerun.LineStrips3D([cameras.points_m], colors=[colour]), static=True)
+    recording.flush()
+    recording.disconnect()
+
+
+def _colours(marks: PointSet) -> NDArray[np.uint8]:
+    known = np.isfinite(marks.values)
+    top = float(np.percentile(marks.values[known], 95)) if known.any() else 1.0
+    colours = np.tile(np.array(_GREY, dtype=np.uint8), (len(marks.values), 1))
+    shades = colormaps["viridis"](np.clip(marks.values[known] / (top or 1.0), 0.0, 1.0))[:, :3]
+    colours[known] = np.round(255 * shades).astype(np.uint8)
+    return colours
+
+
+def _entity(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in name)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Marks:
-    """Points with a number that colours them.
+class PointSet:
+    """Points that are coloured by a number.
 
     Parameters
     ----------
@@ -64,8 +120,8 @@ class Marks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cameras:
-    """Places of cameras of one kind, joined by a line where they are a trajectory."""
+class CameraSet:
+    """Positions of cameras of one kind, joined by a line if they are a trajectory."""
 
     name: str
     colour: str
@@ -75,8 +131,8 @@ class Cameras:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
-    """All that is to be seen, body axes, m.
+class View3D:
+    """Content of a 3D view, body axes, m.
 
     Parameters
     ----------
@@ -94,15 +150,15 @@ class Look:
     note: str
     vertices_m: FloatArray
     faces: NDArray[np.int32]
-    marks: Sequence[Marks]
-    cameras: Sequence[Cameras] = field(default=())
+    marks: Sequence[PointSet]
+    cameras: Sequence[CameraSet] = field(default=())
 
 
 GOOD, BAD, FAILED = BLUE, VERMILION, "#000000"
 TRUE = GREEN
 
 
-def write_look(look: Look, path: Path) -> None:
+def write_view3d(look: View3D, path: Path) -> None:
     """Write the page with plotly's own script in it.
 
     Raises
@@ -110,10 +166,12 @@ def write_look(look: Look, path: Path) -> None:
     BoresightError
         If it cannot be written.
     """
-    lifted = [lifted_from(look, marks.points_m) for marks in look.marks]
-    traces = [_marks(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))]
-    figure = go.Figure([_body(look), *traces])
-    figure.add_traces([_cameras(cameras) for cameras in look.cameras])
+    lifted = [raised_points(look, marks.points_m) for marks in look.marks]
+    traces = [
+        _point_trace(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))
+    ]
+    figure = go.Figure([_body_trace(look), *traces])
+    figure.add_traces([_camera_trace(cameras) for cameras in look.cameras])
     note = textwrap.wrap(look.note, _WIDTH) or [""]
     figure.update_layout(
         title={"text": look.title, "subtitle": {"text": "<br>".join(note)}, "y": 0.97, "yanchor": "top"},
@@ -136,18 +194,18 @@ def _plain(text: str) -> str:
 
 
 def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
-    """Half the digits are enough for the eye, and make a page of half the size."""
+    """Return coordinates in single precision, which halves the size of the page."""
     return {axis: points_m[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
 
 
-def lifted_from(look: Look, points_m: FloatArray) -> FloatArray:
+def raised_points(look: View3D, points_m: FloatArray) -> FloatArray:
     """Move points (n, 3) a little outward along the normals of the nearest facets of the body."""
     if not len(points_m):
         return points_m
     corners = look.vertices_m[look.faces]
     _, nearest = cKDTree(corners.mean(axis=1)).query(points_m)
     radius_m = float(np.linalg.norm(look.vertices_m, axis=1).max())
-    return np.asarray(points_m + _LIFT * radius_m * _normals(corners)[nearest])
+    return np.asarray(points_m + _RAISE * radius_m * _normals(corners)[nearest])
 
 
 def _normals(corners_m: FloatArray) -> FloatArray:
@@ -156,13 +214,14 @@ def _normals(corners_m: FloatArray) -> FloatArray:
     return np.asarray(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
-def _body(look: Look) -> go.Mesh3d:
-    """Draw the body in light that is worked out here: half of Lambert's, in which no side is black.
+def _body_trace(look: View3D) -> go.Mesh3d:
+    """Draw the body with half-Lambert shading, in which no side is black.
 
-    Plotly's lamps stand in the axes of the screen and leave bodies of some hundred metres dark.
+    The shading is computed here because Plotly's lights are fixed to the screen and leave bodies of some hundred metres
+    dark.
     """
     a, b, c = look.faces.T
-    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LAMP)
+    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)
     return go.Mesh3d(
         **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, name="body", hoverinfo="skip", showlegend=True,
         intensity=light.astype(np.float32), intensitymode="cell", cmin=0.0, cmax=1.0, colorscale=_SHADES,
@@ -170,7 +229,7 @@ def _body(look: Look) -> go.Mesh3d:
     )  # fmt: skip
 
 
-def _marks(marks: Marks, points_m: FloatArray, shown: bool) -> go.Scatter3d:
+def _point_trace(marks: PointSet, points_m: FloatArray, shown: bool) -> go.Scatter3d:
     known = marks.values[np.isfinite(marks.values)]
     top = float(np.percentile(known, _PERCENT)) if len(known) else 1.0
     marker = {
@@ -196,7 +255,7 @@ def _marks(marks: Marks, points_m: FloatArray, shown: bool) -> go.Scatter3d:
     )  # fmt: skip
 
 
-def _cameras(cameras: Cameras) -> go.Scatter3d:
+def _camera_trace(cameras: CameraSet) -> go.Scatter3d:
     return go.Scatter3d(
         **_coordinates(cameras.points_m), mode="lines+markers" if cameras.joined else "markers",
         marker={"size": 3, "color": cameras.colour, "symbol": "circle" if cameras.joined else "diamond"},
@@ -205,7 +264,7 @@ def _cameras(cameras: Cameras) -> go.Scatter3d:
     )  # fmt: skip
 
 
-def _buttons(look: Look) -> dict[str, object]:
+def _buttons(look: View3D) -> dict[str, object]:
     """Choose which set of landmarks is shown; body and cameras stay."""
     at = range(1, 1 + len(look.marks))
     buttons = [

@@ -1,4 +1,4 @@
-"""One image beside renderings of its body at several poses: outlines over the image, and what is left of it."""
+"""Outlines of the body at several poses over an image, and residuals of the image against its renderings."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _SPREAD_PERCENT = 99.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosedLook:
-    """The body as it lies in the image at one pose.
+class PoseRendering:
+    """Rendering of the body at one pose, against the image.
 
     Parameters
     ----------
     name
-        ``prior``, ``estimate`` or ``truth``: its colour.
+        ``prior``, ``estimate`` or ``truth``; sets the colour.
     heading
-        Printed above.
+        Printed above the panel.
     body
         (H, W) pixels whose lines of sight meet the body.
     residual
@@ -50,27 +50,27 @@ class PosedLook:
 
 
 @styled
-def draw_posed(
-    image: NDArray[np.floating], looks: Sequence[PosedLook], title: str, credit_lines: Sequence[str] = ()
+def draw_pose_renderings(
+    image: NDArray[np.floating], renderings: Sequence[PoseRendering], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the outline of the body at each pose over the image, and below it what the rendering leaves of the image.
+    """Draw the outline of the body at each pose over the image, and below it the image less the rendering.
 
-    All residuals share one scale, so that their greys can be compared.
+    All residuals share one colour scale.
     """
-    (left, right), (top, bottom) = _window(image, looks)
+    (left, right), (top, bottom) = _body_window(image, renderings)
     aspect = min(max((bottom - top) / (right - left), 0.4), 1.6)
-    width_in = 3.3 * len(looks) + 0.7
-    figure, panels = grid_figure(2, len(looks), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
-    limit = max((float(np.percentile(np.abs(look.residual), _SPREAD_PERCENT)) for look in looks), default=0.0) or 1.0
-    for k, look in enumerate(looks):
+    width_in = 3.3 * len(renderings) + 0.7
+    figure, panels = grid_figure(2, len(renderings), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
+    limit = max((float(np.percentile(np.abs(one.residual), _SPREAD_PERCENT)) for one in renderings), default=0.0) or 1.0
+    for k, one in enumerate(renderings):
         over, below = panels[0, k], panels[1, k]
         show_image(over, image)
-        outline(over, look.body, POSE_COLOURS[look.name])
+        outline(over, one.body, POSE_COLOURS[one.name])
         shown = below.imshow(
-            look.residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
+            one.residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
         )
-        over.set_title(look.heading, color=POSE_COLOURS[look.name])
-        rms = float(np.sqrt(np.mean(look.residual[look.body] ** 2))) if look.body.any() else float("nan")
+        over.set_title(one.heading, color=POSE_COLOURS[one.name])
+        rms = float(np.sqrt(np.mean(one.residual[one.body] ** 2))) if one.body.any() else float("nan")
         below.set_title(f"image less rendering: RMS {rms:.3g} on the body")
         for axes in (over, below):
             axes.set(xlim=(left, right), ylim=(bottom, top))
@@ -82,7 +82,7 @@ def draw_posed(
 
 
 def outline(axes: Axes, body: NDArray[np.bool_], colour: str) -> None:
-    """Draw the edge of a body (H, W) over an image whose first pixel has its centre at (0.5, 0.5)."""
+    """Draw the outline of a body mask (H, W) over an image whose first pixel has its centre at (0.5, 0.5)."""
     if body.any() and not body.all():
         height, width = body.shape
         columns, rows = np.arange(width) + 0.5, np.arange(height) + 0.5
@@ -94,10 +94,12 @@ def _extent(image: NDArray[np.floating]) -> tuple[float, float, float, float]:
     return (0.0, float(width), float(height), 0.0)
 
 
-def _window(image: NDArray[np.floating], looks: Sequence[PosedLook]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds (left, right), (top, bottom) in pixels: the body at all poses with a margin, within the image."""
+def _body_window(
+    image: NDArray[np.floating], renderings: Sequence[PoseRendering]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return (left, right), (top, bottom) in pixels: the body at all poses with a margin, within the image."""
     height, width = image.shape
-    rows, columns = np.nonzero(np.any([look.body for look in looks], axis=0))
+    rows, columns = np.nonzero(np.any([one.body for one in renderings], axis=0))
     if len(rows) == 0:
         return (0.0, float(width)), (0.0, float(height))
     margin = _MARGIN * float(max(np.ptp(rows), np.ptp(columns))) + 2.0
