@@ -62,14 +62,26 @@ def use_threads(jobs: int) -> None:
     BLAS gets one thread: matrices are small here, and OpenBLAS's threads spin while they wait, which made landmark
     recognition ten times slower on a busy machine.
     """
-    _limit_to(max(1, cores() // max(1, jobs)))
+    _share_cores(max(1, cores() // max(1, jobs)))
+    # Not kept in a cache: `one_blas_thread` may have ended since, or another library with a BLAS been loaded.
+    threadpool_limits(limits=1, user_api="blas")
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Give matrices one thread, and afterwards as many as before.
+
+    BLAS adds up the parts of long vectors and large matrices that its threads worked out, so that the last bits of a
+    product depend on how many there are.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 @lru_cache(maxsize=1)
-def _limit_to(threads: int) -> None:
+def _share_cores(threads: int) -> None:
     limit_threads(threads)
     cv2.setNumThreads(threads)
-    threadpool_limits(limits=1, user_api="blas")
 
 
 def load() -> float:

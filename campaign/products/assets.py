@@ -14,6 +14,7 @@ from typing import Protocol
 
 from campaign.draft import drafted
 from campaign.imaging.world import believed
+from campaign.machine import one_blas_thread
 from campaign.products import crater_database, descriptors, landmark_database, maplets
 from campaign.products.databases import (
     content_key,
@@ -242,7 +243,9 @@ class BuiltAssets:
                 number = f", number {self._database}" if self._database else ""
                 self._report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
             try:
-                facts = product.build(self._scenario, options, place, self._jobs, self._variant) or {}
+                # With one job it is built in this process, with more partly here and partly in workers.
+                with one_blas_thread():
+                    facts = product.build(self._scenario, options, place, self._jobs, self._variant) or {}
             except NoProductError as error:
                 (place / _FAILURE).write_text(str(error), encoding="utf-8")
                 return

@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
+from campaign.machine import use_threads
 from campaign.products import BuiltAssets, landmark_database, product_key
 from campaign.products.database_images import IN_THIS_PROCESS
 from campaign.products.landmark_database import landmark_candidates
@@ -144,6 +146,30 @@ def test_a_data_base_does_not_depend_on_workers_or_cache(tmp_path, monkeypatch):
         (folder,) = (tmp_path / name).iterdir()
         built[name] = {file: (folder / file).read_bytes() for file in CONTENT}
     assert built["one"] == built["two"] == built["kept"]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_data_base_is_made_with_one_blas_thread_and_leaves_the_threads_as_they_were(tmp_path, monkeypatch, jobs):
+    """Sums of long vectors differ in their last bits by the number of threads, which jobs and cache must not decide."""
+    made = landmark_database.database_from_candidates
+    during = []
+
+    def watched(*arguments):
+        during.append(blas_threads())
+        return made(*arguments)
+
+    monkeypatch.setattr(landmark_database, "database_from_candidates", watched)
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
+    with threadpool_limits(2, user_api="blas"):
+        scenario_assets(scene(tmp_path), tmp_path / "run", jobs).product(KIND, DATABASE)
+        after = blas_threads()
+        use_threads(1)
+        at_trials = blas_threads()
+    assert (during, after, at_trials) == ([{1}], {2}, {1})
+
+
+def blas_threads() -> set[int]:
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def test_landmarks_lie_on_the_body(tiny_run, tmp_path):
