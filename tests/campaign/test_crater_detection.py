@@ -24,7 +24,7 @@ from campaign.runs.runner import run_campaign
 from campaign.store import RunFolder
 from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import choose_variant
-from reports.kinds.crater_detection.rates import confidence_curve, crater_records, shown
+from reports.kinds.crater_detection.rates import confidence_curve, crater_records, detector_results
 from reports.pages.content import read_content
 from reports.run.data import read_run
 from reports.schema.grid import number
@@ -177,7 +177,7 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert text.index("detections of detectable craters and false ones") < text.index("any listed crater counting")
     blind = find(records, estimator="blind", measure="detection_share", statistic="mean")
     assert blind.value == 0.0
-    one = next(one for one in shown(data) if one.estimator == "blobs")
+    one = next(one for one in detector_results(data) if one.estimator == "blobs")
     curve = confidence_curve(one)
     assert curve.found_share[len(found) - 1] == pytest.approx(rate.value / 100.0)
     assert curve.false_share[len(found) - 1] == pytest.approx(false.value / 100.0)
@@ -256,7 +256,7 @@ def test_worlds_of_craters_are_the_unit_where_there_are_several(folder: Path, do
     assert (
         RunFolder(folder / "worlds").table("rows").groupby("trial")["database"].unique().str[0].tolist() == [0, 1] * 2
     )
-    ours = next(iter(shown(read_run(folder / "worlds"))))
+    ours = next(iter(detector_results(read_run(folder / "worlds"))))
     assert ours.craters.groupby("trial")["unit"].nunique().eq(1).all() and ours.craters["unit"].nunique() == 2
     assert "The world of craters was drawn 2 times" in (folder / "worlds" / "report" / "report.md").read_text()
     assert main(["inspect", str(folder / "worlds"), "--trial", "1", "--estimator", "blobs"]) == 0
