@@ -6,6 +6,7 @@ import argparse
 import json
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 from ruamel.yaml import YAML
 
@@ -15,6 +16,7 @@ from campaign.machine import cores
 from campaign.runs.costs import rate_of
 from campaign.runs.needs import data_needed
 from campaign.runs.resolve import CATALOG, campaign_names, resolve
+from campaign.trial.kind import kind_names
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
 from scenarios.designs import grid_cells
@@ -95,5 +97,19 @@ def _is_campaign(name: str) -> bool:
 
 def schema_command(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of scenario or campaign files."""
-    console().print(json.dumps(json_schema(arguments.kind), indent=1), highlight=False)
+    schema = json_schema(arguments.kind)
+    if arguments.kind == "campaign":
+        _list_kinds(schema)
+    console().print(json.dumps(schema, indent=1), highlight=False)
     return 0
+
+
+def _list_kinds(schema: dict[str, Any]) -> None:
+    """Restrict ``experiment`` in the schema of campaigns to the known kinds of trial.
+
+    The models of files are in `scenarios`, which does not import the kinds of trial; so they are added here.
+    """
+    for definition in schema["$defs"].values():
+        experiment = definition.get("properties", {}).get("experiment")
+        if experiment is not None:
+            experiment["enum"] = kind_names()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from campaign.resolved import ResolvedCampaign, Versions
-from campaign.trial.kind import kind_named
+from campaign.trial.kind import Kind, kind_named
 from estimators.registry import base_of, needed_sensors
 from scenarios.designs import GridCell, GridVariation, grid_cells
 from scenarios.errors import BoresightError
@@ -39,26 +39,15 @@ def resolve(
     """
     loaded = load_campaign(name_or_path, CATALOG)
     spec = loaded.spec
+    kind = _kind_of(loaded)
     found = [read_source(loaded, source, overrides) for source in sources(spec)]
     scenarios = tuple(scenario for scenario, _ in found)
     variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
     names = [s.spec.name for s in scenarios]
     if len(set(names)) != len(names):
-        raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
-    for scenario in scenarios:
-        if spec.databases > 1 and scenario.spec.images is not None:
-            raise BoresightError(
-                f"{loaded.path}: databases: {scenario.spec.name} has real images, of which each trial shares one with"
-                " others already: leave the key out"
-            )
-    try:
-        kind = kind_named(spec.experiment)
-    except BoresightError as error:
-        raise BoresightError(f"{loaded.path}: {error}") from error
-    if spec.databases > 1 and not kind.databases:
-        raise BoresightError(
-            f"{loaded.path}: databases: 1 is all that a campaign of {kind.name} has: leave the key out"
-        )
+        raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
+    if spec.databases > 1:
+        _check_databases(loaded, kind, scenarios)
     versions = _versions(spec)
     for entry in spec.estimators:
         _check_sensors(entry, scenarios)
@@ -71,6 +60,27 @@ def resolve(
         variations,
         tuple(overrides),
     )
+
+
+def _kind_of(loaded: LoadedCampaign) -> Kind:
+    """Look up the kind of trial of a campaign; an unknown one is refused with its place in the file."""
+    try:
+        return kind_named(loaded.spec.experiment)
+    except BoresightError as error:
+        raise BoresightError(f"{loaded.place_of('experiment')}: {error}") from error
+
+
+def _check_databases(loaded: LoadedCampaign, kind: Kind, scenarios: Sequence[LoadedScenario]) -> None:
+    """Refuse several data bases where images are real, or where the kind of trial has one alone."""
+    key = f"{loaded.place_of('databases')}: databases"
+    for scenario in scenarios:
+        if scenario.spec.images is not None:
+            raise BoresightError(
+                f"{key}: {scenario.spec.name} has real images, of which each trial shares one with others already:"
+                " leave the key out"
+            )
+    if not kind.databases:
+        raise BoresightError(f"{key}: 1 is all that a campaign of {kind.name} has: leave the key out")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -123,7 +124,9 @@ def kind_named(name: str) -> Kind:
         If there is none of that name.
     """
     if name not in kind_names():
-        raise BoresightError(f"experiment: {name!r} is no kind of trial: choose one of {', '.join(kind_names())}")
+        near = difflib.get_close_matches(name, kind_names(), n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(kind_names())}"
+        raise BoresightError(f"experiment: {name!r} is not a kind of trial; {hint}")
     return cast("Kind", import_module(module_of(name)).KIND)
 
 

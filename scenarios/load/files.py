@@ -36,11 +36,20 @@ class LoadedScenario:
 
 @dataclass(frozen=True, slots=True)
 class LoadedCampaign:
-    """A campaign, its file, and its overrides of every scenario with their locations."""
+    """A campaign, its file, and its keys with their locations."""
 
     spec: CampaignSpec
     path: Path
-    overrides: ConfigEntry
+    root: ConfigEntry
+
+    @property
+    def overrides(self) -> ConfigEntry:
+        """Overrides of every scenario; empty if there are none."""
+        return (self.root.section or {}).get("set", ConfigEntry({}, self.root.place))
+
+    def place_of(self, key: str) -> str:
+        """Return the location of a key, ``file:line``; the file alone if the key is left out."""
+        return (self.root.section or {}).get(key, self.root).place
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +120,7 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     path = find(name_or_path, catalog, what="campaign")
     file = _read_chain(path, catalog, CampaignSpec)
     root = apply(file.root, [parse_override(text) for text in overrides], (CampaignSpec,))
-    spec = validated(CampaignSpec, root)
-    return LoadedCampaign(spec, path, (root.section or {}).get("set", ConfigEntry({}, root.place)))
+    return LoadedCampaign(validated(CampaignSpec, root), path, root)
 
 
 def validated(model: type[Spec], root: ConfigEntry) -> Spec:

@@ -41,6 +41,10 @@ FILES = {
         ["scene.yaml:8: camera.fov_dge: unknown key; did you mean fov_deg?"],
     ),
     "unknown key of the campaign": (CAMPAIGN + "trails: 3\n", SCENE, (), [":9: trails: unknown key", "mean trials?"]),
+    "unknown experiment": (
+        CAMPAIGN + "experiment: sequense\n", SCENE, (),
+        ["tiny.yaml:9: experiment: 'sequense' is not a kind of trial; did you mean sequence?"],
+    ),
     "duplicate key": (
         CAMPAIGN, SCENE + "viewpoint: {range_m: 3}\n", (),
         ["scene.yaml:11: viewpoint: duplicate key", "first given at", "scene.yaml:9"],

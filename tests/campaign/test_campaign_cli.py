@@ -23,6 +23,7 @@ from campaign.cli.progress import ProgressListener
 from campaign.runs.needs import data_needed
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
+from campaign.trial.kind import kind_names
 from estimators.registry import estimator_names
 from renderers.mitsuba3 import choose_variant
 from scenarios.data import DATA_VARIABLE
@@ -99,6 +100,17 @@ def test_the_schema_takes_the_catalogue_and_refuses_a_wrong_key(capsys, kind):
         content = YAML(typ="safe", pure=True).load(path.read_text())
         validator.validate(content)
         assert list(validator.iter_errors({**content, "colour": "red"})), path
+
+
+def test_the_schema_lists_the_kinds_of_trial(capsys):
+    schema = json.loads(said(capsys, "schema", "campaign"))
+    validator = jsonschema.Draft202012Validator(schema)
+    content = {"scenarios": ["scene"], "estimators": ["prior"], "trials": 1, "seed": 0}
+    for whole in (content, {"extends": "quickstart"}):
+        for kind in kind_names():
+            validator.validate({**whole, "experiment": kind})
+        assert list(validator.iter_errors({**whole, "experiment": "sequense"}))
+    assert schema["$defs"]["CampaignSpec"]["properties"]["experiment"]["enum"] == kind_names()
 
 
 def test_show_prints_a_campaign_that_reads_back_the_same(tiny_run, tmp_path, capsys):

@@ -143,8 +143,8 @@ def test_other_maplets_begin_at_another_place_and_cover_as_well():
         ("databases: 0\n", "databases"),
         ("databases: 2\nexperiment: landmark-database\n", "databases: 1 is all that a campaign of landmark-database"),
         (
-            "experiment: slam\n",
-            "experiment: 'slam' is no kind of trial: choose one of crater-detection, crater-matching",
+            "experiment: zebra\n",
+            ".yaml:9: experiment: 'zebra' is not a kind of trial; choose one of crater-detection, crater-matching",
         ),
     ],
 )
