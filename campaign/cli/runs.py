@@ -7,8 +7,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from campaign.cli.progress import ProgressListener
-from campaign.cli.terminal import console
+from campaign.cli.terminal import ProgressListener, console
 from campaign.imaging.image_store import store_is_on, store_switched
 from campaign.runs.newest import find_run
 from campaign.runs.request import Cluster

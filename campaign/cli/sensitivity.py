@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from campaign.cli.progress import ProgressListener
-from campaign.cli.terminal import console
+from campaign.cli.terminal import ProgressListener, console
 from campaign.machine import workers
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve

@@ -12,10 +12,9 @@ from campaign.pool.workers import in_order
 from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.runs import manifest as manifests
-from campaign.runs.costs import remember
-from campaign.runs.losses import Losses
 from campaign.runs.request import RunRequest
-from campaign.runs.worker import renew_after, run_block
+from campaign.runs.requirements import remember
+from campaign.runs.worker import Losses, renew_after, run_block
 from campaign.store import RunFolder, RunLock
 from campaign.store.folder import Block, BlockState, blocks
 from campaign.trial.kind import Bench, Records, kind_named

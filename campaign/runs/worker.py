@@ -1,15 +1,19 @@
-"""What a worker process does with one block of trials."""
+"""Computation of a block of trials in a worker process, and what is repeated when such a process ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
 from campaign.machine import use_threads
-from campaign.pool.guard import Call, Loss, guarding
+from campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
+from campaign.pool.workers import Call as Arguments
+from campaign.pool.workers import no_replacement
 from campaign.resolved import ResolvedCampaign
 from campaign.store import TABLES
 from campaign.store.folder import Block
@@ -19,6 +23,69 @@ from campaign.trial.kind import Bench, Records, Trials, kind_named
 T = TypeVar("T")
 
 _TRIALS_OF_A_PROCESS = 1000
+
+Tell = Callable[[str], None]
+
+_TRIES = 3
+_log = logging.getLogger("campaign")
+
+
+class Losses:
+    """Remembers which methods and blocks lost their process; it grows with these alone.
+
+    A method that hung is not tried again, nor one that lost its process twice: something else may have killed the
+    first. A block that loses its process outside of any method is tried a few times.
+    """
+
+    def __init__(self, tell: Tell = _log.warning) -> None:
+        self._tell = tell
+        self._calls: Counter[Call] = Counter()
+        self._blocks: Counter[Block] = Counter()
+
+    def after(self, lost: Sequence[Arguments], note: Path) -> list[Arguments]:
+        """Return the arguments of `campaign.runs.worker.run_block` to go on with.
+
+        Raises
+        ------
+        BoresightError
+            If a block loses its process again and again and no method is to blame.
+        """
+        found = last_call(note)
+        at = [index for index, one in enumerate(lost) if found is not None and _holds(one, found[0])]
+        if found is None or not at:
+            return self._unexplained(lost, note)
+        call, trace = found
+        self._calls[call] += 1
+        what = f"trial {call.trial} of {call.scenario}, {call.label}"
+        if not trace and self._calls[call] == 1:
+            self._tell(f"{what}: its process ended (killed, or crashed): tried again in another")
+            return list(lost)
+        why = "does not stop when its time is over, so its process was ended" if trace else "ended its process again"
+        self._tell(f"{what}: {why}: stored as an error")
+        return [_without(one, call, trace) if index == at[0] else one for index, one in enumerate(lost)]
+
+    def _unexplained(self, lost: Sequence[Arguments], note: Path) -> list[Arguments]:
+        block = lost[0][1]
+        if not isinstance(block, Block):
+            raise TypeError(f"{block!r} is no block")
+        self._blocks[block] += 1
+        if self._blocks[block] == _TRIES:
+            return list(no_replacement(lost, note))
+        self._tell(f"trials {block.first} to {block.last - 1} of {block.scenario}: their process ended: tried again")
+        return list(lost)
+
+
+def _holds(arguments: Arguments, call: Call) -> bool:
+    block = arguments[1]
+    return isinstance(block, Block) and block.scenario == call.scenario and block.first <= call.trial < block.last
+
+
+def _without(arguments: Arguments, call: Call, trace: str) -> Arguments:
+    campaign, block, bench, known = arguments
+    if not (isinstance(bench, Bench) and isinstance(known, dict)):
+        raise TypeError(f"{arguments!r} are not the arguments of a block")
+    loss = Loss(over_time(bench.limit_s) if trace else ENDED, trace)
+    return campaign, block, bench, {**known, call: loss}
 
 
 def renew_after(block_trials: int) -> int:

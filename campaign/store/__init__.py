@@ -4,8 +4,7 @@ Everything that a report needs is here, and nothing is counted twice: a block's 
 before its rows, and only a block whose rows are complete counts as done.
 """
 
-from campaign.store.folder import RunFolder
-from campaign.store.lock import RunLock
+from campaign.store.folder import RunFolder, RunLock
 from reports.schema.column import Column
 from reports.schema.tables import TABLES
 

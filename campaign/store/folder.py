@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import shutil
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from reports.run.data import refuse_older
 from reports.schema.tables import TABLES, layout, schema
 from scenarios import checksums
-from scenarios.atomic import write_atomically, write_text
+from scenarios.atomic import make_folder, write_atomically, write_text
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 from scenarios.parquet import read_column, read_frame, read_where
@@ -33,6 +36,39 @@ _ROUND_BLOCKS = 50
 
 _Text = str | None
 _Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class RunLock:
+    """An advisory lock that the system drops when the process ends, however it ends."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / ".lock"
+        self._descriptor: int | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            make_folder(self._path.parent)
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise BoresightError(
+                f"{self._path.parent}: cannot be used as a run folder ({error.strerror}): choose another with --out"
+            ) from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(descriptor)
+            raise BoresightError(
+                f"{self._path.parent}: another boresight process is working on this run: wait for it, or use --out"
+            ) from error
+        self._descriptor = descriptor
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
 
 
 class _Entries(BaseModel):

@@ -19,8 +19,8 @@ from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
-from campaign.cli.progress import ProgressListener
-from campaign.runs.needs import data_needed
+from campaign.cli.terminal import ProgressListener
+from campaign.runs.requirements import data_needed
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
 from campaign.trial.kind import kind_names

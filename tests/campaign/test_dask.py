@@ -16,8 +16,7 @@ pytest.importorskip("distributed", reason="distributed (the extra dask) is not i
 
 from tiny_campaign import RESULTS, compute, files, run, started, wait_for_blocks, write_campaign
 
-from campaign.runs.dask.assets import asset_file
-from campaign.runs.dask.bundle import bundle_of
+from campaign.runs.dask.bundle import asset_file, bundle_of
 from campaign.runs.dask.work import opened
 from campaign.runs.resolve import resolve
 from renderers.mitsuba3 import choose_variant

@@ -9,8 +9,7 @@ import sys
 
 import pytest
 
-from campaign.cli.main import handler
-from campaign.cli.parser import make_parser, manual
+from campaign.cli.main import handler, make_parser, manual
 
 PAGES, WHOLE = manual().commands, manual().whole
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
-from campaign.cli.missing import Wanted, run_missing
+from campaign.cli.figures import Wanted, run_missing
 from campaign.imaging.world import open_world
 from campaign.papers.gather import newest_finished, run_folders
 from campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
@@ -163,7 +163,7 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
 SIDE_BY_SIDE = """
 import sys
 from pathlib import Path
-from campaign.cli.missing import Wanted, run_missing
+from campaign.cli.figures import Wanted, run_missing
 run_missing(sys.argv[3:], Wanted(Path(sys.argv[1]), 0.6, None, "boresight figures"), int(sys.argv[2]))
 """
 

@@ -16,7 +16,7 @@ from tiny_campaign import boresight, write_campaign
 from campaign.cli import main
 from campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
 from campaign.pool.workers import in_order
-from campaign.runs.losses import Losses
+from campaign.runs.worker import Losses
 from campaign.store.folder import Block
 from campaign.trial.kind import Bench
 from campaign.trial.work import Work

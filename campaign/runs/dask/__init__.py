@@ -1,6 +1,5 @@
-"""Runs on a Dask cluster whose workers share no file system with who started the run.
+"""Runs on a Dask cluster whose workers share no file system with the machine that started the run.
 
-``bundle`` gathers all that blocks of trials are worked out from, by content hash; ``assets`` lets the scheduler hold it
-and workers fetch what they do not have; ``work`` is what a worker does with a block; ``backend`` and ``cluster`` let
-joblib spread blocks over the workers. Nothing here may change a row.
+``bundle`` collects the files that blocks of trials need, which workers fetch from the scheduler; ``work`` computes a
+block in a worker; ``cluster`` distributes blocks over the workers. Nothing here may change a row.
 """

@@ -1,10 +1,12 @@
-"""Blocks of a campaign on a Dask cluster, in order."""
+"""Blocks of a campaign on a Dask cluster, with results in order, through joblib's Dask backend."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from campaign.imaging.image_store import store_is_on
 from campaign.resolved import ResolvedCampaign
@@ -17,20 +19,51 @@ try:
     from distributed import Client, LocalCluster
     from distributed.scheduler import KilledWorker
     from joblib import Parallel, delayed
+    from joblib._dask import DaskDistributedBackend
 
-    from campaign.runs.dask.assets import AssetServer
-    from campaign.runs.dask.backend import ClusterBackend
+    from campaign.runs.dask.bundle import AssetServer, bundle_of
     from campaign.runs.dask.work import run_block_there
 except ImportError as error:
     raise BoresightError(
         f"--backend dask: {error.name} is not installed: pip install 'boresight[dask]', here and where the workers are"
     ) from error
 
-from campaign.runs.dask.bundle import bundle_of
-
 _PATIENCE_S = 30.0
 # In flight for each worker that there is when the run begins: some that come later find work too.
 _AHEAD = 4
+
+
+class _FailedTask:
+    """Result of a task that the cluster gave up, with its error."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
+
+class ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
+    """joblib's Dask backend, which also returns failures of the cluster; without them a run would wait for ever."""
+
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        """Count the cores of the workers, and two where they have one: joblib would then work here, and not there."""
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
+    async def _collect(self) -> None:
+        """Hand every result on as it comes, and every failure: joblib 1.6 drops the latter."""
+        while self._continue:
+            async for future, result in self.waiting_futures:
+                waiting = self._results.pop(future)
+                callback = self._callbacks.pop(future)
+                if future.status == "error":
+                    result = _FailedTask(result[1])
+                waiting.set_result(result)
+                callback(result)
+            await asyncio.sleep(0.01)
+
+    def retrieve_result_callback(self, out: Any) -> Any:
+        """Return a result, or raise what became of it."""
+        if isinstance(out, _FailedTask):
+            raise out.error
+        return super().retrieve_result_callback(out)
 
 
 def blocks_in_order(

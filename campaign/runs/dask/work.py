@@ -18,10 +18,8 @@ from campaign.imaging.image_store import store_switched
 from campaign.machine import cores
 from campaign.pool.workers import in_order
 from campaign.resolved import ResolvedCampaign
-from campaign.runs.dask.assets import Fetch, asset_file, from_scheduler
-from campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN
-from campaign.runs.losses import Losses
-from campaign.runs.worker import renew_after, run_block
+from campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN, Fetch, asset_file, from_scheduler
+from campaign.runs.worker import Losses, renew_after, run_block
 from campaign.store.folder import Block
 from campaign.trial.kind import Bench, Records, kind_named
 
