@@ -36,8 +36,9 @@ _ANGLE_HEADS = ("views apart", "Suns apart")
 _CRATER_HEADS = ("craters in the image that shows fewer",)
 _BRIEF = ("Suns apart", "mode", "image pairs", "recall, %", "wrong, %")
 _NOTE = (
-    "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches. Intervals"
-    " are 95 % intervals over pairs of images; a pair that a mode rejects has missed all its craters."
+    "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches, without"
+    " those of two detections that may be a crater too small for the list of the truth. Intervals are 95 % intervals"
+    " over pairs of images; a pair that a mode rejects has missed all its craters."
 )
 
 

@@ -67,10 +67,20 @@ class DetectionErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledDetections:
-    """Detected rims with the index of the true crater, ``NO_CRATER`` for false detections."""
+    """Detected rims and the true crater of each.
+
+    Parameters
+    ----------
+    crater
+        (n,) index of the true crater; ``NO_CRATER`` for a detection of none that the truth lists.
+    unlisted
+        (n,) detections of no listed crater that are smaller than the listed ones: whether there is a crater is not
+        known. None where the truth lists craters of all sizes.
+    """
 
     ellipses: Ellipses
     crater: IndexArray
+    unlisted: BoolArray | None = None
 
 
 def sample_plane_craters(

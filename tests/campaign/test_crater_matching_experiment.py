@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tiny_pairs import PAIRS
 
-from campaign.kinds.crater_matching.pairs import _found
+from campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
 from campaign.kinds.crater_matching.trial import (
     CraterMatching,
     check_matches,
@@ -22,11 +23,15 @@ from estimators.craters.contract import CraterDetections, CraterImage, CraterMat
 from reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from reports.run.data import read_run
 from reports.schema.grid import value_of
+from scenarios.bodies.embedded import icosphere
 from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose, View
+from scenarios.geometry import Camera, Ellipses, Pose, View, look_at
+from scenarios.geometry.ellipse import fit_conics
 from scenarios.observation import Frame
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.craters import RenderedLooksSpec
 
 _CAMPAIGN = """name: tiny-matching
 experiment: crater-matching
@@ -86,6 +91,58 @@ def test_matches_are_counted_as_by_hand() -> None:
     assert {name: scored[name] for name in ("n_common", "n_correct", "n_wrong", "n_missed")} == {
         "n_common": 3, "n_correct": 2, "n_wrong": 2, "n_missed": 1,
     }  # fmt: skip
+
+
+def test_matches_of_what_is_too_small_for_the_list_of_the_truth_count_for_nothing() -> None:
+    """Both no listed crater and one of them small is neither right nor wrong; a listed crater with another is wrong."""
+    pair = _pair([7, NO_CRATER, NO_CRATER, NO_CRATER, NO_CRATER], [7, NO_CRATER, NO_CRATER, NO_CRATER, 8])
+    looks = [
+        replace(look, detections=replace(look.detections, unlisted=np.array(small, dtype=bool)))
+        for look, small in ((pair.first, [0, 1, 1, 0, 1]), (pair.second, [0, 1, 0, 0, 0]))
+    ]
+    scored = score_matches(_matches(*((k, k) for k in range(5))), replace(pair, first=looks[0], second=looks[1]))
+    assert {name: scored[name] for name in ("n_correct", "n_wrong", "n_missed", "n_unlisted")} == {
+        "n_correct": 1, "n_wrong": 2, "n_missed": 0, "n_unlisted": 2,
+    }  # fmt: skip
+    assert score_matches(_matches((1, 1)), pair)["n_wrong"] == 1, "where all craters are listed, it is wrong"
+
+
+_BALL = MeshGround(icosphere(5, 1000.0))
+_CAMERA = Camera.from_fov(400, 400, np.radians(20.0))
+
+
+def _above(x_m: float, y_m: float) -> View:
+    """A camera 4 km from the centre of the ball, above a place on its northern half."""
+    place = np.array([x_m, y_m, np.sqrt(1e6 - x_m**2 - y_m**2)])
+    return View(_CAMERA, look_at(4.0 * place, np.zeros(3)), np.array([0.0, 0.0, 1.0]))
+
+
+def test_the_diameter_of_a_rim_is_that_of_the_circle_on_the_ground() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    circle = 40.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(60)], axis=1)
+    for place in ((10.0, 20.0), (300.0, 0.0), (-50.0, 500.0)):
+        view = _above(*place)
+        points = circle + np.array([0.0, 0.0, np.sqrt(1e6 - 40.0**2)])
+        uv = view.camera.project(view.T_cam_body.transform(points))
+        rims = Ellipses.from_conics(fit_conics(uv[None], np.ones((1, 60))))
+        assert diameters_m(rims, view, _BALL) == pytest.approx(80.0, rel=0.02)
+    off_body = Ellipses(np.array([[-400.0, -400.0]]), np.array([[4.0, 4.0]]), np.zeros(1))
+    assert np.isnan(diameters_m(off_body, view, _BALL)).all()
+
+
+def test_a_detection_below_the_listed_sizes_is_told_from_a_false_alarm_above_them() -> None:
+    """At 2.6 m per pixel, rims of 12 px are 32 m in diameter and those of 20 px 53 m; the list begins at 40 m."""
+    centres = np.array([[200.0, 200.0], [150.0, 220.0], [260.0, 170.0]])
+    found = Ellipses(centres, np.array([[6.0, 6.0], [6.0, 6.0], [10.0, 10.0]]), np.zeros(3))
+    none = dict.fromkeys(field.name for field in fields(RenderedPairs))
+    source = RenderedPairs(
+        **none | {"images": RenderedLooksSpec(), "camera": _CAMERA, "ground": _BALL, "listed_from_m": 40.0}
+    )
+    frame = Frame(np.zeros((400, 400), np.float32), np.array([0.0, 0.0, -1.0]), _above(0.0, 0.0).T_cam_body, np.eye(6))
+    truth = SimpleNamespace(ellipses=found[:1], crater=np.array([31]))
+    finder = SimpleNamespace(detect=lambda *_: CraterDetections(found, np.ones(3)))
+    seen = source._look(finder, _above(0.0, 0.0), frame, truth).detections
+    assert (seen.crater.tolist(), seen.unlisted.tolist()) == ([31, NO_CRATER, NO_CRATER], [False, True, False])
 
 
 def _moved(look: CraterView, x_m: float, centres_px: list[tuple[float, float]]) -> CraterView:

@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-matching",
-    version=4,
+    version=5,
     block_trials=5,
     method_version=CraterMatching.method_version,
     prepare=CraterMatching.prepare,

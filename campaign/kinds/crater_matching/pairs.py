@@ -8,6 +8,7 @@ from functools import cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import check_detections, match_detections
@@ -28,6 +29,8 @@ from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
 from scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
 from scenarios.spec.world import PoseErrorSpec
+
+FloatArray = NDArray[np.float64]
 
 BY_GEOMETRY = ""
 """Stands for the name of a detector where rims are projected and there is no image to look at."""
@@ -82,7 +85,10 @@ class SimulatedPairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedPairs:
-    """Looks that are rendered, or taken from the store; detectors find the craters, the truth says which they are."""
+    """Image pairs that are rendered or taken from the store; detectors find the craters, the truth identifies them.
+
+    The truth lists craters with diameters of ``listed_from_m`` (m) and more.
+    """
 
     spec: CraterPairsSpec
     images: RenderedLooksSpec
@@ -91,6 +97,7 @@ class RenderedPairs:
     ground: MeshGround
     renderer: TiledRenderer
     rims: Rims
+    listed_from_m: float
     imager: Imager
     finders: Mapping[str, CraterDetector | Unbuilt]
 
@@ -115,12 +122,23 @@ class RenderedPairs:
         rims = _found(finder, frame, self.camera)[: self.images.most_detections]
         # The last of the numbers is that of no crater, which is row -1 as well.
         numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
-        which = match_detections(rims, truth.ellipses).crater
-        return CraterView(view, LabelledDetections(rims, numbers[which]), frame)
+        crater = numbers[match_detections(rims, truth.ellipses).crater]
+        unlisted = (crater == NO_CRATER) & (diameters_m(rims, view, self.ground) < self.listed_from_m)
+        return CraterView(view, LabelledDetections(rims, crater, unlisted), frame)
 
     def flush(self) -> None:
         """Keep what was rendered."""
         self.imager.flush()
+
+
+def diameters_m(rims: Ellipses, view: View, ground: MeshGround) -> FloatArray:
+    """(n,) m, diameters of the craters with these rims, from the longer axes; NaN for rims centred off the body."""
+    pose, camera = view.T_cam_body, view.camera
+    directions_body = camera.unproject(rims.centre_px) @ pose.rotation
+    points_m, _ = ground.intersect(np.broadcast_to(pose.camera_position_m, directions_body.shape), directions_body)
+    depth_m = pose.transform(points_m)[:, 2]
+    # A slanted circle is foreshortened along its shorter axis alone.
+    return np.asarray(2.0 * rims.semi_axes_px[:, 0] * camera.pixel_angle_rad * depth_m, dtype=np.float64)
 
 
 def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
@@ -173,8 +191,9 @@ def open_pairs(
     renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
     finders = {name: _finder(name, spec.name) for name in detectors}
     imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, section)
+    listed_from_m = spec.craters.known_diameter_m
     return RenderedPairs(
-        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, imager, finders
+        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, listed_from_m, imager, finders
     )
 
 

@@ -14,9 +14,10 @@ from campaign.inspection.look import crater_look, outcome_marks, places_of
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
-from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches
+from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
+from estimators.craters.contract import CraterMatches
 from reports.figures.craters import MatchedRims, draw_matched_pair
 from reports.pages.view3d import View3D
 from reports.run.data import RunData, read_run, select
@@ -82,9 +83,10 @@ def draw_pair_case(again: Recomputed) -> CaseFigures | None:
     if not isinstance(shown, MatchedPair):
         return None
     looks = (shown.pair.first, shown.pair.second)
-    pairs = np.zeros((0, 2), dtype=np.int64) if shown.matches is None else shown.matches.pairs
+    matches = CraterMatches.none("") if shown.matches is None else shown.matches
     one, other = (look.detections.crater for look in looks)
-    right = np.zeros(0, dtype=np.bool_) if shown.matches is None else right_matches(shown.matches, shown.pair)
+    unlisted = unlisted_matches(matches, shown.pair)
+    pairs, right = matches.pairs[~unlisted], right_matches(matches, shown.pair)[~unlisted]
     rims = MatchedRims(
         (looks[0].detections.ellipses, looks[1].detections.ellipses), pairs, right, _missed(one, other, pairs[right])
     )
@@ -98,7 +100,8 @@ def draw_pair_case(again: Recomputed) -> CaseFigures | None:
         "pair", draw_matched_pair(images, rims, what), caption, "Two looks at craters with their rims."
     )
     drawn = "" if images[0].size else " Rims are drawn by geometry in this scenario: there are no images."
-    return CaseFigures([figure], notes=[f"{len(pairs)} matches, {int(right.sum())} of them right.{drawn}"])
+    neither = f" {unlisted.sum()} more of craters too small for the truth's list." if unlisted.any() else ""
+    return CaseFigures([figure], notes=[f"{len(pairs)} matches, {int(right.sum())} of them right.{neither}{drawn}"])
 
 
 def _missed(one: NDArray[np.int64], other: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -179,6 +179,7 @@ def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
     one, other = pair.first.detections.crater, pair.second.detections.crater
     common = np.intersect1d(one[one != NO_CRATER], other[other != NO_CRATER])
     correct = int(right_matches(matches, pair).sum())
+    unlisted = int(unlisted_matches(matches, pair).sum())
     return {
         "view_deg": pair.view_deg,
         "sun_deg": pair.sun_deg,
@@ -186,8 +187,9 @@ def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
         "n_second": len(other),
         "n_common": len(common),
         "n_correct": correct,
-        "n_wrong": len(matches.pairs) - correct,
+        "n_wrong": len(matches.pairs) - correct - unlisted,
         "n_missed": len(common) - correct,
+        "n_unlisted": unlisted,
     }
 
 
@@ -206,6 +208,21 @@ def right_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]
     here = pair.first.detections.crater[matches.pairs[:, 0]]
     there = pair.second.detections.crater[matches.pairs[:, 1]]
     return np.asarray((here == there) & (here != NO_CRATER))
+
+
+def unlisted_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]:
+    """(k,) whether a match is neither right nor wrong, as far as is known.
+
+    Neither detection is a listed crater, and one at least is smaller than those: they may be one crater that the truth
+    does not list. One of the two is enough, as the sizes that a detector finds scatter about the smallest listed one.
+    """
+    looks, rows = (pair.first, pair.second), matches.pairs.T
+    listed = [look.detections.crater[row] != NO_CRATER for look, row in zip(looks, rows, strict=True)]
+    small = [
+        np.zeros(len(row), dtype=np.bool_) if look.detections.unlisted is None else look.detections.unlisted[row]
+        for look, row in zip(looks, rows, strict=True)
+    ]
+    return np.asarray(~listed[0] & ~listed[1] & (small[0] | small[1]))
 
 
 def check_matches(matches: CraterMatches | None, first: CraterImage, second: CraterImage) -> None:

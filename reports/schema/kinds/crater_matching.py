@@ -21,8 +21,9 @@ SCHEMA = KindSchema(
             count("n_second", "detections in the second image"),
             count("n_common", "craters of the truth that are detected in both"),
             count("n_correct", "matches that join two detections of one of them"),
-            count("n_wrong", "the other matches"),
+            count("n_wrong", "the other matches but those of n_unlisted"),
             count("n_missed", "craters in both without a correct match"),
+            count("n_unlisted", "matches of detections that may be craters too small for the list of the truth"),
             measured(
                 "epipolar_offset_px", "largest distance of one of them from its epipolar line",
                 "largest distance of a crater from its epipolar line",
