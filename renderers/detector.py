@@ -59,9 +59,12 @@ class Detector:
     def collect(self, radiance_factor: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the (H, W) electrons collected in the exposure, limited to the full well."""
         spec = self.spec
+        # The optics blur the light before it is counted, so the counts of neighbouring pixels are independent. Dark
+        # electrons are counted with them: a sum of Poisson variables is one too.
         rate_e_per_s = spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px) + spec.dark_e_per_s
         expected_e = rate_e_per_s * spec.exposure_s
         electrons = rng.poisson(expected_e).astype(np.float64) if spec.shot_noise else expected_e
+        # A pixel saturates before it is read: read noise is added to the clipped charge.
         return np.minimum(electrons, spec.full_well_e)
 
     def digitise(self, electrons: FloatArray, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -88,7 +91,9 @@ def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def point_spread(sigma_px: float) -> FloatArray:
-    """Discrete Gaussian (2 n + 1,) of standard deviation ``sigma_px`` and sum 1, truncated beyond 6 sigma."""
+    """Discrete Gaussian (2 n + 1,) of standard deviation ``sigma_px`` and sum 1, n = 6 sigma rounded up plus 4."""
+    # For sigma below a pixel the tails fall as t^n / (2^n n!), slower than a Gaussian: hence the 4 more pixels.
     reach = int(np.ceil(6.0 * sigma_px)) + 4
+    # ive(n, t) = exp(-t) I_n(t) at once; I_n alone overflows for large t.
     weights = ive(np.abs(np.arange(-reach, reach + 1)), sigma_px**2)
     return np.asarray(weights / weights.sum(), dtype=np.float64)

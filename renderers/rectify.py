@@ -40,11 +40,17 @@ def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
         raise BoresightError(
             f"an image of shape {image.shape} is not of the camera, {camera.width_px} x {camera.height_px} pixels"
         )
+    # For the centre of each pixel of the result, the place in the distorted image: there are no holes.
     columns, rows = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)
     seen = pixel_to_opencv(camera.distorted(np.stack([columns, rows], axis=-1)))
     if not np.isfinite(seen).all():
         raise BoresightError(f"the distortion {camera.distortion} has no pixel for a part of the pinhole's field")
     rectified: NDArray[np.float32] = map_coordinates(
-        image, [seen[..., 1], seen[..., 0]], output=np.float32, order=3, mode="nearest"
+        # SciPy's coordinates are array indices, rows first.
+        image,
+        [seen[..., 1], seen[..., 0]],
+        output=np.float32,
+        order=3,
+        mode="nearest",
     )
     return rectified

@@ -50,7 +50,7 @@ def clipped_cosine(cosine: Array, xp: ArrayMath) -> Array:
 
 
 # Lower bound of the argument of a square root, the square of 1e-6 rad. It is below single precision, in which the
-# smallest angle whose cosine differs from 1 has a sine of 2.4e-4.
+# smallest angle whose cosine differs from 1 has a sine of 3.5e-4.
 _SQUARE_MIN = 1e-12
 # Directions closer to the normal than this have no azimuth.
 _SINE_MIN = 1e-5
@@ -76,6 +76,7 @@ def phase_angle(sum_squared: Array, difference_squared: Array, xp: ArrayMath) ->
     The vectors are the direction to the light and the *negative* direction to the viewer, so that the sum vanishes at
     opposition. Half angles keep their digits near 0 and pi, where arc cosines lose them.
     """
+    # With unit vectors a and b, |a + b| = 2 sin(g/2) and |a - b| = 2 cos(g/2).
     return 2.0 * xp.atan2(root(sum_squared, xp), root(difference_squared, xp))
 
 
@@ -89,6 +90,7 @@ def smaller_and_larger_angle(cos_i: Array, cos_e: Array, xp: ArrayMath) -> tuple
 
     Formulas in these angles have a kink where they are equal; maximum and minimum would return the derivative of one.
     """
+    # The smaller angle has the larger cosine.
     mean = 0.5 * (cos_i + cos_e)
     smaller = xp.where(cos_i > cos_e, cos_i, xp.where(cos_i < cos_e, cos_e, mean))
     return smaller, xp.where(cos_i > cos_e, cos_e, xp.where(cos_i < cos_e, cos_i, mean))
@@ -107,8 +109,11 @@ def azimuth_squares(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath)
     defined, sines = xp.minimum(sin_i, sin_e) > _SINE_MIN, sin_i * sin_e
     sin_g, sin_apart = xp.sin(0.5 * phase_rad), xp.sin(0.5 * (i - e))
     cos_g, cos_mean = xp.cos(0.5 * phase_rad), xp.cos(0.5 * (i + e))
+    # sin i sin e sin^2(psi/2) and sin i sin e cos^2(psi/2), by the two laws above.
     sine_square, cosine_square = sin_g * sin_g - sin_apart * sin_apart, cos_g * cos_g - cos_mean * cos_mean
+    # Their sum is sin i sin e, so the smaller one is at most half of it; 1 minus a small number keeps its digits.
     near = sine_square < cosine_square
     smaller = xp.where(near, sine_square, cosine_square) / sines
+    # Rounding can put the quotient outside [0, 1/2]. The sines are floored, so it is finite where it is discarded.
     smaller = xp.where(defined, xp.minimum(xp.maximum(smaller, 0.0), 0.5), 0.5)
     return xp.where(near, smaller, 1.0 - smaller), xp.where(near, 1.0 - smaller, smaller)

@@ -15,6 +15,7 @@ from typing import Any
 
 from renderers.brdf.arrays import Array, ArrayMath, clipped_cosine
 
+# Lower bound of 1 + b^2 -+ 2 b cos g, which is 0 at |b| = 1 in the centre of a lobe.
 _TINY = 1e-12
 
 
@@ -32,6 +33,8 @@ def henyey_greenstein(b: Array, c: Array, cos_g: Array, xp: ArrayMath) -> Array:
         The array library of the angles.
     """
     one, square = 1.0 - b * b, 1.0 + b * b
+    # P = (1 - b^2) [(1 + c) / 2 (1 - 2 b cos g + b^2)^-3/2 + (1 - c) / 2 (1 + 2 b cos g + b^2)^-3/2]: g = 0 is
+    # backward.
     back = xp.maximum(square - 2.0 * b * cos_g, _TINY)
     forth = xp.maximum(square + 2.0 * b * cos_g, _TINY)
     return 0.5 * one * ((1.0 + c) / (back * xp.sqrt(back)) + (1.0 - c) / (forth * xp.sqrt(forth)))
@@ -83,6 +86,7 @@ def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, pha
     xp
         The array library of the angles.
     """
+    # The radiance factor is pi f_r mu0, so that f_r = w / (4 pi) P(g) / (mu0 + mu).
     scattered = p.w / (4.0 * pi) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
     return scattered / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
 
@@ -131,12 +135,13 @@ def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp
         The array library of the angles.
     """
     weight = lunar_weight(p, phase_rad, xp)
+    # mu0 cancels in f_r, so that the law is reciprocal although the radiance factor is not.
     lunar = 2.0 / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
     return p.albedo / pi * (weight * lunar + (1.0 - weight))
 
 
 def lunar_weight(p: McEwenParameters, phase_rad: Array, xp: ArrayMath) -> Array:
     """Weight L(g) of the lunar part, clipped to [0, 1]: the Moon's polynomial is negative beyond 104 deg."""
-    g = phase_rad * (180.0 / pi)
+    g = phase_rad * (180.0 / pi)  # the published coefficients are per degree
     polynomial = 1.0 + g * (p.L1_per_deg + g * (p.L2_per_deg2 + g * p.L3_per_deg3))
     return xp.minimum(xp.maximum(polynomial, 0.0), 1.0)

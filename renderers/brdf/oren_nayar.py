@@ -56,6 +56,7 @@ def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Ar
         The array library of the angles.
     """
     cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
+    # The paper's alpha is the larger angle, whose cosine is the smaller one.
     cos_beta, cos_alpha = smaller_and_larger_angle(cos_i, cos_e, xp)
     model = _full if p.form == "full" else _qualitative
     return xp.maximum(model(p, cos_alpha, cos_beta, azimuth_squares(cos_i, cos_e, phase_rad, xp), xp), 0.0)
@@ -74,12 +75,15 @@ def _full(
     s2 = p.sigma_rad * p.sigma_rad
     beta_cubed = (2.0 * beta / pi) * (2.0 * beta / pi) * (2.0 * beta / pi)
     product = 4.0 * alpha * beta / (pi * pi)
+    # Coefficients C1, C2 and C3 of the functional approximation; C2 has another form for cos(phi) < 0.
     c1 = 1.0 - 0.5 * s2 / (s2 + 0.33)
     c2 = 0.45 * s2 / (s2 + 0.09) * (sin_alpha - xp.where(cos_phi >= 0.0, 0.0, beta_cubed))
     c3 = 0.125 * s2 / (s2 + 0.09) * product * product
     tan_mean = (sin_alpha + sin_beta) / (cos_alpha + cos_beta)  # tan((alpha + beta) / 2)
+    # 1 - |cos phi| = 2 min(sin^2(phi/2), cos^2(phi/2)), without cancellation near phi = 0 and pi.
     first = c1 + cos_phi * c2 * sin_beta / cos_beta + 2.0 * xp.minimum(*azimuth) * c3 * tan_mean  # L_r^1
     second = 0.17 * s2 / (s2 + 0.13) * (1.0 - cos_phi * (2.0 * beta / pi) * (2.0 * beta / pi))  # L_r^2
+    # Light reflected twice by facets is proportional to the square of the albedo.
     return p.albedo / pi * (first + p.albedo * second)
 
 

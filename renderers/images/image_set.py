@@ -180,11 +180,13 @@ def keep_clear_violation(view: View, outline_m: FloatArray, rectangles: Sequence
     """
     uv = view.camera.project(view.T_cam_body.transform(outline_m))
     seen = uv[np.isfinite(uv).all(axis=1)].astype(np.float32)
+    # OpenCV needs three points for a hull.
     if len(seen) < 3:
         return ""
     hull = cv2.convexHull(seen[:, None])[:, 0]
     for left, top, right, bottom in rectangles:
         corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=np.float32)
+        # The image of a convex hull is convex, so that the overlap of two convex polygons is the test.
         shared, _ = cv2.intersectConvexConvex(hull, corners)
         if shared > 0.0:
             part = f"[{left:g}, {top:g}, {right:g}, {bottom:g}]"

@@ -24,7 +24,7 @@ ATTACHED_SUFFIXES = (".img",)
 _FIRST_WORDS = (b"PDS_VERSION_ID", b"CCSD3ZF", b"NJPL1I00")
 _END = re.compile(rb"^[ \t]*END[ \t]*\r?$", re.MULTILINE)
 _LONGEST_LABEL = 1 << 17  # ten times the longest label of NEAR and Hayabusa; pvl parses it in a few seconds
-_MOST_MENDED = 100
+_MOST_MENDED = 100  # keywords without a value that are replaced before the label is refused
 # SAMPLE_TYPE to NumPy's byte order and kind (PDS Standards Reference 3.8, appendix C).
 _TYPES = {
     **dict.fromkeys(("UNSIGNED_INTEGER", "MSB_UNSIGNED_INTEGER", "MAC_UNSIGNED_INTEGER", "SUN_UNSIGNED_INTEGER"), ">u"),
@@ -34,7 +34,7 @@ _TYPES = {
     **dict.fromkeys(("IEEE_REAL", "REAL", "FLOAT", "MAC_REAL", "SUN_REAL"), ">f"),
     "PC_REAL": "<f",
 }
-_LARGEST = 1e39  # beyond single precision, in which missing pixels are often marked by the lowest number
+_LARGEST = 1e39  # above single precision's largest number, 3.4e38: MISSING_CONSTANT is often the lowest number, -3.4e38
 _BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
 
 
@@ -164,12 +164,15 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
             f"{layout.path}: too short: {layout.lines} lines of {stride} bytes from byte {layout.offset} end beyond it"
         )
     rows = np.frombuffer(content, dtype=np.uint8).reshape(layout.lines, stride)
+    # Lines are cut out as bytes, as prefix and suffix need not be whole samples.
     samples = rows[:, layout.prefix : stride - layout.suffix if layout.suffix else stride]
     stored = np.ascontiguousarray(samples).view(layout.dtype)
+    # The constant is one of the stored numbers, before scaling.
     missing = _number(label, image, "MISSING_CONSTANT", None)
     if missing is not None and (gaps := int((stored == missing).sum())):
         raise label.fault(f"{gaps} pixels are marked as missing (MISSING_CONSTANT = {missing:g})")
     scale, offset = _number(label, image, "SCALING_FACTOR", 1.0), _number(label, image, "OFFSET", 0.0)
+    # Results beyond single precision become infinite; the caller refuses them.
     with np.errstate(over="ignore", invalid="ignore"):
         return (stored.astype(np.float64) * (scale or 1.0) + (offset or 0.0)).astype(np.float32)
 
@@ -211,6 +214,7 @@ def _offset(label: Label) -> int:
         size = 1 if unit in ("BYTE", "BYTES") else 0
     else:
         unit, number = "records", place
+        # The first record starts at byte 0 for any length, which may then be missing.
         size = _whole(label, label.values, "RECORD_BYTES", None) if place != 1 else 1
     if not isinstance(number, int) or number < 1 or size < 1:
         raise label.fault(f"^IMAGE: {number} {unit} is no place in a file")

@@ -28,10 +28,11 @@ FITS_SUFFIXES = (".fits", ".fit", ".fts")
 BITMAP_SUFFIXES = (".png", ".tif", ".tiff")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by colour type; a palette (3) is expanded to colours
 _ORDERS = {b"II": "<", b"MM": ">"}
-_WIDTH, _HEIGHT, _SAMPLES = 256, 257, 277
-_BIG = 43
+_WIDTH, _HEIGHT, _SAMPLES = 256, 257, 277  # TIFF tags ImageWidth, ImageLength and SamplesPerPixel
+_BIG = 43  # version number of BigTIFF; 42 is that of classic TIFF
+# TIFF field types BYTE, SHORT, LONG and LONG8.
 _NUMBER = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 _COUNT = re.compile(rb"(Z?NAXIS[0-9]*|TFIELDS) *= *([0-9]+)")
@@ -70,6 +71,7 @@ def _check_axes(content: bytes, path: Path) -> None:
     packed = 1
     for card in _COUNT.finditer(content):
         name, value = card.group(1), int(card.group(2)[:30])
+        # The axes of a compressed image: their product is what astropy would allocate.
         packed = packed * max(value, 1) if name.startswith(b"Z") and name != b"ZNAXIS" else packed
         if value > (_MOST_AXES if name.endswith(b"S") else _LONGEST_AXIS) or packed > MOST_PIXELS:
             raise BoresightError(
@@ -113,6 +115,7 @@ def bitmap_size(content: bytes) -> tuple[int, int, int]:
     """
     try:
         if content.startswith(_PNG):
+            # The IHDR chunk comes first: its data start after the signature, a length and a name.
             width, height, _, colour = struct.unpack_from(">IIBB", content, 16)
             return int(width), int(height), _PNG_CHANNELS.get(colour, 4)
         order = _ORDERS.get(content[:2])
@@ -125,6 +128,7 @@ def is_cut_short(content: bytes) -> bool:
     """Return whether a chunk of a PNG extends beyond the end of the file; False for other formats."""
     place = len(_PNG)
     while content.startswith(_PNG) and place + 12 <= len(content):
+        # A chunk: length of the data, name, data, checksum.
         length, kind = struct.unpack_from(">I4s", content, place)
         place += 12 + length
         if place > len(content):
@@ -138,8 +142,10 @@ def _tiff_size(content: bytes, order: str) -> tuple[int, int, int]:
     big = struct.unpack_from(f"{order}H", content, 2)[0] == _BIG
     place = struct.unpack_from(f"{order}{'Q' if big else 'I'}", content, 8 if big else 4)[0]
     entries = struct.unpack_from(f"{order}{'Q' if big else 'H'}", content, place)[0]
+    # An entry: tag, field type, count, and a value that is short enough to stand in it.
     layout, first, step = ("HHQ8s", 8, 20) if big else ("HHI4s", 2, 12)
     found = {_WIDTH: 0, _HEIGHT: 0, _SAMPLES: 1}
+    # A damaged count cannot lead to more entries than the file has room for.
     for index in range(min(entries, len(content) // step)):
         tag, kind, _, value = struct.unpack_from(order + layout, content, place + first + index * step)
         if tag in found and kind in _NUMBER:

@@ -34,7 +34,7 @@ from scenarios.spec.images import ImageSetSpec
 
 FloatArray = NDArray[np.float64]
 QUATERNION_TOLERANCE = 1e-3
-_EXCESS = "\n"
+_EXCESS = "\n"  # key of surplus cells: no column can be called so
 _SUN = ("sun_body_x", "sun_body_y", "sun_body_z")
 
 
@@ -180,6 +180,7 @@ def _pose(row: _Row, prefix: str) -> Pose:
             f" not 1 within {QUATERNION_TOLERANCE:g}"
         )
     translation_m = row.numbers(translation_columns)
+    # As in a table whose camera looks along -z.
     if translation_m[2] <= 0.0:
         raise BoresightError(
             f"{row.place}: {prefix}_tz_m: {translation_m[2]:g} puts the body behind the camera: z points forward"

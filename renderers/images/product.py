@@ -78,6 +78,7 @@ def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: fl
     BoresightError
         If a time or an exposure time is invalid.
     """
+    # Keywords of the file go before those of the object IMAGE.
     flat = {**_inside(values, "IMAGE"), **values}
     words = {name: _text(flat, keywords) for name, keywords in _KEYWORDS.items()}
     display = _text(flat, ("LINE_DISPLAY_DIRECTION",))
@@ -117,6 +118,7 @@ def _start(values: Mapping[str, object], path: Path) -> str | None:
     if not isinstance(value, datetime):
         raise BoresightError(f"{path}: the start of the exposure is {value}, which has no time of the day")
     try:
+        # Times without a zone are UTC in both formats.
         utc = value if value.tzinfo is None else value.astimezone(UTC)
     except OverflowError as error:
         raise BoresightError(f"{path}: the start of the exposure is {value}, before or after all years") from error

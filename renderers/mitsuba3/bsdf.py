@@ -69,6 +69,7 @@ def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
+            # Strings (a model's form) and the numbers of the scalar variant stay Python values.
             self.values = {
                 key: mi.Float(value) if jit and isinstance(value, float) else value
                 for key, value in plugin.read(properties).items()
@@ -78,6 +79,7 @@ def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
             self.m_components = [self.m_flags]
 
         def sample(self, context: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            # The density is cos(theta) / pi, so that the weight of a sample is pi f_r.
             wo = mi.warp.square_to_cosine_hemisphere(sample2)
             sample = mi.BSDFSample3f(wo)
             sample.pdf = self.pdf(context, si, wo, active)
@@ -88,8 +90,11 @@ def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
             return sample, self.eval(context, si, wo, active) / dr.select(sample.pdf > 0.0, sample.pdf, 1.0)
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            # Rays are traced from the camera: wi points to the viewer and wo to the light. The formulas are reciprocal.
             cos_i, cos_e = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
+            # phase_angle takes the negative direction to the viewer.
             phase_rad = phase_angle(dr.squared_norm(wo - si.wi), dr.squared_norm(wo + si.wi), math)
+            # Mitsuba's BSDF values include the cosine of the outgoing direction.
             value = plugin.model.formula(self.values, cos_i, cos_e, phase_rad, math) * cos_i
             lit = active & (cos_i > 0.0) & (cos_e > 0.0) & context.is_enabled(mi.BSDFFlags.DiffuseReflection)
             return mi.depolarizer(self.factor.eval(si, active) * dr.select(lit, value, 0.0))

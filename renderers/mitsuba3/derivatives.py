@@ -29,7 +29,9 @@ Image = NDArray[np.float32]
 _PARAMETERS = 6
 # The filter of a pixel covers its neighbours, whose motion depends on the samples next to them.
 _MARGIN_PX = 3
+# Samples of the sky within this distance of the limb move with it.
 _MOTION_PX = 1.5
+# Depth of a sample that misses the body.
 _SKY_M = np.float32(1e30)
 
 
@@ -80,11 +82,14 @@ class _Samples:
         hit, normal, lit = tracer.trace(mi, origin, direction, self.sun)
         self.normal, albedo = tracer.shading(mi, hit, normal)
         self.point = mi.Vector3f(origin + direction * hit.t)
+        # An albedo of 0 marks samples in shadow, which have no derivative.
         self.albedo = dr.select(lit, albedo, 0.0)
         self.value = self.albedo * tracer.radiance_factor(self.normal, direction, self.sun)
         self.value = dr.select(lit, self.value, 0.0)
+        # The third row of R_cam_body is the boresight in body axes.
         forward = opaque(mi, view.T_cam_body.rotation[2])
         depth = dr.select(hit.is_valid(), dr.dot(forward, self.point), float(_SKY_M))
+        # Hits are evaluated once, as constants: derivatives are those of fixed body points.
         dr.eval(self.normal, self.point, self.albedo, self.value, depth)
         self.depth = mi.Float(self._surface_about(depth.numpy()))
 
@@ -95,10 +100,12 @@ class _Samples:
         the limb. Samples farther off do not move.
         """
         n, window = round(self.tracer.samples_per_pixel**0.5), self.window
+        # Samples come pixel by pixel, n x n each: reorder them as an image for the morphological filter.
         pixels = depth_m.reshape(window.height, window.width, n, n)
         raster = pixels.transpose(0, 2, 1, 3).reshape(window.height * n, window.width * n)
         sky = raster >= _SKY_M
         side = 2 * round(_MOTION_PX * n) + 1
+        # The maximum of the depths in the window: the limb is the farthest visible surface. Sky counts as nearest.
         limb = cv2.dilate(np.where(sky, -_SKY_M, raster), np.ones((side, side), dtype=np.uint8))
         raster = np.where(sky & (limb > -_SKY_M), limb, raster)
         blocks = raster.reshape(window.height, n, window.width, n).transpose(0, 2, 1, 3)
@@ -109,6 +116,8 @@ class _Samples:
         import drjit as dr
 
         mi = self.mi
+        # Forward mode gives one directional derivative in a pass: the samples are repeated for each parameter, and in
+        # each copy that parameter alone depends on the one differentiable number.
         index = dr.arange(mi.UInt32, _PARAMETERS * self.count)
         parameter = index // dr.opaque(mi.UInt32, self.count)
         sample = index - parameter * dr.opaque(mi.UInt32, self.count)
@@ -133,14 +142,17 @@ class _Samples:
         row = pixel // dr.opaque(mi.UInt32, window.width)
         column = pixel - row * dr.opaque(mi.UInt32, window.width)
         grid = self.tracer.grid(within)
+        # Offset and principal point are subtracted in double precision first.
         slope_u = (mi.Float(column) + grid[0] + _number(mi, window.column - camera.cx_px)) / _number(mi, camera.fx_px)
         slope_v = (mi.Float(row) + grid[1] + _number(mi, window.row - camera.cy_px)) / _number(mi, camera.fy_px)
         depth = dr.gather(mi.Float, self.depth, sample)
         body = depth < 0.5 * float(_SKY_M)
         origin = opaque(mi, self.view.T_cam_body.translation_m)
         distance = dr.select(body, depth, 0.0) + origin.z
+        # x' = t + d + exp(w) (x - t), to first order t + d + arm + w x arm: `Pose.perturbed` leaves the body's origin.
         arm = mi.Vector3f(slope_u * distance, slope_v * distance, distance) - origin
         moved = origin + arm + dr.cross(rotation, arm) + translation
+        # Samples in the sky are fixed in the image; their derivative is 0.
         still = dr.select(body, 1.0, 0.0)
         u, v = _number(mi, camera.fx_px) * moved.x / moved.z, _number(mi, camera.fy_px) * moved.y / moved.z
         return still * u, still * v
@@ -157,6 +169,7 @@ class _Samples:
         to_body = [opaque(mi, row) for row in pose.rotation.T]
         t, sun = opaque(mi, pose.translation_m), opaque(mi, pose.rotation @ self.view.sun_dir_body)
         moved_t, moved_sun = t + translation - dr.cross(rotation, t), sun - dr.cross(rotation, sun)
+        # The camera is at -from_camera in body axes, so that point + from_camera is the line of sight.
         from_camera = mi.Vector3f(*(dr.dot(row, moved_t) for row in to_body))
         sun_body = mi.Vector3f(*(dr.dot(row, moved_sun) for row in to_body))
         point, normal = (dr.gather(mi.Vector3f, field, sample) for field in (self.point, self.normal))
@@ -190,6 +203,7 @@ def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window
             f = dr.gather(mi.Float, samples.value, sample)
             f_u, f_v, f_value = (dr.gather(mi.Float, tangent, run + sample) for tangent in tangents)
             weight, change = weight_u * weight_v, slope_u * weight_v * f_u + weight_u * slope_v * f_v
+            # K changes with the position of a sample: K' = dK/du u' + dK/dv v'.
             mass += weight
             total += weight * f
             moved += weight * f_value + change * f
@@ -204,10 +218,12 @@ def _tent(n: int) -> dict[int, tuple[float, float]]:
     """
     result = {}
     for row in range(-n, 2 * n):
+        # Offset of the sample row from the middle of the pixel, in pixels.
         x = (row + 0.5) / n - 0.5
         if abs(x) > 1.0 + 1e-9:
             continue
         at_kink = abs(abs(x) - 1.0) < 1e-9
+        # Slope by the position of the sample: a sample that moves away from the middle loses weight.
         result[row] = (max(1.0 - abs(x), 0.0), -float(np.sign(x)) * (0.5 if at_kink else 1.0))
     return result
 

@@ -14,10 +14,12 @@ from scenarios.geometry import Camera, TriangleMesh, View
 
 FloatArray = NDArray[np.float64]
 
+# Points on each side of a bounding box that lens distortion bends.
 _BOX_STEPS = 65
 
 IndexArray = NDArray[np.int64]
 
+# Facets whose solid angles are computed at once, which bounds the memory.
 _CHUNK = 200_000
 
 
@@ -86,8 +88,10 @@ def body_window(view: View, outline_m: FloatArray) -> PixelWindow | None:
     in_front = points_cam_m[:, 2] > 0.0
     if not in_front.any():
         return None
+    # The camera is within the bounding hull: projected points do not bound the body.
     if not in_front.all():
         return PixelWindow(0, 0, camera.width_px, camera.height_px)
+    # Convexity is kept by the pinhole's projection alone; the lens bends the hull afterwards.
     low_px, high_px = _bounds(camera, camera.pinhole.project(points_cam_m))
     size = (camera.width_px, camera.height_px)
     low = np.clip(np.floor(low_px), 0, size).astype(int)
@@ -117,7 +121,10 @@ def _bounds(camera: Camera, pinhole_px: FloatArray) -> tuple[FloatArray, FloatAr
 def ray_bundle(view: View, radius_m: float, corner_px: tuple[float, float]) -> RayBundle:
     """Rays of a view, with pixels counted from ``corner_px``, to a body within ``radius_m`` of its origin."""
     camera, pose = view.camera, view.T_cam_body
+    # Rays start on the plane of this depth, just in front of the body.
     start_m = max(0.0, pose.translation_m[2] - 1.01 * radius_m)  # depth of the plane on which the rays start
+    # K^-1 (u, v, 1) of the window's corner; one pixel on adds 1 / f. Columns of R^T are the camera axes in the body
+    # frame.
     slope = np.array([(corner_px[0] - camera.cx_px) / camera.fx_px, (corner_px[1] - camera.cy_px) / camera.fy_px, 1.0])
     to_body = pose.rotation.T
     u_step, v_step = to_body[:, 0] / camera.fx_px, to_body[:, 1] / camera.fy_px
@@ -136,7 +143,7 @@ def ray_bundle(view: View, radius_m: float, corner_px: tuple[float, float]) -> R
 def grid_positions(samples_per_pixel: int) -> FloatArray:
     """Positions (S, 2) of the regular grid of samples within a pixel, S a square number; row by row."""
     n = round(samples_per_pixel**0.5)
-    steps = (np.arange(n) + 0.5) / n
+    steps = (np.arange(n) + 0.5) / n  # centres of n equal cells
     v, u = np.meshgrid(steps, steps, indexing="ij")
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
@@ -146,6 +153,7 @@ def vertex_normals(mesh: TriangleMesh) -> FloatArray:
     total = np.zeros_like(mesh.vertices_m)
     for corner in mesh.faces.T:
         for axis in range(3):
+            # bincount adds in the order of the facets, so that the sums are the same on every machine.
             total[:, axis] += np.bincount(corner, mesh.area_vectors_m2[:, axis], len(total))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     unit: FloatArray = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
@@ -171,8 +179,10 @@ def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray
     s = origins_m - corner_m[:, 0]
     q = np.cross(s, edge_1)
     determinant = np.einsum("ni,ni->n", edge_1, p)
+    # A ray parallel to its facet: any finite weights will do, as they are clipped.
     determinant = np.where(determinant == 0.0, np.finfo(float).tiny, determinant)
     with np.errstate(over="ignore"):
+        # u = (s . p) / det and v = (d . q) / det; the second is bounded by what the first leaves.
         w1 = np.clip(np.einsum("ni,ni->n", s, p) / determinant, 0.0, 1.0)
         w2 = np.clip(np.einsum("ni,ni->n", directions, q) / determinant, 0.0, 1.0 - w1)
     return np.stack([1.0 - w1 - w2, w1, w2], axis=1)
@@ -191,9 +201,11 @@ def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
     """
     position = np.asarray(position_body_m, dtype=np.float64)
     distance_m = float(np.linalg.norm(position))
+    # Outside the sphere about the body no facet needs to be visited.
     if distance_m > mesh.radius_m:
         return
     solid_angle = sum(_solid_angle(mesh, slice(k, k + _CHUNK), position) for k in range(0, len(mesh.faces), _CHUNK))
+    # Half way between 4 pi and 0, which leaves room for rounding; the sign depends on the winding.
     if abs(solid_angle) > 2.0 * np.pi:
         where = ", ".join(f"{x:.6g}" for x in position)
         raise BoresightError(

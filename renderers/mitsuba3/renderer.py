@@ -121,6 +121,7 @@ class MitsubaRenderer:
         derivatives = np.zeros((6, *image.shape), dtype=np.float32)
         window = body_window(view, self._outline_m)
         if window is not None:
+            # Each sample is repeated for the six parameters.
             for strip in window.strips(max(1, _MAX_SAMPLES // (6 * window.width * self._samples_per_pixel))):
                 rows, columns = strip.slices
                 image[rows, columns], derivatives[:, rows, columns] = image_and_derivatives(self._tracer, view, strip)
@@ -145,6 +146,7 @@ class MitsubaRenderer:
         if len(uv) == 0:
             return SurfaceHits(points, normals, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
         origins, directions = ray_bundle(view, self._mesh.radius_m, (0.0, 0.0)).at(uv)
+        # Single precision suffices to find the facet; the point on it is computed in double precision.
         facets, lit = self._tracer.first_hits(view, origins, directions)
         hit = facets >= 0
         weights = corner_weights(self._mesh, facets[hit], origins[hit], directions[hit])

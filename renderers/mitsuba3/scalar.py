@@ -68,6 +68,8 @@ class ScalarTracer:
         if view.camera.distortion is not None:
             return self._lit_facets_one_by_one(view, window)
         light = self._colours(view, window)
+        # The first channel is the radiance of colour 1: 0 in shadow. Divided by it, the others are the digits of the
+        # index, whatever the incidence.
         lit = light[..., 0] > 0.0
         high, low = np.rint(light[lit][:, 1:] / light[lit][:, :1]).astype(np.int64).T
         facets = np.full(lit.shape, -1, dtype=np.int64)
@@ -95,6 +97,7 @@ class ScalarTracer:
             if not hit.is_valid():
                 continue
             facets[k] = hit.prim_index
+            # The offset along the normal keeps the shadow ray from hitting its own facet.
             normal = self._mesh.normals[facets[k]]
             start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self._mesh.radius_m)
             lit[k] = normal @ sun > 0.0 and not self._scene.ray_test(mi.Ray3f(list(start), list(sun)))
@@ -126,6 +129,7 @@ class ScalarTracer:
                 normals /= np.linalg.norm(normals, axis=1, keepdims=True)
             if mesh.albedo is not None:
                 factor = interpolate(mesh, mesh.albedo, facets, weights)
+        # Smooth normals can turn away from the Sun where the facet does not.
         cos_i = np.maximum(normals @ sun, 0.0)
         cos_e = -np.einsum("ni,ni->n", normals, directions)
         value: FloatArray = (
@@ -152,6 +156,7 @@ def _coded_scene(mi: Any, mesh: TriangleMesh) -> Any:
             "integrator": {
                 "type": "direct",
                 "emitter_samples": 1,
+                # The Sun's direction is known: no other direction carries light.
                 "bsdf_samples": 0,
                 "hide_emitters": True,
                 "block_size": 64,
@@ -163,7 +168,9 @@ def _coded_scene(mi: Any, mesh: TriangleMesh) -> Any:
 
 
 def _point_sun(mi: Any, scene: Any, sun_dir: FloatArray) -> None:
+    # look_at needs any vector that is not parallel to the direction.
     up = [0.0, 0.0, 1.0] if abs(sun_dir[2]) < 0.9 * np.linalg.norm(sun_dir) else [1.0, 0.0, 0.0]
+    # Mitsuba's emitter shines along its z axis: away from the Sun.
     target = [float(-x) for x in sun_dir]
     parameters = mi.traverse(scene)
     parameters[f"{SUN_ID}.to_world"] = mi.ScalarTransform4f().look_at(origin=[0.0] * 3, target=target, up=up)
@@ -176,6 +183,7 @@ def _stretch(view: View) -> FloatArray | None:
     if camera.fx_px == camera.fy_px:
         return None
     rotation = view.T_cam_body.rotation
+    # v = fy y / z = fx (fy / fx y) / z: stretching y in camera axes by fy / fx gives square pixels of fx.
     scale = np.diag([1.0, camera.fy_px / camera.fx_px, 1.0])
     return rotation.T @ scale @ rotation
 
@@ -185,8 +193,10 @@ def _sensor(mi: Any, view: View, window: PixelWindow, grid: int, radius_m: float
     to_world = np.eye(4)
     # The body's origin keeps its image if the camera's y coordinate is stretched likewise.
     centre_cam_m = pose.translation_m * np.array([1.0, camera.fy_px / camera.fx_px, 1.0])
+    # Mitsuba's camera has x left and y up, z forward.
     to_world[:3, :3] = pose.rotation.T @ np.diag([-1.0, -1.0, 1.0])
     to_world[:3, 3] = -pose.rotation.T @ centre_cam_m
+    # Near and far planes about the body keep the precision of depths.
     reach_m = 1.01 * radius_m * max(1.0, camera.fy_px / camera.fx_px)
     far_m = float(centre_cam_m[2]) + reach_m
     return mi.load_dict(
@@ -194,11 +204,13 @@ def _sensor(mi: Any, view: View, window: PixelWindow, grid: int, radius_m: float
             "type": "perspective",
             "fov_axis": "x",
             "fov": float(np.degrees(2.0 * np.arctan(0.5 * camera.width_px / camera.fx_px))),
+            # In shares of the image, positive to the left and up.
             "principal_point_offset_x": float(0.5 - camera.cx_px / camera.width_px),
             "principal_point_offset_y": float(0.5 - camera.cy_px / camera.height_px),
             "near_clip": max(far_m - 2.0 * reach_m, 1e-6 * far_m),
             "far_clip": far_m,
             "to_world": mi.ScalarTransform4f(to_world),
+            # One sample in the middle of each pixel of the film.
             "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
             "film": _film(camera, window, grid),
         }
@@ -214,6 +226,7 @@ def _film(camera: Camera, window: PixelWindow, grid: int) -> dict[str, object]:
         "crop_offset_y": window.row * grid,
         "crop_width": window.width * grid,
         "crop_height": window.height * grid,
+        # Each pixel of the film gets its own sample alone.
         "rfilter": {"type": "box"},
         "pixel_format": "rgb",
         "component_format": "float32",

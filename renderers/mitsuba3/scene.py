@@ -59,6 +59,7 @@ class DeviceMesh:
     albedo: Any
 
 
+# Weak keys: the copies on the device are freed when nothing else uses the mesh.
 _held: MutableMapping[TriangleMesh, dict[str, DeviceMesh]] = WeakKeyDictionary()
 
 
@@ -72,6 +73,7 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
         mi = load_mitsuba(variant)
         by_variant[variant.name] = DeviceMesh(
             scene=mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)}),
+            # Normals of the double-precision mesh, not of its rounded vertices, whose error grows on small facets.
             facet_normals=mi.Float(mesh.normals.astype(np.float32).ravel()),
             faces=mi.UInt32(mesh.faces.astype(np.uint32).ravel()),
             albedo=None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32)),
@@ -91,6 +93,7 @@ class FacetScene:
         """Build the scene under the active variant."""
         properties = mi.Properties()
         properties["face_normals"] = True
+        # Corners are not shared: loose facets need no numbering of vertices.
         shape = mi.Mesh("part", 3 * len(corners_m), len(corners_m), props=properties)
         parameters = mi.traverse(shape)
         parameters["vertex_positions"] = corners_m.ravel()

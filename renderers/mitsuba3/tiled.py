@@ -27,9 +27,9 @@ SingleArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
-_SHADOW_OFFSET = 1e-5
+_SHADOW_OFFSET = 1e-5  # of the body's radius: distance from the surface at which shadow rays start
 _RELIEF_PX = 5.0  # how far a facet may lie outside the bounding box of its tile's corners
-_SHADOWS_PX = 20.0
+_SHADOWS_PX = 20.0  # how far outside the frame fine facets cast shadows; beyond, the coarse body alone does
 _SINGLE = 1e-4  # rad, more than the rounding of single precision
 
 
@@ -106,6 +106,7 @@ class TiledRenderer:
     @cached_property
     def outline_m(self) -> FloatArray:
         """Points (N, 3) of the body frame whose hull holds the body."""
+        # 1 % more than the corners of the tiles, for vertices within tiles that stand out.
         return outline_points(TriangleMesh(self.ground.corners_m * 1.01, self.ground.tiling.mesh.faces))
 
     def surface(self, view: View, uv_px: FloatArray) -> SurfaceHits:
@@ -129,6 +130,7 @@ class TiledRenderer:
         fan = RayProjection.of_parallel(direction)
         clear = np.ones(len(points_m), dtype=bool)
         along = np.broadcast_to(direction, (len(points_m), 3))
+        # Rays that are blocked already are not traced again.
         for part in self._parts(tiles_casting(self.ground, view), fan, fan.of_points(points_m)):
             if not clear.any():
                 break
@@ -180,6 +182,7 @@ class TiledRenderer:
     def _trace(self, view: View, origins_m: FloatArray, directions: FloatArray) -> _Hits:
         """Nearest hits of lines of sight (N, 3)."""
         n = len(origins_m)
+        # inf for a miss, so that the nearest of all parts is a plain comparison.
         hits = _Hits(np.full(n, np.inf, dtype=np.float32), np.zeros((n, 3), dtype=np.float32))
         if n == 0:
             return hits
@@ -194,6 +197,7 @@ class TiledRenderer:
     def _lit(self, view: View, points_m: FloatArray, normals: SingleArray) -> BoolArray:
         """(N,) whether the Sun shines on points of facets with given normals."""
         sun = view.sun_dir_body
+        # A facet that faces away from the Sun is dark without any shadow ray.
         lit = normals @ sun.astype(np.float32) > 0.0
         start = points_m[lit] + normals[lit] * (_SHADOW_OFFSET * self._radius_m)
         lit[lit] = self.clear(view, start, sun)
@@ -210,6 +214,7 @@ class TiledRenderer:
         cos_e = -np.einsum("ni,ni->n", normals, directions)
         angles = (cos_i, cos_e, phase_of_rays(sun, directions))
         mu0, mu, g = (mi.Float(x.astype(np.float32)) for x in angles)
+        # By Dr.Jit in single precision, as the wavefront tracer does.
         value = np.pi * brdf_value(self.brdf, mu0, mu, g, drjit_math(dr))
         return np.asarray(np.broadcast_to(np.asarray(value, dtype=np.float32), cos_i.shape) * cos_i, dtype=np.float32)
 
@@ -230,6 +235,7 @@ def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
     """Tiles with facets that may be in the frame and face the camera."""
     to_camera = view.T_cam_body.camera_position_m - ground.middles_m
     distance_m = np.linalg.norm(to_camera, axis=1)
+    # The direction to the camera varies over a tile by its size over the distance.
     span_rad = 2.0 * ground.tiling.reach_m / distance_m
     facing = may_face(ground.cones, to_camera / distance_m[:, None], span_rad)
     return np.flatnonzero(facing & _near_frame(ground, view, _RELIEF_PX))

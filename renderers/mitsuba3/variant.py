@@ -150,6 +150,7 @@ def limit_threads(threads: int) -> None:
 
 def _load_drjit() -> Any:
     """Import Dr.Jit with a suitable libLLVM, unless the program imported it earlier."""
+    # Dr.Jit opens its libLLVM at import: later the choice has no effect.
     if "drjit" not in sys.modules:
         found = find_llvm().found
         if found is not None:
@@ -224,4 +225,5 @@ def gpu_of_worker(place: int) -> dict[str, str]:
         Index of the worker, from 0; with more workers than GPUs, several share a GPU.
     """
     names = gpu_names()
+    # CUDA numbers the visible devices from 0, and Dr.Jit takes device 0.
     return {VISIBLE_GPUS: names[place % len(names)]} if len(names) > 1 else {}

@@ -77,6 +77,7 @@ class WavefrontTracer:
         hit, normal, lit = self.trace(mi, origin, direction, sun)
         normal, albedo = self.shading(mi, hit, normal)
         value = albedo * self.radiance_factor(normal, direction, sun)
+        # The samples of a pixel are neighbours in the array, added in their order.
         value = dr.block_sum(dr.select(lit, value, 0.0), self.samples_per_pixel) / self.samples_per_pixel
         pixels: NDArray[np.float32] = value.numpy()
         return pixels.reshape(window.height, window.width)
@@ -99,6 +100,7 @@ class WavefrontTracer:
         index = dr.arange(mi.UInt32, window.width * window.height * self.samples_per_pixel)
         pixel = index // self.samples_per_pixel
         sample = index - pixel * self.samples_per_pixel
+        # As data, so that windows of all sizes share one kernel.
         width = dr.opaque(mi.UInt32, window.width)
         row = pixel // width
         within_u, within_v = self.grid(sample)
@@ -124,7 +126,9 @@ class WavefrontTracer:
         valid = hit.is_valid()
         normal = dr.gather(mi.Vector3f, self._mesh.facet_normals, hit.prim_index, valid)
         facing = valid & (dr.dot(normal, sun) > 0.0)
+        # Off the surface along the normal, so that a ray does not hit its own facet.
         start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self.radius_m)
+        # Facets that face away from the Sun need no shadow ray.
         shadowed = self._mesh.scene.ray_test(mi.Ray3f(start, sun), coherent=True, active=facing)
         return hit, normal, facing & ~shadowed
 
@@ -153,6 +157,7 @@ class WavefrontTracer:
         valid = hit.is_valid()
         corners = dr.gather(mi.Vector3u, self._mesh.faces, hit.prim_index, valid)
         v0, v1, v2 = (dr.gather(kind, values, corner, valid) for corner in corners)
+        # Barycentric coordinates of the second and third corner.
         w1, w2 = hit.prim_uv
         return v0 * (1.0 - w1 - w2) + v1 * w1 + v2 * w2
 
@@ -165,6 +170,7 @@ def _undistorted(mi: Any, rays: RayBundle, u: Any, v: Any) -> tuple[Any, Any]:
     numbers = (camera.cx_px - rays.corner_px[0], camera.cy_px - rays.corner_px[1], camera.fx_px, camera.fy_px)
     cx, cy, fx, fy = (dr.opaque(mi.Float, float(x)) for x in numbers)
     k1, k2 = (dr.opaque(mi.Float, float(k)) for k in ((lens.k1, lens.k2) if lens else (0.0, 0.0)))
+    # ideal = seen (1 + k1 r^2 + k2 r^4), written as a correction to u and v so that no digits are lost.
     from_axis_u, from_axis_v = u - cx, v - cy
     squared = (from_axis_u / fx) ** 2 + (from_axis_v / fy) ** 2
     factor = squared * (k1 + squared * k2)

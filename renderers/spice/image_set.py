@@ -74,12 +74,16 @@ def apparent_geometry(names: SpiceNames, et: float, aberration: Aberration = "LT
     aberration
         Aberration correction of the body's position.
     """
+    # Position of the body from the spacecraft: received light, so that its epoch is et minus the light time.
     position_km, light_s = spiceypy.spkpos(names.target, et, "J2000", aberration, names.spacecraft)
     left_et = et - (0.0 if aberration == "NONE" else light_s)
+    # pxform gives the matrix from its first frame to its second.
     R_cam_j2000 = np.array(spiceypy.pxform("J2000", names.camera_frame, et))
     R_body_j2000 = np.array(spiceypy.pxform("J2000", names.target_frame, left_et))
+    # The Sun as seen from the body when the light left it.
     sun_km, _ = spiceypy.spkpos("SUN", left_et, "J2000", "LT+S", names.target)
     sun_body = R_body_j2000 @ np.array(sun_km)
+    # The translation of T_cam_body is the body's origin in camera axes.
     pose = Pose(R_cam_j2000 @ R_body_j2000.T, _M_PER_KM * (R_cam_j2000 @ np.array(position_km)))
     return ApparentGeometry(pose, sun_body / np.linalg.norm(sun_body))
 
@@ -217,9 +221,11 @@ def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> N
             f"camera: {camera.width_px} x {camera.height_px} pixels, but {spice.instrument} has"
             f" {known.width_px} x {known.height_px}"
         )
+    # Compared by what both do with the same pixels: equal cameras may be written with other numbers.
     steps = np.linspace(0.0, 1.0, 9)
     uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
     off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
+    # Written so that NaN, a pixel that one lens cannot reach, is a difference.
     if not off_px <= CAMERA_TOLERANCE_PX:
         lens = known.distortion
         raise BoresightError(

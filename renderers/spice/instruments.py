@@ -74,6 +74,7 @@ def _amica(constants: Constants) -> Camera:
     CENTER = (511.5, 511.5) counts pixel centres from 0, so that the field of view of the kernel is symmetric. (ISIS
     counts from 1, an error of one pixel, 20 arcsec.) OD_K holds k0, k1 and k2 of 1 - k0 - k1 r^2 - k2 r^4.
     """
+    # FOCAL_LENGTH and PIXEL_SIZE are in metres in this kernel.
     samples, lines = (int(constants.above_zero(name)) for name in ("PIXEL_SAMPLES", "PIXEL_LINES"))
     focal_mm, pitch_mm = 1e3 * constants.above_zero("FOCAL_LENGTH"), 1e3 * constants.above_zero("PIXEL_SIZE")
     centre = constants.numbers("CENTER", 2) + 0.5
@@ -83,6 +84,7 @@ def _amica(constants: Constants) -> Camera:
             f"INS{constants.kernel_id}_OD_K: k0 = {k0:g} would change the focal length; 0 is all that is known"
         )
     focal_px = focal_mm / pitch_mm
+    # r = focal_mm times the slope, so that k1 r^2 = (k1 f^2) slope^2; this package has plus signs.
     lens = RadialDistortion(-k1 * focal_mm**2, -k2 * focal_mm**4)
     return Camera(samples, lines, focal_px, focal_px, float(centre[0]), float(centre[1]), lens)
 
@@ -106,11 +108,14 @@ def _msi(constants: Constants) -> Camera:
     BORESIGHT_SAMPLE and _LINE count from 1.
     """
     focal_mm, pitch_mm = constants.above_zero("FOCAL_LENGTH"), constants.above_zero("PIXEL_PITCH")
+    # Height of a detector line in image lines.
     height = _MSI_LINES / _MSI_DETECTOR_LINES
+    # From centres that count from 1 to continuous pixels: the centre of the first one is 0.5.
     cx_px = constants.number("BORESIGHT_SAMPLE") - 0.5
     from_last_line = constants.number("BORESIGHT_LINE") - 0.5  # ISIS flips the lines
     lens = RadialDistortion(constants.number("K1") * focal_mm**2)
     focal_px = focal_mm / pitch_mm
+    # Counted from the first line, then scaled to the image's lines.
     cy_px = (_MSI_DETECTOR_LINES - from_last_line) * height
     return Camera(_MSI_SAMPLES, _MSI_LINES, focal_px, focal_px * height, cx_px, cy_px, lens)
 

@@ -19,8 +19,11 @@ from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
 
 SPICE_ERRORS = (SpiceyError, NotFoundError)
+# CSPICE has one kernel pool in a process and is not thread-safe.
 _POOL = threading.Lock()
 
+# Layout of binary kernels (NAIF's DAF Required Reading): records of 128 doubles. The file record holds the counts of
+# doubles and integers in a summary, ND and NI, the first summary record, and the byte order.
 _RECORD, _WORD = 1024, 8
 _COUNTS = {b"DAF/SPK ": (2, 6), b"DAF/CK  ": (2, 6), b"DAF/PCK ": (2, 5)}
 _ORDERS = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}
@@ -61,13 +64,16 @@ def _summary_records(file: BinaryIO, record: int, records: int, order: str) -> I
         file.seek(_RECORD * (int(number) - 1))
         content = file.read(_RECORD)
         yield content
+        # The first word of a summary record is the number of the next one, 0 in the last.
         (number,) = struct.unpack_from(f"{order}d", content)
 
 
 def _arrays(summaries: bytes, order: str, counts: tuple[int, int]) -> Iterator[tuple[int, int]]:
     """Yield first and last word of each array in a summary record: the last two integers of its summary."""
     doubles, integers = counts
+    # Two integers are packed in a double.
     size = doubles + (integers + 1) // 2
+    # Control words: next record, previous record, number of summaries.
     _, _, number = struct.unpack_from(f"{order}3d", summaries)
     if not (0 <= number <= (_RECORD // _WORD - 3) // size and number == int(number)):
         raise ValueError(f"a record of its list of arrays cannot have {number:g} of them")
