@@ -24,6 +24,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         make_folder(path.parent)
         write(temporary)
         _flush(temporary)
+        # The content is on the disk before the name is, and the name before the function returns.
         temporary.replace(path)
         _flush(path.parent)
     except OSError as error:

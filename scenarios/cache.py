@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 FOREIGN = frozenset({"kernels"})
 
 _MANIFEST = "manifest.json"
-_STALE_S = 24 * 3600.0
+_STALE_S = 24 * 3600.0  # age at which the folder of a build counts as left behind by a killed process
 # Listing the whole cache takes longer than a small write. A process therefore writes up to a share of the free space
 # before it lists again (other processes write meanwhile), but at least a share of the limit, or a full cache would be
 # listed at each write.
@@ -94,6 +94,7 @@ class Cache:
             return self._uncached(error, build)
         try:
             build(build_folder)
+            # The manifest is written last: a folder without one is no entry.
             _write_manifest(build_folder)
             self._publish(build_folder, final)
         except OSError as error:
@@ -185,6 +186,7 @@ class Cache:
             return False
         if sound:
             with contextlib.suppress(OSError):
+                # The time stamp of the manifest records the last use.
                 os.utime(folder / _MANIFEST)
         return sound
 
@@ -194,6 +196,7 @@ class Cache:
         try:
             build_folder.rename(final)
         except OSError:
+            # The rename fails if the folder is there: fine if it is the same entry.
             if not self._is_sound(final):
                 raise
 
@@ -219,6 +222,7 @@ class Cache:
             if entry.path != keep:
                 _discard(entry.path)
                 total -= entry.size_bytes
+        # An allowance for further writes before the next listing.
         free = self.limit_bytes - total
         _WRITABLE_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
 

@@ -50,6 +50,7 @@ def damaged(run: Path, table: str | None = None) -> Iterator[str]:
         Check only the files of this subfolder.
     """
     for path in sorted((run / FOLDER).glob("*.sha256")):
+        # Rows are written last: without them the block is unfinished.
         if (run / ROWS / path.with_suffix(".parquet").name).exists():
             yield from damaged_of(run, path, table)
 

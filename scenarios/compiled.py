@@ -28,9 +28,12 @@ def compiler(*folders: Path) -> Callable[[_Kernel], _Kernel]:
     place = _folder(folders)
 
     def kernel(function: _Kernel) -> _Kernel:
+        # Numba reads the folder when a function is decorated; other users of Numba keep theirs.
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(place)
         try:
+            # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
+            # fused.
             return cast("_Kernel", numba.njit(cache=True, error_model="numpy")(function))
         except RuntimeError:  # no folder can be written
             return cast("_Kernel", numba.njit(error_model="numpy")(function))

@@ -65,6 +65,8 @@ def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     order = 1
     while order < factors:
         order *= 2
+    # Columns of a Hadamard matrix are orthogonal. The fold-over cancels the product of two columns with any third one:
+    # main effects are clear of two-factor interactions.
     matrix = hadamard(order)[:, :factors]
     return tuple(tuple(bool(sign < 0) for sign in row) for half in (matrix, -matrix) for row in half)
 

@@ -22,7 +22,7 @@ BoolArray = NDArray[np.bool_]
 
 _LIMB_EMISSION_DEG = (50.0, 70.0)
 _TERMINATOR_INCIDENCE_DEG = (55.0, 75.0)
-_MOST_DEG = 80.0
+_MOST_DEG = 80.0  # of emission and incidence of a target
 
 TargetKind = Literal["nadir", "limb", "terminator"]
 TARGET_KINDS: tuple[TargetKind, ...] = ("nadir", "limb", "terminator")
@@ -46,6 +46,7 @@ def draw_aimed_view(
     chosen = lit & near_limb_or_terminator(kind, emission, incidence)
     area = np.linalg.norm(shape.area_vectors_m2, axis=1)
     if chosen.any():
+        # Facets that are not chosen have no area, so that no number falls on them.
         total = np.cumsum(np.where(chosen, area, 0.0))
         target = places[int(np.searchsorted(total, rng.uniform(0.0, total[-1]), side="right"))]
     elif lit.any():
@@ -54,6 +55,7 @@ def draw_aimed_view(
         target = np.zeros(3)
     if kind == "nadir" and lit.any():
         target = places[_nearest_to_nadir(places, position, lit)]
+    # look_at points at the origin: the rotation is that of a camera at the same offset from it.
     turned = look_at(position - target, turn_rad)
     return View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
 
@@ -74,7 +76,7 @@ def is_lit_and_facing(emission_deg: FloatArray, incidence_deg: FloatArray) -> Bo
 
 
 def near_limb_or_terminator(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
-    """(n,) whether points lie near the limb or near the terminator, by ``kind``."""
+    """(n,) whether points lie near the limb for ``kind`` limb, and near the terminator for any other."""
     if kind == "limb":
         return (emission_deg > _LIMB_EMISSION_DEG[0]) & (emission_deg < _LIMB_EMISSION_DEG[1])
     low, high = _TERMINATOR_INCIDENCE_DEG
@@ -164,6 +166,7 @@ def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Came
     T_cam_body = look_at(viewpoint.range_m * camera_dir_body, float(roll_rad))
     phase_rad = draw_phase(lighting, rng)
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
+    # In camera axes the body's origin is at +z, so that the camera lies towards -z from it.
     across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards_camera_cam = np.array([0.0, 0.0, -1.0])
     sun_dir_cam = np.cos(phase_rad) * towards_camera_cam + np.sin(phase_rad) * across_cam
@@ -173,6 +176,7 @@ def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Came
 def draw_direction(latitudes_rad: tuple[float, float], rng: np.random.Generator) -> FloatArray:
     """Draw a unit vector, (3,), uniform over the area between two latitudes."""
     south, north = np.sin(latitudes_rad)
+    # The area between two latitudes is proportional to the difference of their sines (Archimedes).
     z = rng.uniform(south, north)
     longitude_rad = rng.uniform(0.0, 2.0 * np.pi)
     radius = np.sqrt(1.0 - z * z)
@@ -184,6 +188,7 @@ def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
     low, high = np.radians(lighting.phase_deg.uniform)
     if lighting.measure == "angle":
         return float(rng.uniform(low, high))
+    # The solid angle of a cap grows with 1 - cos(phase).
     return float(np.arccos(rng.uniform(np.cos(high), np.cos(low))))
 
 
@@ -216,6 +221,7 @@ def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> Flo
         rotation_deg2 = attitude.rotation_vector_deg.second_moments
     else:
         angle = attitude.angle_deg
+        # E[angle^2 n n^T] = E[angle^2] / 3 I for an isotropic axis n.
         rotation_deg2 = np.full(3, 0.0 if angle is None else angle.second_moment / 3.0)
     position, scale_m = _position(spec, range_m, camera)
     rotation_rad2 = rotation_deg2 * np.radians(1.0) ** 2

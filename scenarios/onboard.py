@@ -87,6 +87,7 @@ def onboard_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Gene
     """
     tilt_rad, phase_rad = _angle_rad(onboard.pole_error_deg, rng), _angle_rad(onboard.rotation_error_deg, rng)
     axis = draw_direction(_EQUATOR_RAD, rng)
+    # Right of R_cam_body: the error is in body axes, where the pole is z.
     turn = Rotation.from_rotvec(phase_rad * np.array([0.0, 0.0, 1.0])) * Rotation.from_rotvec(tilt_rad * axis)
     return Pose(T_cam_body.rotation @ turn.as_matrix(), T_cam_body.translation_m)
 

@@ -168,6 +168,7 @@ def _unfolded_bytes(file: pq.ParquetFile, path: Path) -> int:
     groups = [about.row_group(number) for number in range(about.num_row_groups)]
     size, rows = path.stat().st_size, max(about.num_rows, sum(group.num_rows for group in groups))
     stored = sum(group.total_byte_size for group in groups)
+    # Eight bytes a value, and the pages as they are stored.
     total = int(rows * 8 * about.num_columns + stored)
     texts = [field.name for field in file.schema_arrow if _is_text(field.type)]
     longest = max(stored, MOST_FOLD * size)

@@ -135,8 +135,8 @@ def _rough_surface(
     mu_b0 = chi * (cos_b + sin_b * tan_t * e2_b / (2.0 - e1_b))
     # A guard alone: with cosines of at least COS_MIN neither comes near the floor.
     mu_a, mu_b = xp.maximum(mu_a, 1e-6), xp.maximum(mu_b, 1e-6)
-    # f(psi) = exp(-2 tan(psi/2)) is the share of the ground in shadow that is hidden from the viewer too. At psi = pi the
-    # floored cosine makes it exp(-2e6) = 0.
+    # f(psi) = exp(-2 tan(psi/2)) is the share of the ground in shadow that is hidden from the viewer too. At psi = pi
+    # the floored cosine makes it exp(-2e6) = 0.
     f = xp.exp(-2.0 * sin_half_psi / cos_half_psi)
     visible = chi / (1.0 - f + f * chi * cos_a / mu_a0)  # last factor of eq. (12.50)
     # S = (mu_e / mu_e0) (cos i / mu_0e0) chi / (...), times mu_0e / cos i: symmetric in the two angles.

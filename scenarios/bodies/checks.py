@@ -11,7 +11,7 @@ from scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 
-_FLAT = 1e-9  # of the mean area
+_FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}
 
 
@@ -47,6 +47,7 @@ def checked_mesh(
     _check_extent(vertices, where, unit, expected_diameter_m)
     _check_closed(faces, where)
     mesh = TriangleMesh(vertices, faces.astype(np.int32))
+    # The winding is consistent here, so that the sign of the volume distinguishes outward from inward facets.
     if mesh.volume_m3 < 0.0:
         mesh = TriangleMesh(vertices, mesh.faces[:, ::-1])
         notes.append("the facets faced inward: all were turned")
@@ -60,11 +61,13 @@ def checked_mesh(
 
 def _repaired(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
     notes = []
+    # Only an open mesh is welded: coincident vertices of a closed one may be two parts that touch.
     if not is_closed(faces):
         welded, group = np.unique(vertices, axis=0, return_inverse=True)
         if len(welded) < len(vertices):
             notes.append(f"{len(vertices) - len(welded)} coincident vertices were joined")
             vertices, faces = welded, group.reshape(-1)[faces]
+    # Welding can make two corners of a facet one.
     repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         notes.append(f"{int(repeated.sum())} facets with a repeated vertex were left out")
@@ -113,6 +116,7 @@ def _check_closed(faces: IndexArray, where: Path) -> None:
 
 def _check_origin(mesh: TriangleMesh, where: Path) -> None:
     turns = winding_number(mesh, np.zeros(3))
+    # 1 inside and 0 outside, within rounding.
     if abs(turns - 1.0) > 0.5:
         centre = mesh.vertices_m.mean(axis=0)
         raise BoresightError(

@@ -18,20 +18,22 @@ __all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"
 EMBEDDED_VERSION = 1
 """Part of the digest of every built-in body: increase it when a formula gives another mesh."""
 
+# The contact binary.
 _BOX_M = np.array([560.0, 305.0, 243.0])
-_GRID = 32
-_BISECTIONS = 50
+_GRID = 32  # cells along the side of a cube face
+_BISECTIONS = 50  # 560 m / 2^50 is 5e-13 m
 _SPHERE_ROUNDS = 4
 _LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
 _LUMPS_RMS_M = 5.0
 _LUMPS_SEED = 25143
 
+# The body like Eros.
 _EROS_BOX_M = np.array([34_000.0, 17_000.0, 12_000.0])
 _EDGE_M = 350.0
 _EROS_LUMPS = Band(longest_m=9000.0, shortest_m=1500.0, hurst=1.2)
 _EROS_LUMPS_RMS_M = 350.0
 _EROS_LUMPS_SEED = 433
-_STEPS = 4000
+_STEPS = 4000  # points on the meridian, from which the rings are chosen
 
 
 def eros_like() -> TriangleMesh:
@@ -53,8 +55,10 @@ def _rings() -> tuple[FloatArray, FloatArray]:
     """Positions (R,) along the axis and radii (R,) of rings, spaced by the height of an equilateral triangle."""
     half = 0.5 * _EROS_BOX_M[0]
     t = np.linspace(0.0, np.pi, _STEPS)
+    # A meridian that is blunter than an ellipse (exponent below 1) and thicker at one end.
     x, r = -half * np.cos(t), 0.5 * _EROS_BOX_M[2] * np.sin(t) ** 0.8 * (1.0 - 0.12 * np.cos(t))
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(r)))])
+    # Rings at even arc length, so that facets at the ends are no smaller than in the middle.
     count = round(arc[-1] / (_EDGE_M * np.sqrt(0.75)))
     wanted = np.linspace(0.0, arc[-1], count + 1)
     return np.interp(wanted, arc, x), np.interp(wanted, arc, r)
@@ -62,6 +66,7 @@ def _rings() -> tuple[FloatArray, FloatArray]:
 
 def _net(along: FloatArray, radius: FloatArray) -> tuple[FloatArray, IndexArray]:
     """Points (V, 3) and faces (F, 3) of the mesh that joins the rings, with one point at each end."""
+    # At least five points on a ring; the first and the last ring are the poles of the long axis.
     counts = np.maximum(np.rint(2.0 * np.pi * radius / _EDGE_M).astype(int), 5)
     counts[[0, -1]] = 1
     start = np.concatenate([[0], np.cumsum(counts)])
@@ -77,7 +82,9 @@ def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
     """Points (count, 3) of a ring about the bent axis, starting at the azimuth of ``shift`` steps."""
     azimuth = 2.0 * np.pi * (np.arange(count) + shift) / count
     share = x / (0.5 * _EROS_BOX_M[0])
+    # The axis is a parabola.
     bend_m = 0.25 * _EROS_BOX_M[1] * (share**2 - 0.5)
+    # A Gaussian dent about the middle of the length, at azimuth 90 deg.
     saddle = (
         0.45
         * np.exp(-((share / 0.3) ** 2))
@@ -97,6 +104,7 @@ def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
 def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: float) -> IndexArray:
     """Faces between two rings of n and m points; each triangle advances on the ring whose next azimuth is smaller."""
     faces, i, j = [], 0, 0
+    # A ring of one point, an end of the body, does not advance: its triangles make a fan.
     while i < (n if n > 1 else 0) or j < (m if m > 1 else 0):
         next_i, next_j = (i + 1 + shift) / n, (j + 1 + next_shift) / m
         a, b = first + i % n, second + j % m
@@ -131,11 +139,13 @@ class _Lobe:
         """Signed distance of points (N, 3), to first order in the distance: negative inside."""
         yaw, pitch = np.radians([self.yaw_deg, self.pitch_deg])
         x, y, z = (points_m - self.centre_m).T
+        # To the axes of the ellipsoid: the opposite of its rotation.
         x, y = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
         x, z = np.cos(pitch) * x - np.sin(pitch) * z, np.cos(pitch) * z + np.sin(pitch) * x
         a, b, c = self.semi_axes_m
         norm = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
         slope = np.sqrt((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2)
+        # (norm - 1) / |gradient of norm|, the gradient being slope / norm; 1e-12 for the centre.
         distance_m: FloatArray = (norm - 1.0) * norm / np.maximum(slope, 1e-12)
         return distance_m
 
@@ -157,6 +167,7 @@ def _surface_distance(points_m: FloatArray) -> FloatArray:
     """Signed distance of points (N, 3) to the smooth union of the lobes."""
     distances = np.stack([lobe.distance_m(points_m) for lobe in _LOBES])
     nearest = distances.min(axis=0)
+    # -k log(sum exp(-d / k)), a smooth minimum; relative to the nearest lobe no exponential overflows.
     union_m: FloatArray = nearest - _BLEND_M * np.log(np.exp((nearest - distances) / _BLEND_M).sum(axis=0))
     return union_m
 
@@ -174,6 +185,7 @@ def _on_surface(directions: FloatArray) -> FloatArray:
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
     """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube grid projected to the unit sphere."""
     first, group = weld_seams(q)
+    # The tangent spaces the grid by equal angles: cells at the corners of the cube are not much smaller.
     directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
     quads = group[cube_quads(q)]
     return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
@@ -206,6 +218,7 @@ def apophis_sphere() -> TriangleMesh:
 def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
     a, b, c = (points_m[faces[:, k]] for k in range(3))
     volumes = np.einsum("fi,fi->f", a, np.cross(b, c))
+    # Tetrahedra between the origin and the facets: each has its centroid at (a + b + c) / 4.
     centre_m: FloatArray = np.einsum("f,fi->i", volumes, a + b + c) / (4.0 * volumes.sum())
     return centre_m
 

@@ -57,6 +57,7 @@ def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
         If a facet does not face away from the origin, so that the shape is not star-shaped.
     """
     corners = np.asarray(mesh.corners_m, dtype=np.float64)
+    # For corners a, b, c: b x c, c x a, a x b, whose products with d are the weights of a, b, c.
     opposite = np.cross(np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1))
     hidden = int((np.einsum("fi,fi->f", corners[:, 0], opposite[:, 0]) <= 0.0).sum())
     if hidden:
@@ -81,10 +82,13 @@ def _intersections(directions: FloatArray, opposite: FloatArray) -> tuple[NDArra
         part = slice(first, first + step)
         products = np.einsum("ni,fki->nfk", directions[part], opposite, optimize=True)
         total = products.sum(axis=2)
+        # The direction intersects the facet whose smallest weight is largest. Where all weights are negative the facet
+        # lies on the opposite side.
         least = np.where(total > 0.0, products.min(axis=2) / np.where(total > 0.0, total, 1.0), -np.inf)
         found[part] = least.argmax(axis=1)
         rows = np.arange(len(found[part]))
         weights[part] = products[rows, found[part]] / total[rows, found[part], None]
+    # Rounding leaves weights of -1e-17 on shared edges.
     return found, np.clip(weights, 0.0, 1.0) / np.clip(weights, 0.0, 1.0).sum(axis=1, keepdims=True)
 
 
@@ -99,6 +103,7 @@ def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh
     band = Band(spec.max_wavelength_m, spec.min_wavelength_m, spec.hurst)
     field, _ = fractal_field(np.asarray(mesh.vertices_m), band, edge_m, np.random.SeedSequence(spec.seed))
     deviation = float(field.std())
+    # fractal_field keeps the variance of omitted octaves out of the field: here the whole RMS is wanted.
     heights_m = spec.rms_m * field / deviation if deviation > 0.0 else field
     normals = vertex_normals(np.asarray(mesh.vertices_m), np.asarray(mesh.faces))
     return TriangleMesh(mesh.vertices_m + heights_m[:, None] * normals, mesh.faces, mesh.albedo)
@@ -166,6 +171,7 @@ def _mesh(
     if spec.detail is None:
         mesh, notes = _coarse(spec, path)
     else:
+        # Detailed bodies are cached without the height error, which is added afterwards: several errors share one.
         true_heights = spec.model_copy(update={"height_error": None})
         mesh, notes = _detailed(spec, path, body_digest(true_heights, search_dirs), cache)
     return (mesh if spec.height_error is None else with_height_error(mesh, spec.height_error)), notes

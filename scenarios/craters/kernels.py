@@ -33,6 +33,7 @@ class TileLayout(NamedTuple):
 @kernel
 def _bend(out: FloatArray, p: FloatArray, q: FloatArray, normal: FloatArray) -> None:
     """Write the control point b_210 of Vlachos et al. (2001): p + (q - p) / 3, projected to the tangent plane at p."""
+    # b_210 = p + (d - (d . n) n) / 3 with d = q - p.
     along = (q[0] - p[0]) * normal[0] + (q[1] - p[1]) * normal[1] + (q[2] - p[2]) * normal[2]
     for x in range(3):
         out[x] = p[x] + (q[x] - p[x] - along * normal[x]) / 3.0
@@ -60,6 +61,7 @@ def place_edge_vertices(
             s = 1.0 - t
             row = start[e] + k - 1
             for x in range(3):
+                # Bernstein polynomials s^3, 3 s^2 t, 3 s t^2, t^3.
                 inner = 3.0 * s * t * (s * near[x] + t * far[x])
                 points[row, x] = s * s * s * points[a, x] + inner + t * t * t * points[b, x]
                 up[row, x] = s * up[a, x] + t * up[b, x]
@@ -76,6 +78,8 @@ def place_inner_vertices(
     for f in range(len(faces)):
         n, row = pieces[f], start[f]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        # Control points b_210, b_120, b_021, b_012, b_102 and b_201. Those of an edge are the same from both of its
+        # tiles.
         _bend(side[0], points[a], points[b], normals[a])
         _bend(side[1], points[b], points[a], normals[b])
         _bend(side[2], points[b], points[c], normals[b])
@@ -84,9 +88,11 @@ def place_inner_vertices(
         _bend(side[5], points[a], points[c], normals[a])
         for x in range(3):
             mean = (side[0, x] + side[1, x] + side[2, x] + side[3, x] + side[4, x] + side[5, x]) / 6.0
+            # b_111 = E + (E - V) / 2, E the mean of the six and V that of the corners.
             middle[x] = mean + 0.5 * (mean - (points[a, x] + points[b, x] + points[c, x]) / 3.0)
         for i in range(1, n - 1):
             for j in range(1, n - i):
+                # Barycentric coordinates (u, v, w) of the corners a, b, c.
                 v, w = i / n, j / n
                 u = 1.0 - v - w
                 for x in range(3):
@@ -103,11 +109,13 @@ def place_inner_vertices(
 @kernel
 def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step: int, n: int) -> int:
     """Return the vertex of an edge that is nearest to the fraction step / n from one end to the other."""
+    # round(step / n * pieces) in integers, the same for both tiles of the edge.
     k = (2 * step * pieces + n) // (2 * n)
     if k == 0:
         return corner
     if k == pieces:
         return other
+    # Vertices of an edge are numbered from its first end, which may be the tile's second corner.
     return start + (k - 1 if first == corner else pieces - 1 - k)
 
 
@@ -129,6 +137,7 @@ def number_tile(ids: IndexArray, f: int, layout: TileLayout) -> int:
             ids[i, j] = row
             row += 1
     e, g, h = layout.of_face[f, 0], layout.of_face[f, 1], layout.of_face[f, 2]
+    # Where an edge has fewer pieces than the tile has rows, several of its positions get one vertex.
     for k in range(n + 1):
         ids[k, 0] = _on_edge(a, b, ends[e, 0], pieces[e], edge_start[e], k, n)
         ids[n - k, k] = _on_edge(b, c, ends[g, 0], pieces[g], edge_start[g], k, n)
@@ -144,10 +153,13 @@ def cut_tiles(found: IndexArray, tiles: IndexArray, layout: TileLayout) -> int:
         n = number_tile(ids, f, layout)
         for i in range(n):
             for j in range(n - i):
+                # Each cell of the grid has an upward and a downward triangle; the cells on the hypotenuse have the
+                # first alone.
                 for half in range(1 if i + j == n - 1 else 2):
                     p = ids[i + half, j]
                     q = ids[i + 1, j + half]
                     r = ids[i, j + 1]
+                    # Facets that collapsed on a coarser edge.
                     if p != q and q != r and r != p:
                         found[count, 0], found[count, 1], found[count, 2] = p, q, r
                         count += 1
@@ -156,13 +168,17 @@ def cut_tiles(found: IndexArray, tiles: IndexArray, layout: TileLayout) -> int:
 
 @kernel
 def profile_height(r: float, rim: float, rounding: float, stretch: float, scale: float) -> float:
-    """Height in diameters of one crater at one distance in radii: `Profiles.heights`."""
+    """Height in diameters of one crater at one distance in radii, as `Profiles.heights` for an array.
+
+    The constants 3 and 2 (in the taper) are its REACH and the start of the taper.
+    """
     if r >= 3.0:
         return 0.0
     x = r * stretch
     square = x * x
     bowl = rim - (1.0 - square)
     blanket = rim * np.sqrt(1.5 / (0.5 + square * square * square))
+    # A smooth minimum: (b + e) / 2 - sqrt((b - e)^2 / 4 + w^2).
     half = 0.5 * (bowl - blanket)
     height = 0.5 * (bowl + blanket) - np.sqrt(half * half + rounding * rounding)
     taper = min(1.0, 3.0 - r)
@@ -201,17 +217,22 @@ def add_crater(
             for axis in range(3):
                 offset[axis] = points[v, axis] - centre[axis]
             r = np.sqrt(offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]) / radius
+            # facing: cosine between the direction of relief and the crater's axis. A ball about the crater may include
+            # the opposite side of a thin part.
             if r >= 3.0 or facing <= 0.2:
                 continue
             change = 2.0 * radius * profile_height(r, shape[0], shape[1], shape[2], shape[3])
             if r < 1.0:
+                # Inheritance of the old relief: 0 within half the radius, a smoothstep to 1 at the rim.
                 t = min(max(2.0 * r - 1.0, 0.0), 1.0)
                 kept = t * t * (3.0 - 2.0 * t)
                 x = offset[0] * frame[0, 0] + offset[1] * frame[0, 1] + offset[2] * frame[0, 2]
                 y = offset[0] * frame[1, 0] + offset[1] * frame[1, 1] + offset[2] * frame[1, 2]
                 z = offset[0] * frame[2, 0] + offset[1] * frame[2, 1] + offset[2] * frame[2, 2]
+                # Heights along the crater's axis: what is missing from the old surface to the plane about the rim.
                 level = plane[0] + plane[1] * x + plane[2] * y
                 change += (1.0 - kept) * (level - z - heights[v] * facing)
+            # A height h along the axis is h / facing along the vertex's own direction.
             heights[v] += change / facing
 
 
@@ -242,6 +263,7 @@ def _rim_plane(
             row[2] = offset[0] * frame[1, 0] + offset[1] * frame[1, 1] + offset[2] * frame[1, 2]
             z = offset[0] * frame[2, 0] + offset[1] * frame[2, 1] + offset[2] * frame[2, 2] + heights[v] * facing
             for i in range(3):
+                # Normal equations of the plane; sums in the order of the vertices.
                 right[i] += row[i] * z
                 for j in range(3):
                     normal[i, j] += row[i] * row[j]
@@ -269,7 +291,9 @@ def add_octave(
             whole = np.floor(x)
             t = x - whole
             s = 1.0 - t
+            # A cubic B-spline spans four lattice points: one before the cell, its two ends and one after.
             first[axis] = np.int64(whole) - 1
+            # B-spline weights, with s = 1 - t: s^3/6, (4 - 6 t^2 + 3 t^3)/6, (4 - 6 s^2 + 3 s^3)/6, t^3/6.
             weights[axis, 0] = s * s * s / 6.0
             weights[axis, 1] = (4.0 - 3.0 * t * t * (2.0 - t)) / 6.0
             weights[axis, 2] = (4.0 - 3.0 * s * s * (2.0 - s)) / 6.0
@@ -277,6 +301,7 @@ def add_octave(
         total = 0.0
         for i in range(4):
             for j in range(4):
+                # The period is a power of two, so that a mask is the modulo, of negative indices too.
                 a, b = (first[0] + i) & (n - 1), (first[1] + j) & (n - 1)
                 line = 0.0
                 for k in range(4):
@@ -310,6 +335,7 @@ def edge_crossings(
             m = (k + 1) % 3
             if (r[k] < 0.0) != (r[m] < 0.0):
                 v, w = facets[f, k], facets[f, m]
+                # Linear interpolation of the distance along the edge.
                 t = r[k] / (r[k] - r[m])
                 for x in range(3):
                     found[count, x] = (1.0 - t) * points[v, x] + t * points[w, x]
@@ -332,6 +358,7 @@ def least_heights(
                 v = ids[i, j]
                 height = 0.0
                 for axis in range(3):
+                    # In double precision: the heights are small against coordinates of kilometres.
                     height += (np.float64(vertices[v, axis]) - origins[f, axis]) * normals[f, axis]
                 lowest = min(lowest, height)
         least[f] = lowest

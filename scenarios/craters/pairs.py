@@ -26,7 +26,7 @@ from scenarios.spec.world import PoseErrorSpec
 
 FloatArray = NDArray[np.float64]
 
-_MOST_DRAWS = 2000
+_MOST_DRAWS = 2000  # of a target, before the angles are given up
 LIMITS_DEG = (60.0, 20.0, 75.0)
 """Maximum emission, minimum and maximum incidence at which a crater is detected."""
 
@@ -88,6 +88,7 @@ def draw_pair(
 
 def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
     """Rotate a unit vector (3,) by an angle towards an azimuth about it."""
+    # The coordinate axis farthest from the direction gives a well-conditioned product.
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
     across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
@@ -107,6 +108,7 @@ def draw_views(
         sun = turn_direction(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
         later = turn_direction(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
         emission, incidence = np.degrees(np.arccos(np.clip([other @ normal, later @ normal], -1.0, 1.0)))
+        # A metre above the surface, so that the target's own facet does not occlude it.
         above = (place + 1.0 * normal)[None]
         seen = all(ground.in_sight(above, normal[None], place + spec.range_m * d)[0] for d in (one, other))
         if seen and emission < _SECOND_DEG[0] and _SECOND_DEG[1] < incidence < _SECOND_DEG[2]:
@@ -123,6 +125,7 @@ def draw_views(
 
 
 def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatArray, rng: np.random.Generator) -> View:
+    # look_at points at the origin: the rotation is that of a camera at the same offset from the aim.
     rotation = look_at(position_m - aim_m, float(rng.uniform(-np.pi, np.pi))).rotation
     return View(camera, Pose(rotation, -rotation @ position_m), sun)
 

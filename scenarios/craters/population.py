@@ -15,8 +15,8 @@ from scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 
-_ROOM, _LEAST_FACING = 1.2, 0.5
-_MOST_DRAWS = 200
+_ROOM, _LEAST_FACING = 1.2, 0.5  # radii about a crater, and cosine of 60 deg
+_MOST_DRAWS = 200  # of the place of a crater
 _SCATTER = 0.25  # share of the depth range that is random; the rest follows from degradation
 
 
@@ -61,11 +61,14 @@ def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Cra
     """
     rng = np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(1)[0])
     n = spec.count
+    # Inversion of N(>D) ~ D**-exponent between the bounds: D**-exponent is uniform.
     least, most = spec.max_diameter_m**-spec.exponent, spec.min_diameter_m**-spec.exponent
     diameter_m = rng.uniform(least, most, n) ** (-1.0 / spec.exponent)
     centre_m, axis_body = _places(smooth, up, n, rng)
+    # Sorted from old to young: positions and sizes, drawn independently, need no sorting.
     degradation = np.sort(rng.uniform(0.0, 1.0, n))[::-1]
     low, high = spec.depth_ratio
+    # Share of the range of depths: 0 for the shallowest, 1 for the deepest.
     share = (1.0 - _SCATTER) * (1.0 - degradation) + _SCATTER * rng.uniform(0.0, 1.0, n)
     _move_from_edges(centre_m, axis_body, 0.5 * diameter_m, smooth, up, rng)
     return Craters(centre_m, axis_body, 0.5 * diameter_m, degradation, low + (high - low) * share)

@@ -19,7 +19,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 _Point = tuple[float, float, float]  # on the projection plane, and distance along its third axis
 
-_RAYS_A_CELL = 2
+_RAYS_A_CELL = 2  # on average
 # Single precision of the tracer displaces a ray by some 1e-7 of the body's radius; the tolerance is 40 times that.
 _SLACK = 4e-6
 # The origin of a ray is a point on a facet and is known to rounding: ten times that.
@@ -60,6 +60,7 @@ class RayProjection:
     def of_directions(self, directions: FloatArray) -> FloatArray:
         """Return points and start depths (N, 3) of the rays of a pencil along (N, 3), which start at the origin."""
         rays = np.asarray(directions @ self.axes.T, dtype=np.float64)
+        # Perspective: slopes at unit depth. The camera is the start of all rays, at depth 0.
         rays[:, :2] /= rays[:, 2:]
         rays[:, 2] = 0.0
         return rays
@@ -108,6 +109,8 @@ class _Cells(NamedTuple):
 
 def _sorted_by_cell(rays: FloatArray) -> _Cells:
     low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
+    # Cells of as many rays; the second bound keeps a grid about rays on a line from having more columns than rays, the
+    # third is for a single point.
     step = max(
         float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
         float((high - low).max()) * _RAYS_A_CELL / len(rays),
@@ -135,9 +138,11 @@ def _sorted_into_cells(
         row = _cell(rays[k, 1], low[1], 1.0 / step, n_rows)
         cell[k] = row * n_columns + _cell(rays[k, 0], low[0], 1.0 / step, n_columns)
         start[cell[k] + 1] += 1
+    # Cumulated counts are the offsets of the cells.
     for c in range(len(start) - 1):
         start[c + 1] += start[c]
     order = np.empty(len(rays), dtype=np.int64)
+    # Filled in the order of the rays: the sort is stable and the result reproducible.
     filled = start[:-1].copy()
     for k in range(len(rays)):
         order[filled[cell[k]]] = k
@@ -171,12 +176,14 @@ def _find_candidates(
                 w = ids[i, j]
                 x, y, z = vertices[w, 0] - origin[0], vertices[w, 1] - origin[1], vertices[w, 2] - origin[2]
                 depth_m[i, j] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+                # The same tolerance in metres is a smaller slope farther away.
                 scale = 1.0 / depth_m[i, j] if pencil else 1.0
                 u[i, j] = scale * (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
                 v[i, j] = scale * (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z)
                 slack[i, j] = scale * slack_m[0]
                 least_u, most_u = min(least_u, u[i, j]), max(most_u, u[i, j])
                 least_v, most_v = min(least_v, v[i, j]), max(most_v, v[i, j])
+        # Twice the tolerance at the first vertex stands for that of the whole tile.
         wide = abs(slack[0, 0]) * 2.0
         if most_u + wide < low[0] or most_v + wide < low[1] or least_u - wide > right or least_v - wide > bottom:
             continue
@@ -186,11 +193,13 @@ def _find_candidates(
             for j in range(n - i):
                 for half in range(1 if i + j == n - 1 else 2):
                     a, b = i + half, j + half
+                    # Negative behind the camera: a facet that reaches there is left out.
                     near = min(slack[a, j], slack[i + 1, b], slack[i, j + 1])
                     if near > 0.0 and _may_be_hit(
                         (u[a, j], v[a, j], depth_m[a, j]),
                         (u[i + 1, b], v[i + 1, b], depth_m[i + 1, b]),
                         (u[i, j + 1], v[i, j + 1], depth_m[i, j + 1]),
+                        # The smallest tolerance of the three corners is that of the farthest one.
                         1.5 * near,
                         slack_m[1],
                         cells,
@@ -213,6 +222,7 @@ def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cell
     """Return whether the cells that a box overlaps contain a ray."""
     first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
     for row in range(upper, lower + 1):
+        # Cells of a row are contiguous: there is a ray if the offsets of both ends differ.
         if cells.start[row * cells.n_columns + first] < cells.start[row * cells.n_columns + last + 1]:
             return True
     return False
@@ -224,6 +234,7 @@ def _may_be_hit(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: fl
     left, right = min(p[0], q[0], r[0]) - slack, max(p[0], q[0], r[0]) + slack
     top, bottom = min(p[1], q[1], r[1]) - slack, max(p[1], q[1], r[1]) + slack
     nearest_m, farthest_m = min(p[2], q[2], r[2]), max(p[2], q[2], r[2]) + depth_slack_m
+    # Counter-clockwise, so that the inside is left of all three sides.
     if (q[0] - p[0]) * (r[1] - p[1]) < (q[1] - p[1]) * (r[0] - p[0]):
         q, r = r, q
     first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
@@ -247,6 +258,7 @@ def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
     """Return whether a point lies left of the line from a to b, or right of it within the tolerance."""
     along, across = b[0] - a[0], b[1] - a[1]
     distance = along * (y - a[1]) - across * (x - a[0])
+    # `distance` is the distance times the length of the side: compared as squares, without a root.
     return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
 
 
@@ -258,6 +270,8 @@ def _behind(x: float, y: float, from_m: float, p: _Point, q: _Point, r: _Point, 
     area = qu * rv - qv * ru
     if area <= 0.0:
         return False
+    # Slopes of depth over the plane, by Cramer's rule.
     by_u, by_v = (q_m * rv - r_m * qv) / area, (r_m * qu - q_m * ru) / area
     plane_m = p[2] + by_u * (x - p[0]) + by_v * (y - p[1])
+    # An error of the tolerance in the plane changes the depth by the slope times as much.
     return plane_m + slack_m * (1.0 + abs(by_u) + abs(by_v)) < from_m

@@ -19,15 +19,18 @@ from scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 
-_LATTICE = 64
+_LATTICE = 64  # points along each side of a periodic lattice; a power of two, as `add_octave` needs
 _SPLINE_RMS = 0.3321
-"""RMS of a cubic B-spline of white noise of variance 1: (151 / 315)^(3/2), the mean squares of its weights."""
+"""RMS of a cubic B-spline of white noise of variance 1: (151 / 315)^(3/2) = 0.3319 by the mean squares of its weights.
+
+The value in use is 0.06 % higher, which makes the roughness as much lower; another one would change every surface.
+"""
 
 REACH = 3.0
 """The ejecta blanket ends at this many radii."""
 
-_TAPER_FROM = 2.0
-_FRESH_ROUNDING, _OLD_ROUNDING = 0.03, 0.08
+_TAPER_FROM = 2.0  # radii at which the blanket begins to be faded out
+_FRESH_ROUNDING, _OLD_ROUNDING = 0.03, 0.08  # w
 _OLD_RIM = 0.5  # of a fresh rim's height
 _BISECTIONS = 50
 
@@ -63,10 +66,12 @@ class Profiles:
         cls, degradation: FloatArray, depth_ratio: FloatArray, rim_ratio: float, fresh_depth_ratio: float
     ) -> Profiles:
         """Make profiles of degradations (n,), 0 to 1, and depths (n,) over diameter."""
+        # In units of the depth of a fresh crater: the bowl is 1 deep before the scaling.
         rim = rim_ratio / fresh_depth_ratio * (1.0 - (1.0 - _OLD_RIM) * degradation)
         rounding = _FRESH_ROUNDING + (_OLD_ROUNDING - _FRESH_ROUNDING) * degradation
         stretch = _crest(rim, rounding)
         one = np.ones_like(rim)
+        # From the crest to the floor, before the scaling.
         depth = _rounded(rim, rounding, stretch) - _rounded(rim, rounding, 0.0 * one)
         return cls(rim, rounding, stretch, depth_ratio / depth)
 
@@ -90,6 +95,7 @@ def _crest(rim: FloatArray, rounding: FloatArray) -> FloatArray:
         middle = 0.5 * (low + high)
         half = 0.5 * (rim - (1.0 - middle**2) - rim * np.sqrt(1.5 / (0.5 + middle**6)))
         bowl, blanket = 2.0 * middle, -3.0 * rim * np.sqrt(1.5) * middle**5 * (0.5 + middle**6) ** -1.5
+        # ds/dr = (b' + e') / 2 - (b - e)(b' - e') / (4 sqrt((b - e)^2 / 4 + w^2)), with half = (b - e) / 2.
         rises = 0.5 * (bowl + blanket) - 0.5 * half * (bowl - blanket) / np.sqrt(half**2 + rounding**2) > 0.0
         low, high = np.where(rises, middle, low), np.where(rises, high, middle)
     return 0.5 * (low + high)
@@ -118,7 +124,9 @@ def crater_relief(
     tree = cKDTree(middles, balanced_tree=False, compact_nodes=False)
     frames = crater_frames(craters)
     for k in range(len(craters)):
+        # Runs of vertices whose centres are so near may have a vertex within reach.
         reach_m = REACH * craters.radius_m[k] + tiling.reach_m
+        # Sorted, as sums over the vertices must not depend on the order of the tree.
         near = np.sort(np.asarray(tree.query_ball_point(craters.centre_m[k], reach_m), dtype=np.int64))
         add_crater(
             heights, points_m, up, runs[near], craters.centre_m[k], frames[k], float(craters.radius_m[k]), shapes[k]
@@ -135,6 +143,7 @@ def add_roughness(
     for wavelength_m, amplitude, stream in octaves:
         rng = np.random.default_rng(stream)
         lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32)
+        # Two lattice steps make a wavelength.
         steps_per_m = 2.0 / wavelength_m
         turn, shift = Rotation.random(rng=rng).as_matrix() * steps_per_m, rng.uniform(0.0, _LATTICE, 3)
         add_octave(heights_m, points_m, lattice, turn, shift, float(spec.rms_m * amplitude / _SPLINE_RMS))

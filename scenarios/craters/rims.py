@@ -19,7 +19,7 @@ SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
 
 RIM_POINTS = 72
-_PER_FACET = 2
+_PER_FACET = 2  # a sphere that separates corners of a facet crosses two of its edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +119,7 @@ def _by_azimuth(ring: FloatArray, centre_m: FloatArray, frame: FloatArray) -> Fl
     if len(ring) < 8:
         return None
     offset = ring[:, :3] - centre_m
+    # Sorted, and each point once: edges are visited from both facets.
     azimuth, order = np.unique(np.arctan2(offset @ frame[1], offset @ frame[0]), return_index=True)
     gaps = np.diff(np.concatenate([azimuth, azimuth[:1] + 2.0 * np.pi]))
     if gaps.max() > np.pi / 6.0:
@@ -133,9 +134,11 @@ def _cut(craters: Craters, chosen: IndexArray, rims_m: FloatArray) -> BoolArray:
     cut = np.zeros(len(chosen) * RIM_POINTS, dtype=bool)
     if len(chosen):
         owner = np.repeat(chosen, RIM_POINTS)
+        # Distances on the smooth surface, on which the radii of the craters are defined.
         within = cKDTree(rims_m.reshape(-1, 3)).query_ball_point(craters.centre_m, craters.radius_m)
         for younger, points in enumerate(within):
             rows = np.asarray(points, dtype=np.int64)
+            # Craters are in the order of age: a higher number is younger.
             cut[rows[owner[rows] < younger]] = True
     return cut.reshape(-1, RIM_POINTS)
 
@@ -145,5 +148,6 @@ def _plane_normals(crest_m: FloatArray, up: FloatArray) -> FloatArray:
     if len(crest_m) == 0:
         return np.zeros((0, 3))
     _, _, axes = np.linalg.svd(crest_m - crest_m.mean(axis=1, keepdims=True), full_matrices=False)
+    # The right singular vector of the least singular value; its sign is arbitrary.
     normal = axes[:, 2]
     return np.asarray(normal * np.where(np.einsum("ni,ni->n", normal, up) < 0.0, -1.0, 1.0)[:, None])

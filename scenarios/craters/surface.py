@@ -32,7 +32,7 @@ SingleArray = NDArray[np.float32]
 CRATERS_VERSION = 3
 """Part of the digest of every cratered surface: increase it when the same spec gives another surface."""
 
-_CLEARANCE_M = 0.5
+_CLEARANCE_M = 0.5  # of the coarse body below the lowest vertex
 
 
 def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArray:
@@ -45,10 +45,12 @@ def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArra
     normals = mesh.normals
     least = np.empty(len(mesh.faces))
     least_heights(least, vertices_m, mesh.corners_m[:, 0], normals, tiling.layout)
+    # A corner moves by the least of what its tiles demand.
     corner_least = np.full(len(mesh.vertices_m), np.inf)
     steep = np.einsum("tki,ti->tk", tiling.up[mesh.faces], normals)
     # A corner that moves by h along its own direction moves by h times the cosine along the tile's normal.
     for k in range(3):
+        # The smaller of both: a negative height becomes larger by the division, a positive one must not.
         np.minimum.at(corner_least, mesh.faces[:, k], np.minimum(least / np.maximum(steep[:, k], 0.2), least))
     return np.asarray(mesh.vertices_m + (corner_least - _CLEARANCE_M)[:, None] * tiling.up)
 
@@ -163,9 +165,11 @@ def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArra
     length = np.linalg.norm(np.diff(mesh.vertices_m[edges.ends], axis=1), axis=-1)
     rounds = tile_rounds(float(np.median(length)))
     depth_m = spec.max_diameter_m * spec.depth_ratio[1]
+    # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.
     smoothing = int(np.ceil((depth_m / float(np.median(length))) ** 2))
     up = unit(smoothed(vertex_normals(mesh.vertices_m, mesh.faces), edges, smoothing))
     control = interpolating_control(mesh.vertices_m, mesh.faces)
     fine, faces = refine(np.hstack([control, up]), mesh.faces, rounds)
+    # From control points to points of the limit surface, which the corners of tiles must lie on.
     points_m = limit(fine[:, :3], find_edges(faces))
     return TriangleMesh(points_m, faces.astype(np.int32)), unit(fine[:, 3:])

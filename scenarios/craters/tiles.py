@@ -30,7 +30,7 @@ IndexArray = NDArray[np.int64]
 # Within a tile, next to an edge of fewer pieces, edges of facets are up to half longer than the pieces.
 SHORTENED = 0.85
 
-_TILE_M = 100.0
+_TILE_M = 100.0  # typical edge of a tile
 # Measured peak memory of builds with 82 thousand to 1.3 million tiles and 0.7 to 10 million vertices.
 _TILE_BYTES, _VERTEX_BYTES = 800, 70
 
@@ -48,6 +48,7 @@ def normal_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
 def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray | float) -> BoolArray:
     """(T,) whether a facet of a tile may face unit directions (T, 3) or (3,), which are uncertain by ``slack_rad``."""
     towards = np.einsum("ti,ti->t", cones[:, :3], np.broadcast_to(directions, (len(cones), 3)))
+    # A normal at the angle `beyond` from the mean can face a direction up to 90 deg + beyond from the mean.
     beyond = np.arccos(np.clip(cones[:, 3], -1.0, 1.0)) + slack_rad
     return np.asarray((beyond >= 0.5 * np.pi) | (towards > -np.sin(beyond)))
 
@@ -70,6 +71,7 @@ def _cones(cones: FloatArray, vertices: SingleArray, layout: TileLayout) -> None
                             mean[x] += normals[count, x]
                         count += 1
         size = np.sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
+        # Normals that add up to nothing have no mean: a cosine of -1 makes the tile face every direction.
         least = 1.0 if size > 0.0 else -1.0
         for x in range(3):
             mean[x] = mean[x] / size if size > 0.0 else 0.0
@@ -84,6 +86,7 @@ def _normal(out: FloatArray, vertices: SingleArray, a: int, b: int, c: int) -> b
     size = 0.0
     for x in range(3):
         y, z = (x + 1) % 3, (x + 2) % 3
+        # Differences in double precision, as facets are small against their distance from the origin.
         uy, uz = np.float64(vertices[b, y]) - vertices[a, y], np.float64(vertices[b, z]) - vertices[a, z]
         vy, vz = np.float64(vertices[c, y]) - vertices[a, y], np.float64(vertices[c, z]) - vertices[a, z]
         out[x] = uy * vz - uz * vy
@@ -117,6 +120,7 @@ def expected_size(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
     typical_m = float(np.median(length))
     rounds = tile_rounds(typical_m)
     tiles = len(mesh.faces) * 4**rounds
+    # A tile of n pieces along an edge has n^2 facets.
     return tiles, tiles * max(1, math.ceil(typical_m / 2**rounds / (SHORTENED * spec.edge_m))) ** 2
 
 
@@ -129,6 +133,7 @@ def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
         If it has not; the message states the required memory and what to change.
     """
     tiles, facets = expected_size(mesh, spec)
+    # A closed mesh has half as many vertices as facets.
     parts, room = (tiles * _TILE_BYTES, facets // 2 * _VERTEX_BYTES), installed_memory_bytes()
     if sum(parts) <= room:
         return
@@ -185,6 +190,7 @@ class Tiling:
     @cached_property
     def tile_start(self) -> IndexArray:
         """(T + 1,) first vertex within each tile, and the one after the last."""
+        # Inner vertices of a tile of n rows: (n - 1)(n - 2) / 2.
         return self._starts(int(self.edge_start[-1]), (self.tile_pieces - 1) * (self.tile_pieces - 2) // 2)
 
     @staticmethod
@@ -250,6 +256,7 @@ class Tiling:
     def reach_m(self) -> float:
         """Bound of the distance of a vertex from the centre of its run."""
         corners = self.mesh.corners_m
+        # 10 % for tiles that are curved.
         return 1.1 * float(np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max())
 
     @cached_property

@@ -17,10 +17,10 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 LEAST_DIAMETER_PX = 12.0
-LEAST_VISIBLE, LEAST_IN_FRAME, LEAST_LIT = 0.9, 0.95, 0.5
+LEAST_VISIBLE, LEAST_IN_FRAME, LEAST_LIT = 0.9, 0.95, 0.5  # shares of the crest
 MOST_EMISSION_DEG, INCIDENCE_DEG = 60.0, (20.0, 75.0)
-MOST_DEGRADATION, MOST_CUT = 0.6, 0.25
-MOST_DEVIATION, LEAST_AXIS_RATIO = 0.01, 0.5
+MOST_DEGRADATION, MOST_CUT = 0.6, 0.25  # MOST_CUT: share of the crest that younger craters removed
+MOST_DEVIATION, LEAST_AXIS_RATIO = 0.01, 0.5  # of a clean crater; deviation in radii of the ellipse
 
 _FACING = -0.2  # cosine: no point of a crest is visible if its plane faces away by more
 _LIFT_M, _LIFT = 1.0, 0.01  # offset of a crest point from the adjacent facets: metres, and in radii
@@ -119,14 +119,18 @@ def crater_truth(rims: Rims, view: View, sight: SurfaceRayTracer) -> CraterTruth
     # NaN (a miss next to a crest on the limb) compares false, so that the point counts as visible.
     visible = ~(met < distance - (_SAME_M + _SAME * radius_m[:, None]))
     in_frame = view.camera.contains(uv)
+    # Above the facets next to the crest, which is interpolated between vertices.
     lifted = crest_m + (rims.normal_body[rows] * (_LIFT_M + _LIFT * radius_m)[:, None])[:, None]
     lit = sight.clear(view, lifted.reshape(-1, 3), view.sun_dir_body).reshape(n, k)
     cosine_i, cosine_e = _cosines(rims.normal_body[rows], crest_m.mean(axis=1), view)
+    # A crater whose plane faces away from the Sun counts as dark as a whole.
     lit &= (cosine_i > 0.0)[:, None]
     cut = rims.cut[rows]
+    # A crest of which more than half is gone is fitted as a whole.
     used = ~cut | (cut.mean(axis=1) > 0.5)[:, None]
     conics = fit_conics(uv, used.astype(np.float64))
     kept = (visible & in_frame).any(axis=1)
+    # Degenerate conics are left out by the same test that reads the ellipses.
     kept[kept] = Ellipses.among(conics[kept])[1]
     ellipses = Ellipses.from_conics(conics[kept])
     return CraterTruth(

@@ -50,6 +50,7 @@ class UniformRotation:
         angles = self.rate_rad_s * np.asarray(times_s, dtype=np.float64)
         turns = np.zeros((len(angles), 3, 3))
         turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
+        # Coordinates in axes that rotate by +angle about z: the transpose of a rotation of vectors.
         turns[:, 0, 1] = np.sin(angles)
         turns[:, 1, 0] = -np.sin(angles)
         turns[:, 2, 2] = 1.0
@@ -153,6 +154,7 @@ class HarmonicField:
         found = []
         for name, n, m in self.coefficients:
             table: HarmonicTable = (np.zeros(term_count(self.by_degree)), np.zeros(term_count(self.by_degree)))
+            # One normalised coefficient of 1 is 1 / N of the unnormalised function.
             table["cs".index(name)][term_index(n, m)] = 1.0 / scale[term_index(n, m)]
             found.append(_stacked([derivative(table, axis) for axis in range(3)]))
         return np.ascontiguousarray(np.stack(found, axis=1))
@@ -173,6 +175,7 @@ def body_attitude(field: FlatField, time: float) -> FloatArray:
     """Return R_body_inertial, (3, 3), at a time."""
     angle = field.rate_rad_s * time
     c, s = np.cos(angle), np.sin(angle)
+    # A rotation about body z mixes the first two rows of the attitude at the epoch.
     R, out = field.R_body_inertial, np.empty((3, 3))
     for j in range(3):
         out[0, j] = c * R[0, j] + s * R[1, j]
@@ -191,8 +194,10 @@ def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatA
     outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
     in_body = np.zeros(3)
     for axis in range(3):
+        # Equation (3.32) of Montenbruck and Gill, for one axis.
         in_body[axis] = field.unit * _sum(field.pull[0, axis], field.pull[1, axis], work)
     for j in range(3):
+        # Back to inertial axes with the transpose; sunlight is constant there.
         out[j] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2] + field.light_m_s2[j]
 
 
@@ -212,8 +217,10 @@ def differentiate(
     outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
     second = np.empty(5)
     for k in range(5):
+        # A second derivative has one more factor 1 / R.
         second[k] = field.unit / field.radius_m * _sum(field.tide[0, k], field.tide[1, k], work)
     body = np.empty((3, 3))
+    # xx, xy, xz, yy, yz; outside the body the trace is 0 (Laplace), so that zz = -xx - yy.
     body[0, 0], body[0, 1], body[0, 2] = second[0], second[1], second[2]
     body[1, 0], body[1, 1], body[1, 2] = second[1], second[3], second[4]
     body[2, 0], body[2, 1], body[2, 2] = second[2], second[4], -second[0] - second[3]
@@ -222,10 +229,12 @@ def differentiate(
             total = 0.0
             for a in range(3):
                 for b in range(3):
+                    # R^T G R: the tensor in inertial axes.
                     total += R[a, i] * body[a, b] * R[b, j]
             tide[i, j] = total
     count = field.parts.shape[1]
     in_body = np.empty(3)
+    # k = -1 is gravity as a whole, the derivative by the ratio of GM.
     for k in range(-1, count):
         for axis in range(3):
             if k < 0:
@@ -236,6 +245,7 @@ def differentiate(
         for j in range(3):
             by_parameters[j, column] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2]
     for j in range(3):
+        # The acceleration is proportional to the factor on solar pressure.
         by_parameters[j, 1] = field.light_m_s2[j]
 
 
@@ -243,6 +253,7 @@ def differentiate(
 def _sum(c: FloatArray, s: FloatArray, work: FloatArray) -> float:
     """Sum the products of a table with V and W."""
     total = 0.0
+    # Tables are in the order of the degree: one of a lower degree uses the first terms of V and W.
     for k in range(len(c)):
         total += c[k] * work[0, k] + s[k] * work[1, k]
     return total

@@ -53,7 +53,9 @@ class Polyhedron:
         """(3,) m/s2 at a position (3,) m in the mesh's axes."""
         corners = self.mesh.corners_m - position_m
         distances = np.sqrt(np.einsum("fki,fki->fk", corners, corners))
+        # (n_f . r_f) omega_f: r_f may be any corner, as all have the same distance from the facet's plane.
         flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * _solid_angles(corners, distances)
+        # (m_fe . r_e) L_e of the three edges; both facets of an edge have the same L_e.
         edges = np.einsum("fki,fki->fk", self._edge_normals, corners) * self._logs(distances)
         return np.asarray((flux - edges.sum(axis=1)) @ self.mesh.normals * self._g_sigma, dtype=np.float64)
 
@@ -79,6 +81,7 @@ class Polyhedron:
     @cached_property
     def _edge_normals(self) -> FloatArray:
         """(F, 3, 3) unit vectors in the plane of the facet, perpendicular to each edge and pointing outward."""
+        # Edge times normal points away from a counter-clockwise facet.
         across = np.cross(self._edges_m, self.mesh.normals[:, None])
         out: FloatArray = np.divide(
             across, self._lengths_m[..., None], out=np.zeros_like(across), where=self._lengths_m[..., None] > 0.0
@@ -87,6 +90,7 @@ class Polyhedron:
 
     def _logs(self, distances_m: FloatArray) -> FloatArray:
         """(F, 3): L_e, the potential of a wire along each edge."""
+        # L_e = ln((a + b + e) / (a + b - e)), with distances a and b of the ends and length e of the edge.
         both = distances_m + np.roll(distances_m, -1, axis=1)
         return np.asarray(np.log((both + self._lengths_m) / (both - self._lengths_m)), dtype=np.float64)
 
@@ -97,5 +101,6 @@ def _solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:
     r_a, r_b, r_c = distances.T
     dots = [np.einsum("fi,fi->f", x, y) for x, y in ((a, b), (b, c), (c, a))]
     triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    # van Oosterom and Strackee (1983), equation (8); atan2 holds for angles beyond a half-space.
     solid: FloatArray = 2.0 * np.arctan2(triple, r_a * r_b * r_c + r_c * dots[0] + r_a * dots[1] + r_b * dots[2])
     return solid

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 _PLACES_AT_ONCE = 1 << 19
 
 HarmonicTable = tuple[FloatArray, FloatArray]
-"""Coefficients of V and of W, (terms,) each, in the order of `index`."""
+"""Coefficients of V and of W, (terms,) each, in the order of `term_index`."""
 
 
 def term_count(degree: int) -> int:
@@ -46,11 +46,13 @@ def solid_harmonics(points: FloatArray, degree: int) -> tuple[FloatArray, FloatA
     for m in range(degree + 1):
         if m:
             before, here = term_index(m - 1, m - 1), term_index(m, m)
+            # (x + i y)^m times (2 m - 1)!!, without the sign (-1)^m of Condon and Shortley, as in geodesy.
             c[here] = (2 * m - 1) * (x * c[before] - y * s[before])
             s[here] = (2 * m - 1) * (x * s[before] + y * c[before])
         for n in range(m + 1, degree + 1):
             below, here = term_index(n - 1, m), term_index(n, m)
             for part in (c, s):
+                # (n - m) R_nm = (2 n - 1) z R_(n-1)m - (n + m - 1) r^2 R_(n-2)m; the last term is 0 for n = m + 1.
                 part[here] = (2 * n - 1) * z * part[below]
                 if n > m + 1:
                     part[here] -= (n + m - 1) * squares * part[term_index(n - 2, m)]
@@ -62,17 +64,19 @@ def solid_harmonics(points: FloatArray, degree: int) -> tuple[FloatArray, FloatA
 def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, w: FloatArray) -> None:
     """Write V and W at a point to ``v`` and ``w``, (terms,) of any degree: equations (3.29) to (3.31)."""
     squares = x * x + y * y + z * z
+    # Inverts terms = (degree + 1)(degree + 2) / 2; the 0.5 guards against rounding.
     degree = int((np.sqrt(8.0 * len(v) + 1.0) - 3.0) / 2.0 + 0.5)
     a, b, c, rho = radius * x / squares, radius * y / squares, radius * z / squares, radius * radius / squares
-    v[0], w[0] = radius / np.sqrt(squares), 0.0
+    v[0], w[0] = radius / np.sqrt(squares), 0.0  # eq. (3.31)
     for m in range(degree + 1):
         here = m * (m + 1) // 2 + m
         if m > 0:
             before = here - m - 1
-            v[here] = (2 * m - 1) * (a * v[before] - b * w[before])
+            v[here] = (2 * m - 1) * (a * v[before] - b * w[before])  # eq. (3.29)
             w[here] = (2 * m - 1) * (a * w[before] + b * v[before])
         for n in range(m + 1, degree + 1):
             k, below, lower = n * (n + 1) // 2 + m, n * (n - 1) // 2 + m, (n - 1) * (n - 2) // 2 + m
+            # Equation (3.30).
             first = (2 * n - 1) / (n - m)
             v[k], w[k] = first * c * v[below], first * c * w[below]
             if n > m + 1:
@@ -94,15 +98,18 @@ def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
 def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: tuple[float, float], axis: int) -> None:
     """Add the derivative of ``value[0] V_nm + value[1] W_nm`` to a table."""
     (n, m), (of_v, of_w) = term, value
+    # Equation (3.33), with both signs of a coefficient's V and W kept apart.
     if axis == 2:
         k = term_index(n + 1, m)
         c[k] -= (n - m + 1) * of_v
         s[k] -= (n - m + 1) * of_w
         return
     up, down = term_index(n + 1, m + 1), term_index(n + 1, max(m - 1, 0))
+    # Order 0 has no W, and no neighbour of order -1.
     if m == 0:
         (c if axis == 0 else s)[up] -= of_v
         return
+    # (n - m + 2)! / (n - m)! = (n - m + 2)(n - m + 1).
     half, fall = 0.5, 0.5 * (n - m + 2) * (n - m + 1)
     if axis == 0:
         c[up] -= half * of_v
@@ -161,14 +168,14 @@ class Harmonics:
 
     @cached_property
     def flat(self) -> tuple[FloatArray, FloatArray]:
-        """Return (terms,) coefficients of the unnormalised functions, cosines and sines, in the order of `index`."""
+        """Return (terms,) coefficients of the unnormalised functions, cosines and sines, ordered by `term_index`."""
         scale = normalisation(self.degree)
         rows, columns = np.tril_indices(self.degree + 1)
         return self.c[rows, columns] / scale, self.s[rows, columns] / scale
 
 
 def normalisation(degree: int) -> FloatArray:
-    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the unnormalised one.
+    """(terms,) factors ``N``, ordered by `term_index`: a normalised coefficient is ``N`` times the unnormalised one.
 
     ``1 / N^2 = (2 - delta_0m) (2 n + 1) (n - m)! / (n + m)!``.
     """
@@ -202,6 +209,7 @@ def homogeneous_harmonics(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radi
         for m in range(n + 1):
             # C_nm = (2 - delta_0m) (n - m)! / (n + m)! of the mean of r^n P_nm cos(m lambda) over the mass.
             k = term_index(n, m)
+            # That is 1 / (N^2 (2 n + 1)) of the mean, and N times it when normalised.
             factor = 3.0 / (n + 3) / (volumes.sum() * scale[k] * (2 * n + 1))
             c[n, m], s[n, m] = factor * total[0, k], factor * total[1, k]
     return Harmonics(gm_m3_s2, radius_m, c, s)

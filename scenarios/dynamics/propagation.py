@@ -19,7 +19,7 @@ Acceleration = Callable[[float, FloatArray], FloatArray]
 SUNLIGHT_N_M2 = 1361.0 / 299_792_458.0
 """Pressure of absorbed sunlight at 1 au: total solar irradiance over the speed of light."""
 
-_TOLERANCE = 1e-12
+_TOLERANCE = 1e-12  # of the scaled state, relative and absolute
 
 
 class OrbitLostError(BoresightError):
@@ -54,6 +54,7 @@ class PiecewiseAcceleration:
 
     def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
         """(n,) index of the interval of each time; a limit belongs to the interval that it ends."""
+        # left: a time that equals a limit gets the interval before it.
         found = np.searchsorted(self.edges_s, times_s, side="left") - 1
         return np.clip(found, 0, len(self.acceleration_m_s2) - 1)
 
@@ -88,6 +89,7 @@ def propagate(
         If the distance from the origin falls to ``lowest_m``.
     """
     length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
+    # One absolute tolerance holds for positions and velocities only if both are near 1.
     unit = np.repeat([length, speed], 3)
     found, now = np.empty((len(times_s), 6)), state / unit
     time = length / speed
@@ -97,14 +99,17 @@ def propagate(
         return float(np.linalg.norm(y[:3]) - lowest_m / length)
 
     height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
+    # Interval by interval: the steps of the integrator must not cross a jump of the acceleration.
     for p, push in enumerate(pushes.acceleration_m_s2):
         begin, end = pushes.edges_s[p : p + 2]
         rows = np.flatnonzero(piece == p)
 
         def change(t: float, y: FloatArray, push: FloatArray = push) -> FloatArray:
             pull = acceleration(time * t, length * y[:3]) + push
+            # d(v / speed) / d(t / time) = a time / speed, with time = length / speed.
             return np.concatenate([y[3:], pull * time / speed])
 
+        # The end of the interval is added: the next one starts there.
         at, place = np.unique(np.append(times_s[rows], end) / time, return_inverse=True)
         between = (float(begin) / time, float(end) / time)
         solved = solve_ivp(change, between, now, "DOP853", t_eval=at, events=height, rtol=_TOLERANCE, atol=_TOLERANCE)
@@ -117,6 +122,7 @@ def propagate(
             )
         found[rows] = solved.y[:, place[:-1]].T * unit
         now = solved.y[:, -1]
+        # No requested time lies in a later interval.
         if not (piece > p).any():
             break
     return found

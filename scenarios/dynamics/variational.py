@@ -72,6 +72,7 @@ def propagate_partials(
     """
     flat, p = field.flat, field.parameters
     stages = DOP853.n_stages
+    # The stages of the solution alone: fixed steps need neither its error estimate nor dense output.
     tableau = (
         np.ascontiguousarray(DOP853.A[:stages, :stages]),
         np.array(DOP853.B),
@@ -90,6 +91,7 @@ def propagate_partials(
 def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleration, times_s: FloatArray) -> FloatArray:
     """(T, 6, 3 P) derivatives by each acceleration, from those at the end of its interval."""
     pieces = len(pushes.acceleration_m_s2)
+    # Velocities in units of speed over distance, which makes the matrix well-conditioned.
     scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
     transition = ended[:, :, 1:7] * scale[:, None] / scale
     at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]
@@ -98,6 +100,7 @@ def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleratio
     for p in range(pieces):
         later = piece > p
         if p < len(at_epoch):
+            # Phi(t, 0) Phi(t_p, 0)^-1 Gamma(t_p) for times after the end t_p of the interval.
             found[later, :, p] = seen[later, :, 1:7] @ at_epoch[p]
         now = piece == p
         found[now, :, p] = seen[now, :, -3:]
@@ -117,9 +120,11 @@ def _integrate(
     c: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate; return (T, 6, n) at the times and (P', 6, n) at the interval ends before the last time."""
+    # State, derivatives by the initial state, by GM and solar pressure, by the coefficients, and by the push.
     columns = 1 + 6 + 2 + field.parts.shape[1] + 3
     y = np.zeros((6, columns))
     for i in range(6):
+        # The state transition matrix starts as the identity, all other derivatives as 0.
         y[i, 0], y[i, 1 + i] = state[i], 1.0
     seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
     slopes = np.empty((len(b), 6, columns))
@@ -127,6 +132,7 @@ def _integrate(
     now, row = 0.0, 0
     for p in range(len(pushes)):
         last = p == len(pushes) - 1
+        # As in `PiecewiseAcceleration.piece`: a limit belongs to the interval that it ends.
         while row < len(times) and (times[row] <= edges[p + 1] or last):
             y = _integrate_interval(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
             now = times[row]
@@ -135,6 +141,7 @@ def _integrate(
         y = _integrate_interval(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
         now = edges[p + 1]
         ended[p] = y
+        # The next push is another parameter, which has not acted yet.
         y[:, columns - 3 :] = 0.0
         if row == len(times):
             return seen, ended[: p + 1].copy()
@@ -159,6 +166,7 @@ def _integrate_interval(
     y = start.copy()
     if end <= begin:
         return y
+    # Equal steps that end at the requested time: no interpolation, and the same steps in each call.
     steps = int(np.ceil((end - begin) / longest))
     h = (end - begin) / steps
     at = np.empty_like(y)
@@ -169,6 +177,7 @@ def _integrate_interval(
             for j in range(i):
                 if a[i, j] != 0.0:
                     _add(at, slopes[j], h * a[i, j])
+            # Inside the reference radius the harmonics need not converge.
             if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
                 y[:] = np.nan
                 return y
@@ -197,9 +206,12 @@ def _time_derivative(
     differentiate(field, time, y[:3, 0].copy(), work, tide, by)
     for i in range(3):
         for k in range(columns):
+            # r' = v, for the state and for all derivatives.
             out[i, k] = y[3 + i, k]
+        # by[:, 0] is the derivative by the ratio of GM: gravity itself.
         out[3 + i, 0] = by[i, 0] + field.light_m_s2[i] + push[i]
         for k in range(1, columns):
+            # Variational equations: (dv/dp)' = (da/dr)(dr/dp) + da/dp.
             out[3 + i, k] = tide[i, 0] * y[0, k] + tide[i, 1] * y[1, k] + tide[i, 2] * y[2, k]
         for k in range(count):
             out[3 + i, 7 + k] += by[i, k]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _NEWTON_STEPS = 50
-_TOLERANCE = 1e-15
+_TOLERANCE = 1e-15  # of the radius at unit focal length: its rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,15 @@ class RadialDistortion:
         found = radius.copy()
         with np.errstate(all="ignore"):
             for _ in range(_NEWTON_STEPS):
+                # Solve found (1 + k1 found^2 + k2 found^4) = radius, starting without distortion.
                 step = (found * self._factor(found**2) - radius) / self._slope(found**2)
                 found = found - step
                 if not (np.abs(step) > _TOLERANCE).any():
                     break
+            # A root beyond the fold, where the radius falls again, is not the image of the lens.
             rising = (self._slope(found**2) > 0.0) & (found >= 0.0)
             solved = rising & (np.abs(found * self._factor(found**2) - radius) <= 1e-12)
+            # On the axis the direction is undefined and nothing is displaced.
             scale = np.where(radius > 0.0, found / radius, 1.0)
         distorted: FloatArray = ideal * np.where(solved, scale, np.nan)
         return distorted
@@ -60,11 +63,13 @@ class RadialDistortion:
         """Differentiate the ideal position by the seen one, (..., 2, 2)."""
         squared = np.sum(seen * seen, axis=-1)[..., None, None]
         outer = seen[..., :, None] * seen[..., None, :]
+        # d(s f(r^2))/ds = f I + 2 f' s s^T, with f' = k1 + 2 k2 r^2.
         jacobian: FloatArray = self._factor(squared) * np.eye(2) + 2.0 * (self.k1 + 2.0 * self.k2 * squared) * outer
         return jacobian
 
     def invertible_within(self, radius: float) -> bool:
         """Return whether the distortion is invertible for all distorted positions within ``radius``."""
+        # The slope is a quadratic in r^2: its extremes are at the ends of the range and at its vertex.
         squared = [0.0, radius**2]
         if self.k2 != 0.0:
             squared.append(min(max(-0.3 * self.k1 / self.k2, 0.0), radius**2))  # where the slope is least or greatest
@@ -167,6 +172,7 @@ class Camera:
             return pinhole
         focal_px = np.array([self.fx_px, self.fy_px])
         seen = self.distortion.seen(points[..., :2] / z[..., None])
+        # Derivatives of the seen slopes by those of the ideal ones are the inverse of the lens's Jacobian.
         by_slope = np.linalg.solve(self.distortion.ideal_jacobian(seen), pinhole / focal_px[:, None])
         return np.asarray(by_slope * focal_px[:, None], dtype=np.float64)
 

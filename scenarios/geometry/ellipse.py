@@ -35,6 +35,7 @@ def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) ->
     conics
         (m, 3, 3), NaN where there is no ellipse.
     """
+    # The floors keep sets without weight finite; they have no ellipse.
     total = np.maximum(weights.sum(axis=1), 1e-12)
     shift = np.einsum("mk,mki->mi", weights, points) / total[:, None]
     moved = points - shift[:, None]
@@ -43,11 +44,13 @@ def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) ->
     x, y = moved[..., 0], moved[..., 1]
     quadratic = np.stack([x * x, x * y, y * y], axis=-1)
     linear = np.stack([x, y, np.ones_like(x)], axis=-1)
+    # S1, S2 and S3 of Halir and Flusser: the scatter matrix of quadratic and linear terms, in blocks.
     s1 = np.einsum("mk,mki,mkj->mij", weights, quadratic, quadratic)
     s2 = np.einsum("mk,mki,mkj->mij", weights, quadratic, linear)
     s3 = np.einsum("mk,mki,mkj->mij", weights, linear, linear)
     best, tail = _constrained(s1, s2, s3, ridge)
     conics = _matrix(best, tail)
+    # Back to pixels: with x' = F x the conic is F^T C F.
     frame = np.zeros((len(points), 3, 3))
     frame[:, 0, 0] = frame[:, 1, 1] = 1.0 / np.maximum(scale, 1e-9)
     frame[:, :2, 2] = -shift / np.maximum(scale, 1e-9)[:, None]
@@ -58,11 +61,14 @@ def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) ->
 def _constrained(s1: FloatArray, s2: FloatArray, s3: FloatArray, ridge: float) -> tuple[FloatArray, FloatArray]:
     """Minimise over conics with 4 a c - b^2 = 1: the quadratic and the linear coefficients."""
     added = ridge * np.trace(s3, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+    # The best linear terms for given quadratic ones: -S3^-1 S2^T.
     to_linear = -np.linalg.solve(s3 + added, np.swapaxes(s2, 1, 2))
     reduced = s1 + s2 @ to_linear
+    # C1^-1 (S1 - S2 S3^-1 S2^T), with C1 the matrix of 4 a c - b^2: an eigenvalue problem of three unknowns.
     turned = np.stack([reduced[:, 2] / 2.0, -reduced[:, 1], reduced[:, 0] / 2.0], axis=1)
     values, vectors = np.linalg.eig(turned)
     real = vectors.real
+    # One eigenvector alone is an ellipse; rounding can make others appear so, of which the least residual counts.
     definite = 4.0 * real[:, 0] * real[:, 2] - real[:, 1] ** 2
     usable = (definite > 0.0) & (np.abs(values.imag) < 1e-8)
     choice = np.argmin(np.where(usable, np.abs(values.real), np.inf), axis=1)
@@ -84,7 +90,9 @@ def sampson_distances(points: FloatArray, conics: FloatArray) -> FloatArray:
     homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     pulled = np.einsum("mij,mkj->mki", conics, homogeneous)
     value = np.einsum("mki,mki->mk", pulled, homogeneous)
+    # The gradient of x^T C x by the pixel is twice the first two components of C x.
     slope = 2.0 * np.linalg.norm(pulled[..., :2], axis=-1)
+    # A conic is defined up to its sign; with a positive trace the form is negative inside.
     sign = np.where(np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0, -1.0, 1.0)
     return np.asarray(sign[:, None] * value / np.maximum(slope, 1e-12), dtype=np.float64)
 
@@ -145,6 +153,7 @@ class Ellipses:
         t = np.arange(count) * (2.0 * np.pi / count)
         along = self.semi_axes_px[:, :1] * np.cos(t)
         across = self.semi_axes_px[:, 1:] * np.sin(t)
+        # Gradient of (x / a)^2 + (y / b)^2 at (a cos t, b sin t), times a b.
         normal = np.stack([self.semi_axes_px[:, 1:] * np.cos(t), self.semi_axes_px[:, :1] * np.sin(t)], axis=-1)
         turn = self._turns()
         points = np.einsum("nij,nkj->nki", turn, np.stack([along, across], axis=-1)) + self.centre_px[:, None]
@@ -154,6 +163,7 @@ class Ellipses:
     def conics(self) -> FloatArray:
         """(n, 3, 3) symmetric matrices C with x^T C x = 0 on the rim, x = (u, v, 1), and negative inside."""
         turn = self._turns()
+        # R diag(1 / a^2, 1 / b^2) R^T.
         shape = turn @ (np.swapaxes(turn, 1, 2) / self.semi_axes_px[:, :, None] ** 2)
         pulled = np.einsum("nij,nj->ni", shape, self.centre_px)
         last = np.einsum("ni,ni->n", pulled, self.centre_px) - 1.0
@@ -190,10 +200,12 @@ class Ellipses:
         real = np.asarray(np.isfinite(conics).all(axis=(1, 2)), dtype=np.bool_)
         real[real] = np.linalg.det(conics[real, :2, :2]) > 0.0
         kept = conics[real]
+        # The gradient vanishes in the centre; the form's value there is negative for a real ellipse.
         centre = -np.linalg.solve(kept[:, :2, :2], kept[:, :2, 2:])[:, :, 0]
         scale = np.einsum("ni,ni->n", kept[:, 2, :2], centre) + kept[:, 2, 2]
         inside = scale < 0.0
         real[real] = inside
+        # Scaled so that (x - c)^T S (x - c) = 1 on the rim: eigenvalues are 1 / semi-axis^2.
         values, vectors = np.linalg.eigh(kept[inside, :2, :2] / -scale[inside, None, None])
         has_axes = values[:, 0] > 0.0
         real[real] = has_axes
@@ -208,10 +220,10 @@ class Ellipses:
 
 
 def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArray, radius_m: FloatArray) -> Ellipses:
-    """Project circles of the body frame (plane rims of ideal craters) to ellipses in the image.
+    """Project circles of the body frame (plane rims of ideal craters) to ellipses in the image of the pinhole.
 
-    A point of circle i is H (cos t, sin t, 1) in the image with H = K [r e1, r e2, c] in camera axes, so that its
-    conic is H^-T diag(1, 1, -1) H^-1.
+    Distortion of the lens is not applied. A point of circle i is H (cos t, sin t, 1) in the image with
+    H = K [r e1, r e2, c] in camera axes, so that its conic is H^-T diag(1, 1, -1) H^-1.
 
     Parameters
     ----------

@@ -48,6 +48,7 @@ class TriangleMesh:
             if arrays["albedo"].shape != (len(vertices),):
                 raise BoresightError(f"albedo has shape {arrays['albedo'].shape}, not ({len(vertices)},)")
         for name, value in arrays.items():
+            # Copies that cannot be written: meshes are shared and their derived quantities cached.
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
@@ -75,6 +76,7 @@ class TriangleMesh:
     @cached_property
     def volume_m3(self) -> float:
         """Signed volume: positive for a closed mesh whose normals point outward."""
+        # Divergence theorem: the sum of tetrahedra between the origin and the facets.
         return float(np.einsum("fi,fi->", self.corners_m[:, 0], self.area_vectors_m2) / 3.0)
 
     @cached_property

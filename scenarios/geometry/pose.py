@@ -24,6 +24,7 @@ def cross_matrix(vectors: FloatArray) -> FloatArray:
 
 def plane_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors (n, 3) perpendicular to each unit normal (n, 3); first, second, normal are right-handed."""
+    # The coordinate axis farthest from the normal: the product cannot vanish.
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     first = np.cross(normals, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -99,6 +100,7 @@ class Pose:
 
     def transform(self, points_m: FloatArray) -> FloatArray:
         """Take points (..., 3) in ``from_frame`` to ``to_frame``."""
+        # R x for rows x.
         return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.translation_m
 
     def rotate(self, vectors: FloatArray) -> FloatArray:
@@ -140,10 +142,13 @@ def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
     if not distance > 0.0:
         raise BoresightError("a camera at the body's origin has no direction to look: choose a range above 0 m")
     forward = -position / distance
+    # Within 0.08 deg of a pole, where the direction of north has no digits.
     north = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999999 else np.array([1.0, 0.0, 0.0])
+    # x right, y down, z forward: with north up, right = forward x up and down = forward x right.
     right = np.cross(forward, north)
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     cos_roll, sin_roll = np.cos(roll_rad), np.sin(roll_rad)
+    # Rows are the camera axes in the body frame.
     rotation = np.stack([cos_roll * right + sin_roll * down, -sin_roll * right + cos_roll * down, forward])
     return Pose(rotation, -rotation @ position)

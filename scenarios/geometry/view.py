@@ -1,4 +1,4 @@
-"""A view of a body (camera, pose and Sun), and its lines of sight' intersections with the surface."""
+"""A view of a body (camera, pose and Sun), and the intersections of its lines of sight with the surface."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class View:
     Parameters
     ----------
     camera
-        The pinhole camera.
+        The camera, with any distortion of its lens.
     T_cam_body
         Body to camera coordinates, metres.
     sun_dir_body

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from scenarios.errors import printable
 
 Scalar = str | int | float | bool | None
-_LARGEST_EXACT = 2**53
+_LARGEST_EXACT = 2**53  # beyond, not every whole number is a float
 
 
 @dataclass(frozen=True, slots=True)

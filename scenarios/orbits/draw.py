@@ -28,8 +28,10 @@ BoolArray = NDArray[np.bool_]
 def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:
     """Draw the a priori knowledge with its errors; ``state`` (6,) is the true one at the epoch."""
     rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
+    # Mean motion: the error of the velocity is that of the position times it.
     rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
     ways = rng.normal(size=(2, 3))
+    # Random directions of a given length: the variance of a coordinate is a third of its square.
     ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)
     error = np.concatenate([ways[0], rate * ways[1]])
     gm, light = 1.0 + known.gm_sigma * rng.normal(), 1.0 + known.light_sigma * rng.normal()
@@ -63,6 +65,7 @@ def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRo
         return true
     across_rad = np.radians(known.pole_sigma_deg) * rng.normal(size=2)
     longer = 1.0 + known.spin_sigma * rng.normal()
+    # Left of R_body_inertial: about the body's x and y axes, which moves the pole.
     tilt = Rotation.from_rotvec([*across_rad, 0.0]).as_matrix()
     return UniformRotation(tilt @ true.R_body_inertial, longer * true.rate_rad_s)
 
@@ -78,6 +81,7 @@ def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) 
     bias = spec.range_bias_sigma_m * rng.normal()
     # A displacement towards the Earth shortens the range.
     ranges = -flown.radio_states[:, :3] @ earth + bias + spec.range_sigma_m * rng.normal(size=n)
+    # The bias of the range is constant and has no rate.
     rates = -flown.radio_states[:, 3:] @ earth + spec.range_rate_sigma_m_s * rng.normal(size=n)
     return Radiometry(
         earth, flown.radio_s, ranges, rates, spec.range_sigma_m, spec.range_rate_sigma_m_s, spec.range_bias_sigma_m
@@ -155,6 +159,7 @@ class _Pointing:
         """Point each image at a random lit and visible crater, or at the origin if there is none."""
         rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
         errors = PointingErrors.draw(world, images, rng)
+        # Drawn for all images at once: how many craters are in view must not shift the stream.
         aims = rng.uniform(size=images)
         turns = world.rotation.at(flown.times_s)
         sun = np.array(world.spec.light.sun_dir) / np.linalg.norm(world.spec.light.sun_dir)
@@ -164,6 +169,7 @@ class _Pointing:
             target = turns[i].T @ horizons.points_m[seen[int(aims[i] * len(seen))]] if len(seen) else np.zeros(3)
             reported[i] = _pointed_at(state, target)
             rows.append(seen)
+        # The camera is pointed by the reported attitude; the true one differs by the errors.
         return cls(reported, errors.R_true_reported @ reported, errors.camera, tuple(rows))
 
 
@@ -171,6 +177,7 @@ def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
     """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
     forward = target_m - state[:3]
     forward = forward / np.linalg.norm(forward)
+    # The part of the velocity across the boresight.
     right = state[3:] - (state[3:] @ forward) * forward
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward])
@@ -185,6 +192,7 @@ def _pictures(
     turns = world.rotation.at(flown.times_s)
     parts: list[tuple[IndexArray, IndexArray, FloatArray, IndexArray, BoolArray]] = []
     for i, rows in enumerate(pointing.rows):
+        # Rows times R_body_inertial are its transpose times columns: body to inertial axes.
         inertial = asteroid.horizons.points_m[rows] @ turns[i] - flown.image_states[i, :3]
         uv = pointing.camera.project(inertial @ pointing.true[i].T)
         inside = world.camera.contains(uv, spec.margin_px)
@@ -192,6 +200,7 @@ def _pictures(
         chosen = draw_found_craters(rows, asteroid.prominence, spec, rng)
         reported, wrong = misidentify(numbers[rows], chosen, uv, spec, rng)
         seen = uv[chosen] + spec.noise_px * rng.normal(size=(len(chosen), 2))
+        # A number can occur once in an image: the first sighting of it is kept.
         _, first = np.unique(reported, return_index=True)
         once = np.sort(first)
         parts.append((np.full(len(once), i), reported[once], seen[once], rows[chosen][once], wrong[once]))
@@ -208,12 +217,15 @@ def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> L
     times = pictures.times_s[used]
     try:
         states = propagate_states(knowledge.field, knowledge.state, times, PiecewiseAcceleration.none(float(times[-1])))
+    # A poor a priori orbit can lead into the body. Positions by the state at the epoch are wrong, but the trial goes on.
     except OrbitLostError:
         states = np.tile(knowledge.state, (len(times), 1))
     turns = knowledge.field.rotation.at(times)
     rays = knowledge.camera.unproject(pictures.uv_px[first])
+    # R_body_inertial R_inertial_cam ray.
     rays = np.einsum("nij,nkj,nk->ni", turns[place], pictures.R_cam_inertial[image], rays)
     origins = np.einsum("nij,nj->ni", turns[place], states[place, :3])
     points = world.onboard.shape.intersect(origins, rays)
+    # Errors of the a priori shape and of the orbit, as if the same on each coordinate.
     sigma = float(np.hypot(world.onboard.shape.rms_m, world.spec.knowledge.position_m))
     return LandmarkFile(numbers, points, np.full(len(numbers), sigma))

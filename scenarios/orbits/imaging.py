@@ -40,6 +40,7 @@ class PointingErrors:
         mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
         shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
         focal = 1.0 + spec.focal_error * rng.normal()
+        # Left of the reported attitude: about camera axes, the constant mounting first.
         turns = Rotation.from_rotvec(shake).as_matrix() @ Rotation.from_rotvec(mounting).as_matrix()
         camera = Camera(
             known.width_px, known.height_px, known.fx_px * focal, known.fy_px * focal, known.cx_px, known.cy_px
@@ -82,6 +83,7 @@ def true_views(
     views = []
     for state, turn, attitude in zip(flown.image_states, turns, attitudes, strict=True):
         rotation = attitude @ turn.T
+        # The shape model's origin is not the centre of mass.
         position = turn @ state[:3] + world.asteroid.centre_m
         views.append(View(errors.camera, Pose(rotation, -rotation @ position), turn @ sun))
     return tuple(views)

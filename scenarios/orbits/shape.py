@@ -14,9 +14,9 @@ from scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 
-_STEP_DEG = 2.0
-_MARCHES = 256
-_BISECTIONS = 30
+_STEP_DEG = 2.0  # of the table of radii
+_MARCHES = 256  # points on a ray through the enclosing sphere
+_BISECTIONS = 30  # of the step in which a ray enters
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +44,12 @@ class StarShape:
     def intersect(self, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
         """(n, 3) first intersections of rays (n, 3); for misses, the surface point below the ray's nearest point."""
         reach = float(self.radii_m.max())
+        # Distance along the ray of the point nearest to the origin.
         middle = -np.einsum("ni,ni->n", origins_m, directions)
         near, far = np.maximum(middle - reach, 0.0), middle + reach
         marks = near[:, None] + (far - near)[:, None] * np.linspace(0.0, 1.0, _MARCHES)
         inside = self._height(origins_m, directions, marks) < 0.0
+        # A body thinner along the ray than a step between marks is missed.
         first = np.argmax(inside, axis=1)
         low = np.take_along_axis(marks, np.maximum(first - 1, 0)[:, None], 1)
         high = np.take_along_axis(marks, first[:, None], 1)
@@ -57,6 +59,7 @@ class StarShape:
             low, high = np.where(below, low, half), np.where(below, half, high)
         missed = ~inside.any(axis=1)
         points = origins_m + np.where(missed, middle, high[:, 0])[:, None] * directions
+        # The nearest point of a ray that misses, moved radially to the surface.
         points[missed] *= (self.radius(points[missed]) / np.linalg.norm(points[missed], axis=1))[:, None]
         return points
 
@@ -85,6 +88,7 @@ def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
     radii = np.linalg.norm(mesh.vertices_m, axis=1)
     unit = mesh.vertices_m / radii[:, None]
     weights, basis = _solid_angles(mesh, len(radii)), _basis(unit, degree)
+    # Normal equations: vertices crowd where the mesh is fine, so that each counts by its solid angle.
     heavy = basis * weights[:, None]
     found = np.linalg.solve(heavy.T @ basis, heavy.T @ radii)
     rms = np.sqrt(np.average((basis @ found - radii) ** 2, weights=weights))
@@ -98,6 +102,7 @@ def _basis(unit: FloatArray, degree: int) -> FloatArray:
     c, s = solid_harmonics(unit, degree)
     orders = np.concatenate([np.arange(n + 1) for n in range(degree + 1)])
     scale = normalisation(degree)[:, None]
+    # On the unit sphere solid harmonics are surface harmonics. Those of sin(0 lambda) are zero and left out.
     return np.asarray(np.concatenate([c / scale, (s / scale)[orders > 0]]).T)
 
 
@@ -116,6 +121,7 @@ def _directions(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
 def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
     """(V,) sum of a third of the solid angles of the adjacent facets; facets that face inward count as zero."""
     middles = mesh.corners_m.mean(axis=1)
+    # Solid angle of a small facet: its area across the line of sight over the squared distance.
     angles = np.einsum("fi,fi->f", middles, mesh.area_vectors_m2) / np.linalg.norm(middles, axis=1) ** 3
     found = np.zeros(vertices)
     np.add.at(found, mesh.faces, np.maximum(angles, 0.0)[:, None] / 3.0)
@@ -127,6 +133,7 @@ def _lattice_mesh(radii: FloatArray) -> TriangleMesh:
     latitudes, longitudes = _lattice()
     rows, columns = len(latitudes), len(longitudes) - 1
     unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])
+    # The last longitude repeats the first and is left out.
     ring = (unit * radii[1:-1, :-1, None]).reshape(-1, 3)
     poles = np.array([[0.0, 0.0, -radii[0, 0]], [0.0, 0.0, radii[-1, 0]]])
     here = np.arange(columns)

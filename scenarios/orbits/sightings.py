@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_BINS = 72
+_BINS = 72  # of azimuth, 5 deg each
 _AT_ONCE = 64
 
 
@@ -47,6 +47,7 @@ class Horizons:
         corners = mesh.corners_m
         middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
         ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])
+        # Side of the square of ground that one of the points stands for.
         spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
         tangents = np.zeros((len(points_m), _BINS))
         for start in range(0, len(points_m), _AT_ONCE):
@@ -61,10 +62,12 @@ class Horizons:
         x = np.einsum("ki,ki->k", self.first[rows], towards)
         y = np.einsum("ki,ki->k", self.second[rows], towards)
         z = np.einsum("ki,ki->k", self.normals[rows], towards)
+        # In bins from the centre of the first one: the horizon is interpolated between centres.
         place = np.arctan2(y, x) / (2.0 * np.pi) * _BINS - 0.5
         low = np.floor(place).astype(np.int64)
         share = place - low
         edge = (1.0 - share) * self.tangents[rows, low % _BINS] + share * self.tangents[rows, (low + 1) % _BINS]
+        # tan(elevation) = z / hypot(x, y), compared without a division.
         above: BoolArray = z > edge * np.hypot(x, y)
         return above
 
@@ -72,12 +75,14 @@ class Horizons:
 def _horizon_tangents(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
     """(bins,) tangents of the horizon; terrain nearer than two point spacings is ignored."""
     up = offsets @ axes[2]
+    # Terrain below the tangent plane cannot hide what is above it: the horizon is 0 at least.
     offsets, up = offsets[up > 0.0], up[up > 0.0]
     x, y = offsets @ axes[0], offsets @ axes[1]
     away = np.hypot(x, y)
     kept = away > 2.0 * spacing
     x, y, up, away = x[kept], y[kept], up[kept], away[kept]
     azimuth = np.arctan2(y, x) / (2.0 * np.pi) * _BINS
+    # Half the azimuth that the ground of a point takes up, in bins.
     half = 0.5 * spacing / away / (2.0 * np.pi) * _BINS
     found = np.zeros(_BINS)
     slope = up / away
@@ -105,10 +110,12 @@ def draw_found_craters(
     rows: IndexArray, prominence: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> IndexArray:
     """Draw which of the craters in view are detected: positions in ``rows``, ascending."""
+    # Poisson with a gamma-distributed mean, the negative binomial law: images differ in how many craters are found.
     mean = spec.per_image * rng.gamma(spec.per_image_shape) / spec.per_image_shape
     count = min(int(rng.poisson(mean)), len(rows))
     if not count:
         return np.zeros(0, dtype=np.int64)
+    # Without replacement: a prominent crater is found more often, none twice.
     weights = prominence[rows] / prominence[rows].sum()
     return np.sort(rng.choice(len(rows), count, replace=False, p=weights))
 
@@ -147,10 +154,12 @@ def misidentify(
         (n, 2) pixels of all of them; a wrong number is that of another crater in view, weighted by a Gaussian of the
         distance.
     """
+    # One draw for each sighting, whatever the share is.
     wrong = rng.uniform(size=len(chosen)) < spec.wrong_share
     reported = numbers[chosen].copy()
     for k in np.flatnonzero(wrong):
         apart = np.sum((uv_px - uv_px[chosen[k]]) ** 2, axis=1)
+        # Craters with the same number, the crater itself or one merged with it, are no wrong ones.
         weights = np.exp(-0.5 * apart / spec.wrong_within_px**2) * (numbers != numbers[chosen[k]])
         if weights.sum() > 0.0:
             reported[k] = numbers[rng.choice(len(numbers), p=weights / weights.sum())]

@@ -20,18 +20,21 @@ FloatArray = NDArray[np.float64]
 
 DAY_S = 86_400.0
 _STEPS_PER_CORRELATION_TIME = 4
-_WANTED_S = 6 * 3600.0
-_ANOMALY_DEGREES = (2, 3)
+_WANTED_S = 6 * 3600.0  # between two requested states
+_ANOMALY_DEGREES = (2, 3)  # of the density anomalies
 
 
 def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
     """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements."""
     a, e, mean = arc.semi_major_axis_m, arc.eccentricity, np.radians(arc.anomaly_deg % 360.0)
+    # Kepler's equation M = E - e sin E; the bracket holds E for all e < 1 and M in [0, 2 pi).
     eccentric = float(brentq(lambda x: x - e * np.sin(x) - mean, -1.0, 2.0 * np.pi + 1.0, xtol=1e-14))
     root, c, s = np.sqrt(1.0 - e * e), np.cos(eccentric), np.sin(eccentric)
+    # In the plane of the orbit, x to the pericentre.
     position = a * np.array([c - e, root * s, 0.0])
     velocity = np.sqrt(gm_m3_s2 / a) / (1.0 - e * c) * np.array([-s, root * c, 0.0])
     angles = [arc.node_deg, arc.inclination_deg, arc.pericentre_deg]
+    # Rz(node) Rx(inclination) Rz(pericentre); capitals are rotations about the turned axes.
     turn = Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix()
     return np.concatenate([turn @ position, turn @ velocity])
 
@@ -89,6 +92,7 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     c, s = harmonics.c.copy(), harmonics.s.copy()
     for n in (n for n in _ANOMALY_DEGREES if n <= harmonics.degree):
         c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
+        # There is no S of order 0.
         s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
     field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
     end = (arc.days + arc.predicted_days) * DAY_S
@@ -97,6 +101,8 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
         return field, PiecewiseAcceleration.none(end)
     step = light.noise_days * DAY_S / _STEPS_PER_CORRELATION_TIME
     pieces = int(np.ceil(end / step))
+    # x_(k+1) = phi x_k + sqrt(1 - phi^2) w, phi = exp(-step / correlation time): the variance stays 1 from the first
+    # draw.
     kept = np.exp(-1.0 / _STEPS_PER_CORRELATION_TIME)
     push = np.empty((pieces, 3))
     now = rng.normal(size=3)

@@ -20,7 +20,7 @@ from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
 
 FloatArray = NDArray[np.float64]
 
-_PROMINENCE = 0.5
+_PROMINENCE = 0.5  # standard deviation of the logarithm of a crater's detection weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,7 @@ class Asteroid:
         centre = centre_of_mass(mesh)
         centred = TriangleMesh(mesh.vertices_m - centre, mesh.faces)
         harmonics = shape_gravity(centred, spec)
+        # Trial 0: all trials of a campaign have the same craters.
         rng = generator(seed, Stream.ORBIT_CRATERS, 0)
         points, normals = MeshGround(centred).sample(spec.sightings.craters, rng)
         prominence = np.exp(_PROMINENCE * rng.normal(size=len(points)))
@@ -115,12 +116,14 @@ def centre_of_mass(mesh: TriangleMesh) -> FloatArray:
     """(3,) centroid of a closed mesh: the centre of mass for constant density."""
     corners = mesh.corners_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    # Tetrahedra between the origin and the facets: each has its centroid at (a + b + c) / 4.
     return np.asarray(np.einsum("f,fi->i", volumes, corners.sum(axis=1)) / 4.0 / volumes.sum())
 
 
 def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
     """Return the harmonics of a homogeneous shape; degree 1 is set to zero (origin at the centre of mass)."""
     asteroid = spec.asteroid
+    # The smallest sphere about the body: harmonics converge outside it.
     radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
     found = homogeneous_harmonics(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
     c, s = found.c.copy(), found.s.copy()

@@ -14,8 +14,8 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _LEAF_FACETS = 4
-_SLACK = 1e-9
-_PAIRS_AT_ONCE = 1 << 18
+_SLACK = 1e-9  # in lengths of a ray
+_PAIRS_AT_ONCE = 1 << 18  # of a ray and a box, which bounds the memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +40,12 @@ class FacetTree:
     def of(cls, mesh: TriangleMesh) -> FacetTree:
         """Build the tree by median splits of the facet centres along the longest side."""
         corners = mesh.corners_m
+        # A complete tree: the number of leaves is a power of two.
         levels = max(0, int(np.ceil(np.log2(len(corners) / _LEAF_FACETS))))
         groups = _halved(corners.mean(axis=1), levels)
         leaves = corners[groups]
         low, high = [leaves.min(axis=(1, 2))], [leaves.max(axis=(1, 2))]
+        # The box of a parent encloses those of its two children, level by level up to the root.
         while len(low[0]) > 1:
             low.insert(0, np.minimum(low[0][0::2], low[0][1::2]))
             high.insert(0, np.maximum(high[0][0::2], high[0][1::2]))
@@ -56,6 +58,7 @@ class FacetTree:
         """
         rays = points_m - origin_m
         hidden = np.zeros(len(rays), dtype=bool)
+        # About 64 boxes for each ray.
         share = max(1, _PAIRS_AT_ONCE // 64)
         for start in range(0, len(rays), share):
             hidden[start : start + share] = self._hidden(rays[start : start + share], origin_m)
@@ -70,6 +73,7 @@ class FacetTree:
             (n,) distances in lengths of the ray, infinite for misses, and (n, 3, 3) corners of the facets, NaN for
             misses.
         """
+        # About 256 boxes for each ray, which does not end at a point of the surface.
         share = max(1, _PAIRS_AT_ONCE // 256)
         nearest, corners = np.full(len(rays_m), np.inf), np.full((len(rays_m), 3, 3), np.nan)
         for start in range(0, len(rays_m), share):
@@ -99,6 +103,7 @@ class FacetTree:
     def _leaves(self, rays: FloatArray, origins: FloatArray, end: float) -> tuple[IndexArray, IndexArray]:
         """Return pairs of rays, (P,), and leaves, (P,), whose boxes they intersect before ``end`` lengths."""
         with np.errstate(divide="ignore"):
+            # A component of 0 gives infinity, with which the slabs work.
             inverse = 1.0 / rays
         ray = np.arange(len(rays), dtype=np.int64)
         node = np.zeros(len(rays), dtype=np.int64)
@@ -106,6 +111,7 @@ class FacetTree:
         while len(ray):
             meets = self._meets(node, origins[ray], inverse[ray], end)
             ray, node = ray[meets], node[meets]
+            # All pairs are on the same level.
             if len(node) and node[0] >= first_leaf:
                 break
             ray, node = np.repeat(ray, 2), np.stack([2 * node + 1, 2 * node + 2], axis=1).ravel()
@@ -115,6 +121,7 @@ class FacetTree:
         """(P,) whether each ray intersects its box before its end (slab method, Kay and Kajiya 1986)."""
         with np.errstate(invalid="ignore"):
             one, other = (self.low_m[node] - origin) * inverse, (self.high_m[node] - origin) * inverse
+        # 0 times infinity is NaN, where a ray runs within a side of the box; fmin and fmax ignore it.
         enter = np.fmin(one, other).max(axis=1)
         leave = np.fmax(one, other).min(axis=1)
         met: BoolArray = (enter <= leave + _SLACK) & (leave >= 0.0) & (enter < end)
@@ -127,6 +134,7 @@ def _halved(middles: FloatArray, levels: int) -> IndexArray:
     for _ in range(levels):
         halves = []
         for group in groups:
+            # Stable order: the tree is the same on every machine.
             axis = int(np.ptp(middles[group], axis=0).argmax())
             order = group[np.argsort(middles[group, axis], kind="stable")]
             halves += np.array_split(order, 2)
@@ -147,4 +155,5 @@ def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> Floa
         u = np.einsum("pi,pi->p", offset, p) / determinant
         v = np.einsum("pi,pi->p", rays, q) / determinant
         t = np.einsum("pi,pi->p", edge2, q) / determinant
+    # Comparisons with NaN or infinity, of rays parallel to their facet, are false.
     return np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.nan)

@@ -124,12 +124,15 @@ def _displace_outliers(
     uv_px: FloatArray, tracked: BoolArray, camera: Camera, vision: VisionSpec, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     """Move some tracked points to the nearest other point or anywhere in the image; new tracks are not changed."""
+    # Drawn for all tracks, so that the shares do not shift the stream.
     luck, anywhere = rng.uniform(size=len(uv_px)), rng.uniform(size=uv_px.shape) * [camera.width_px, camera.height_px]
+    # One number decides both: mismatches at its low end, outliers at its high end.
     mismatched = tracked & (luck < vision.mismatch_share) & (len(uv_px) > 1)
     outlying = tracked & ~mismatched & (luck > 1.0 - vision.outlier_share)
     placed = np.where(outlying[:, None], anywhere, uv_px)
     if mismatched.any():
         apart = np.linalg.norm(uv_px[:, None] - uv_px, axis=2)
+        # Not the point itself.
         np.fill_diagonal(apart, np.inf)
         placed[mismatched] = uv_px[apart.argmin(axis=1)[mismatched]]
     return placed, mismatched | outlying

@@ -15,6 +15,7 @@ from scenarios.sequences.bvh import FacetTree
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+# The real root of x^3 = x + 1: its powers give the R2 lattice, as the golden ratio gives the spiral.
 _PLASTIC = 1.32471795724474602596
 _LATTICE = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
 _GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
@@ -63,6 +64,7 @@ class SphereGround:
     def spread(self, n: int) -> tuple[FloatArray, FloatArray]:
         """Place points on a Fibonacci spiral."""
         steps = np.arange(n)
+        # Middles of bands of equal area; each next point is a golden section of the circle on.
         return self._at(1.0 - (2.0 * steps + 1.0) / n, 2.0 * np.pi * (steps / _GOLDEN % 1.0))
 
     def _at(self, z: FloatArray, longitude: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -109,6 +111,7 @@ class MeshGround:
         total = self._cumulated_areas
         facet = np.minimum(np.searchsorted(total, areas_m2, side="right"), len(total) - 1)
         u, v = uv
+        # The half of the parallelogram beyond the triangle is folded back: uniform without a rejection.
         folded = u + v > 1.0
         u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
         a, b, c = np.moveaxis(self.mesh.corners_m[facet], 1, 0)
@@ -129,6 +132,7 @@ class MeshGround:
         """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays hit the body; NaN for misses."""
         along, corners = self._tree.first_met(origin_body_m, directions_body)
         area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # Misses are infinite, and infinity times 0 must not be a point.
         met = np.where(np.isfinite(along), along, np.nan)
         points = origin_body_m + met[:, None] * directions_body
         return points, area / np.linalg.norm(area, axis=1, keepdims=True)

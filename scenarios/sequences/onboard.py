@@ -57,6 +57,7 @@ def onboard_sequence(
     ranges = [measured_ranges(sightings, trajectory.poses[0], camera, knowledge, rng)]
     ranges += _later_ranges(sightings, trajectory, camera, knowledge, generator(seed, Stream.RANGES, trial))
     misalignment = np.radians(knowledge.misalignment_sigma_deg)
+    # Noise for each frame, and one misalignment for all.
     turns = star_tracker * rng.normal(size=(len(trajectory.poses), 3)) + misalignment * rng.normal(size=3)
     lasting = np.hypot(misalignment, rotation_sigma_rad(trajectory.times_s, spec))
     sigmas = np.hypot(star_tracker, lasting)
@@ -83,6 +84,7 @@ def onboard_sequence(
 
 def _known_attitude(pose: Pose, true: FloatArray, known: FloatArray, turn: FloatArray) -> FloatArray:
     """R_cam_body from the star tracker, with a rotation error, and from the onboard attitude of the body."""
+    # R_cam_inertial R_inertial_body(known); with the true attitude R_cam_body is unchanged to the last bit.
     rotation = pose.rotation if np.array_equal(known, true) else pose.rotation @ true @ known.T
     return Rotation.from_rotvec(turn).as_matrix() @ rotation if turn.any() else rotation
 
@@ -99,6 +101,7 @@ def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.r
     rate = angular_velocity(motion)
     tilts = np.radians(knowledge.pole_sigma_deg) * rng.normal(size=2)
     longer = 1.0 + knowledge.spin_sigma * rng.normal()
+    # The tilt is about two axes across the angular velocity.
     believed = longer * Rotation.from_rotvec(_perpendicular(rate).T @ tilts).apply(rate)
     return attitude_function(motion, believed, float(trajectory.times_s[-1]))(trajectory.times_s)
 
@@ -113,6 +116,7 @@ def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
     angle = np.linalg.norm(angular_velocity(motion)) * times_s
     about = knowledge.spin_sigma * angle
     across = 2.0 * np.radians(knowledge.pole_sigma_deg) * np.sin(0.5 * angle)
+    # Two tilts, each about an axis across the pole: the mean square of three axes.
     return np.asarray(np.sqrt((about**2 + 2.0 * across**2) / 3.0), dtype=np.float64)
 
 
@@ -140,6 +144,7 @@ def predicted_moves(
         distance = float(np.linalg.norm(true))
         moved = true + knowledge.motion_error * distance * draw_direction(_ALL_LATITUDES_RAD, rng)
         sigma_m = max(knowledge.motion_error, _LEAST_MOTION_ERROR) * distance / np.sqrt(3.0)
+        # R_new c_new - R_old c_old = R_new (c_new - c_old) + (R_new - R_old) c_old in body axes.
         moves.append((new @ moved + (new - old) @ before, np.eye(3) * sigma_m**2))
     return moves
 
@@ -174,6 +179,7 @@ def measured_ranges(
     off_axis = np.linalg.norm(here.uv_px - [camera.cx_px, camera.cy_px], axis=1)
     lasting = knowledge.range_to == "lasting"
     last = np.sum([np.isin(here.tracks, s.tracks) for s in sightings], axis=0) if lasting else np.zeros(len(off_axis))
+    # The last key counts first: most frames to come, then nearest the principal point.
     rows = np.lexsort((off_axis, -last))[: knowledge.ranges]
     true = np.linalg.norm(here.points_m[rows] - pose.camera_position_m, axis=1)
     errors = knowledge.range_sigma_m * rng.normal(size=len(rows))

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
-_MOST_ROUNDS = 1000
+_MOST_ROUNDS = 1000  # of draws to fill a frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +93,7 @@ def _fixed_field_tracks(
     landmarks in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
     """
     share = vision.tracked_share
+    # Only the share f of the landmarks in view is tracked.
     points, normals = visibility.ground.sample(int(rng.poisson(total / share)), rng)
     track = np.full(len(points), -1)
     landmarks: list[int] = []
@@ -103,6 +104,7 @@ def _fixed_field_tracks(
         visible, luck = visibility.visible(points, normals, view), rng.uniform(size=len(points))
         alive = np.flatnonzero(track >= 0)
         stayed = _survivors(alive, visible[alive], keep, vision, rng)
+        # In balance (1 - f) chance = f (1 - k): as many tracks are found as are lost.
         chance = np.where(older, (1.0 - keep) * share / (1.0 - share), share)
         found = np.flatnonzero(visible & (track < 0) & (luck < chance))
         track[np.setdiff1d(alive, stayed)] = -1
@@ -126,6 +128,7 @@ def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.
     pairs: list[IndexArray] = []
     before = np.empty(0, dtype=np.int64)
     for tracks in simulated.seen:
+        # The last track of each landmark, unless it goes on in this frame.
         lost = np.array(sorted(set(last.values()) - set(tracks.tolist())), dtype=np.int64)
         new = np.setdiff1d(tracks, before)
         found = [_identified_with(int(one), lost, last, simulated, vision, float(rng.uniform())) for one in new]
@@ -141,6 +144,7 @@ def _identified_with(
     """Return a new track and the lost one that it is identified with; None if it has none."""
     landmark = int(simulated.landmarks[track])
     others = lost[simulated.landmarks[lost] != landmark]
+    # One number decides both: mistakes at its low end, recognition at its high end.
     if luck < vision.mistaken and len(others):
         apart = np.linalg.norm(simulated.points_m[others] - simulated.points_m[track], axis=1)
         return track, int(others[apart.argmin()])
@@ -152,6 +156,7 @@ def _identified_with(
 def _change_deg(before: Pose, pose: Pose) -> float:
     """Angle at the body's origin between two camera positions."""
     a, b = before.camera_position_m, pose.camera_position_m
+    # atan2 keeps the digits of small angles, which the arc cosine loses.
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
@@ -159,6 +164,7 @@ def _survivors(
     alive: IndexArray, visible: BoolArray, keep: float, vision: VisionSpec, rng: np.random.Generator
 ) -> IndexArray:
     """Choose the surviving tracks; at least ``min_connection`` of the visible ones, those with the smallest draws."""
+    # Tracks that are not visible never survive.
     luck = np.where(visible, rng.uniform(size=len(alive)), np.inf)
     floor = min(vision.min_connection, int(visible.sum()))
     threshold = np.sort(luck)[floor - 1] if floor else -np.inf
@@ -176,6 +182,7 @@ def _births(
     """Draw points and normals of new tracks; ``around`` are two frames, ``numbers`` (population, survivors)."""
     total, alive = numbers
     if vision.count == "average":
+        # A Poisson field over the whole surface, thinned by visibility and chance, is one of lower density.
         return _draw_births(visibility, around, keep, int(rng.poisson(total)), rng)
     missing = max(round(vision.landmarks_per_frame) - alive, 0)
     points, normals = np.empty((0, 3)), np.empty((0, 3))
@@ -194,6 +201,7 @@ def _draw_births(
     points, normals = visibility.ground.sample(n, rng)
     luck = rng.uniform(size=n)
     free = visibility.visible(points, normals, view)
+    # With the probability k a place that was visible before is taken by a track; with 1 - k it is free.
     rows = np.flatnonzero(free & (luck < keep))
     if before is not None:
         free[rows] &= ~visibility.visible(points[rows], normals[rows], before)

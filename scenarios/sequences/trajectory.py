@@ -48,6 +48,7 @@ def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
     """
     normal = np.asarray(orbit.normal_body, dtype=np.float64)
     normal = normal / np.linalg.norm(normal)
+    # Within 0.08 deg of x its projection on the orbit's plane has no digits.
     along = np.eye(3)[0] if abs(normal[0]) < 0.999999 else np.eye(3)[1]
     first = along - (along @ normal) * normal
     first /= np.linalg.norm(first)
@@ -78,6 +79,7 @@ def nadir_pose(position_m: FloatArray, velocity_m_s: FloatArray) -> Pose:
 
 
 def _look_down(position_m: FloatArray, radial: FloatArray, normal: FloatArray) -> Pose:
+    # Rows: forward motion on a circle, against the normal, down. x cross y = z.
     rotation = np.stack([np.cross(normal, radial), -normal, -radial])
     return Pose(rotation, -rotation @ position_m, from_frame="inertial")
 
@@ -119,6 +121,7 @@ def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: f
     if motion.kind == "none" or not rate_rad_s.any():
         return lambda times_s: np.tile(np.eye(3), (len(times_s), 1, 1))
     if motion.kind == "spin":
+        # Coordinates in axes that rotate by +angle: the inverse rotation. At time 0 both axes agree.
         return lambda times_s: Rotation.from_rotvec(-np.outer(times_s, rate_rad_s)).as_matrix()
     return _tumbling(np.asarray(motion.inertia, dtype=np.float64), rate_rad_s, until_s)
 
@@ -132,6 +135,7 @@ def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> At
         turned = np.cross(inertia * rate, rate) / inertia  # I w' = (I w) x w
         return np.concatenate([turned, _quat_rate(quat, rate)])
 
+    # With time in units of 1 / rate all quantities are near 1, to which the tolerances refer.
     start = np.concatenate([rate_rad_s / unit, [0.0, 0.0, 0.0, 1.0]])
     end = max(unit * until_s, 1e-9)
     found = solve_ivp(change, (0.0, end), start, "DOP853", dense_output=True, rtol=_TOLERANCE, atol=_TOLERANCE)
@@ -142,6 +146,7 @@ def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> At
 
     def attitude(times_s: FloatArray) -> FloatArray:
         quat_xyzw = solution(unit * np.asarray(times_s))[3:].T
+        # The quaternion is from body to inertial axes; its norm drifts by the tolerance and is restored.
         return np.swapaxes(Rotation.from_quat(quat_xyzw).as_matrix(), 1, 2)
 
     return attitude
@@ -198,6 +203,7 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
         If a propagated orbit impacts on the body.
     """
     orbit, times = spec.orbit, frame_times_s(spec.orbit)
+    # A terminator orbit: the Sun is along its normal.
     sun_dir = orbit_axes(orbit)[2]
     radiation = radiation_pressure(orbit.forces, sun_dir)
     attitude = attitude_function(spec.body_motion, angular_velocity(spec.body_motion), float(times[-1]))
@@ -239,6 +245,7 @@ def _acceleration(gravity: Gravity, attitude: AttitudeFunction, radiation_m_s2: 
     def acceleration(time_s: float, position_m: FloatArray) -> FloatArray:
         if isinstance(gravity, PointMass):
             return gravity.acceleration(position_m) + radiation_m_s2
+        # A mesh pulls in its own axes, which rotate; a point has none.
         turn = attitude(np.array([time_s]))[0]
         return np.asarray(turn.T @ gravity.acceleration(turn @ position_m) + radiation_m_s2)
 

@@ -15,10 +15,10 @@ from scenarios.sequences.ground import LandmarkGround, SphereGround
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_PROBES = 16384
-_PROBED_FRAMES = 36
-_NODES = 20000
-_CENTRED_PX = 1e-6
+_PROBES = 16384  # points spread over a mesh
+_PROBED_FRAMES = 36  # of an orbit, at most twice as many
+_NODES = 20000  # circles about the nadir, from the limb inward
+_CENTRED_PX = 1e-6  # of the body's origin from the principal point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +38,7 @@ class Visibility:
 
     def visible(self, points_m: FloatArray, normals: FloatArray, view: View) -> BoolArray:
         """(n,) whether points are in the field of view, not occluded and, with ``lit_only``, lit."""
+        # The cheap tests first: rays are traced to points in the image alone.
         seen = view.camera.contains(view.camera.project(view.T_cam_body.transform(points_m)))
         if self.lit_only:
             seen &= normals @ view.sun_dir_body > 0.0
@@ -81,16 +82,20 @@ def sphere_share(radius_m: float, view: View, lit_only: bool) -> float:
     limb = radius_m / float(np.linalg.norm(view.T_cam_body.translation_m))
     if limb >= 1.0:
         return 0.0
+    # Midpoint rule in cos(theta), to which the area is proportional.
     cosine = limb + (1.0 - limb) * (np.arange(_NODES) + 0.5) / _NODES
     sine = np.sqrt(1.0 - cosine**2)
+    # tan of the angle from the boresight: R sin / (r - R cos).
     slope = limb * sine / (1.0 - limb * cosine)
     arcs = _arcs_in_image(slope, view)
     centre, half = _arc_in_light(cosine, sine, view) if lit_only else (0.0, np.full(_NODES, np.pi))
+    # Arcs are limits on a circle: their overlap is that of all copies a turn apart.
     turns = 2.0 * np.pi * np.arange(-2, 3)[:, None]
     length = sum(
         np.clip(np.minimum(high + turns, centre + half) - np.maximum(low + turns, centre - half), 0.0, None).sum(axis=0)
         for low, high in arcs
     )
+    # The cap from the limb to the nadir has the share (1 - R / r) / 2 of the sphere.
     return float(np.mean(length) / (2.0 * np.pi) * (1.0 - limb) / 2.0)
 
 
@@ -109,6 +114,7 @@ def _arcs_in_image(slope: FloatArray, view: View) -> list[tuple[FloatArray, Floa
 def _quadrant(start: float, sign: int, across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve cos(psi) <= across and sin(psi) <= along for psi from 0 to 90 deg, with phi = start + sign psi."""
     nearest, farthest = np.arccos(np.minimum(across, 1.0)), np.arcsin(np.minimum(along, 1.0))
+    # An empty arc rather than one of negative length.
     farthest = np.maximum(nearest, farthest)
     ends = start + sign * nearest, start + sign * farthest
     return (ends[0], ends[1]) if sign > 0 else (ends[1], ends[0])
@@ -119,5 +125,6 @@ def _arc_in_light(cosine: FloatArray, sine: FloatArray, view: View) -> tuple[flo
     sun = view.T_cam_body.rotate(view.sun_dir_body)
     across = float(np.hypot(sun[0], sun[1]))
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Lit where s . n > 0: sin(theta) across cos(phi - phi_sun) > cos(theta) s_z, as the normal at the nadir is -z.
         least = np.nan_to_num(cosine * sun[2] / (sine * across), posinf=1.0, neginf=-1.0)
     return float(np.arctan2(sun[1], sun[0])), np.arccos(np.clip(least, -1.0, 1.0))

@@ -45,6 +45,7 @@ class AxisSpec(SpecModel):
         """Overrides by the name of the level; a value's name is the value in six digits."""
         if self.levels is not None:
             return self.levels
+        # 1e+06 would not match the pattern of names.
         named = {f"{value:g}".replace("+", ""): value for value in self.values or ()}
         return {name: {str(self.key): value} for name, value in named.items()}
 

@@ -47,6 +47,7 @@ class Uniform(SpecModel):
     @property
     def second_moment(self) -> float:
         """Mean of the square."""
+        # E[x^2] = (high^3 - low^3) / (3 (high - low)), without the division by an empty interval.
         low, high = self.uniform
         return (low * low + low * high + high * high) / 3.0
 

@@ -46,6 +46,7 @@ class BodyMotionSpec(SpecModel):
     def _is_a_rotation(self) -> Self:
         if not any(self.axis_body):
             raise ValueError("axis_body is zero: give the direction of the angular velocity")
+        # The principal moments of any body obey the triangle inequality.
         if min(self.inertia) <= 0 or 2 * max(self.inertia) > sum(self.inertia):
             raise ValueError(f"inertia {list(self.inertia)}: no moment may exceed the sum of the other two, or be zero")
         if self.kind != "tumbling" and self.inertia != type(self).model_fields["inertia"].default:
@@ -55,6 +56,7 @@ class BodyMotionSpec(SpecModel):
     @model_validator(mode="after")
     def _tumbles(self) -> Self:
         moments = [moment for moment, part in zip(self.inertia, self.axis_body, strict=True) if part]
+        # Angular velocity and momentum are parallel if all moments of the axes that take part are equal.
         if self.kind == "tumbling" and len(set(moments)) < 2:
             raise ValueError("axis_body is a principal axis, about which no body tumbles: tilt it, or say kind: spin")
         return self
@@ -134,6 +136,7 @@ class SequenceOrbitSpec(SpecModel):
     @property
     def frames(self) -> int:
         """Number of frames, the first included."""
+        # 1e-9: whole numbers of steps must not lose a frame by rounding.
         return int(self.revolutions * 360.0 / self.step_deg + 1e-9) + 1
 
 
@@ -263,6 +266,7 @@ class SequenceSpec(SpecModel):
     @model_validator(mode="after")
     def _tracks_of_a_fixed_field_are_found_fast_enough(self) -> Self:
         vision = self.vision
+        # An untracked landmark is found with the probability (1 - k) f / (1 - f), which must not exceed 1.
         odds, lost = vision.tracked_share / (1.0 - vision.tracked_share), 1.0 - vision.survival(self.orbit.step_deg)
         if vision.field == "fixed" and odds * lost > 1.0:
             raise ValueError(

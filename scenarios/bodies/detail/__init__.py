@@ -18,6 +18,7 @@ DETAIL_VERSION = 1
 """Part of the digest of every detailed body: increase it when the same spec gives another mesh."""
 
 _MAX_SMOOTHING_ROUNDS = 100
+# Albedo: a field of five octaves with amplitudes proportional to the root of the wavelength.
 _ALBEDO_HURST = 0.5
 _ALBEDO_OCTAVES = 5
 _ALBEDO_RANGE = (0.2, 2.0)
@@ -45,6 +46,7 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
     ground, faces, coarse_albedo = _refined(mesh, spec)
+    # One stream for each kind of feature: adding a kind leaves the others as they are.
     boulders, craters, roughness, albedo = np.random.SeedSequence(spec.seed).spawn(4)
     small_boulders, small_craters, small_roughness = _redrawn(spec)
     heights = np.zeros(len(ground.points_m))
@@ -87,10 +89,12 @@ def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntA
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
     edges = find_edges(coarse_faces)
     coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())
+    # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.
     smoothing = min(_MAX_SMOOTHING_ROUNDS, int(np.ceil((2.0 * _relief_m(spec) / coarse_edge_m) ** 2)))
     up = unit(smoothed(vertex_normals(coarse_m, coarse_faces), edges, smoothing))
     rounds = rounds_for(len(coarse_faces), spec.facets)
     control = interpolating_control(coarse_m, coarse_faces) if rounds else coarse_m
+    # Positions, directions and albedo are subdivided by the same weights.
     columns = [control, up] if mesh.albedo is None else [control, up, mesh.albedo[:, None]]
     fine, faces = refine(np.hstack(columns), coarse_faces, rounds)
     ground = RefinedSurface(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)

@@ -13,15 +13,15 @@ from scenarios.bodies.detail.noise import SmallScaleSeed
 from scenarios.bodies.topology import FloatArray, IndexArray, IntArray, tangent_axes
 from scenarios.spec.body import BoulderSpec, CraterSpec
 
-_SIDES = 7
-_TOPS = 3
-_WALL = (
-    0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 the slope at its foot is 67 deg
-)
+_SIDES = 7  # of a boulder's footprint
+_TOPS = 3  # planes that bound a boulder's top
+# Share of the half-width over which a boulder rises. With height_ratio 0.35 the slope at its foot is 67 deg: the rise
+# is r (2 - r), of slope 2 / 0.6 per half-width, times 0.35 diameters.
+_WALL = 0.6
 _RIM_WIDTH = 0.4  # width of the rounded rim, in crater radii
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
 
-_PAIRS_AT_ONCE = 4_000_000
+_PAIRS_AT_ONCE = 4_000_000  # of a feature and a vertex, which bounds the memory
 # A ball about a feature may include the opposite side of a thin part; this cosine between normals excludes it.
 _LEAST_FACING = 0.2
 
@@ -63,6 +63,7 @@ class RefinedSurface:
         """Draw vertex indices (count,), uniformly over the area of the coarse surface."""
         corners = self.coarse_m[self.coarse_faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        # Inversion of the cumulated area; twice the areas do as well.
         face = np.searchsorted(np.cumsum(area), rng.uniform(0.0, area.sum(), count))
         weights = rng.dirichlet(np.ones(3), count)  # uniform over each triangle
         places = np.einsum("nk,nki->ni", weights, corners[np.minimum(face, len(area) - 1)])
@@ -90,12 +91,14 @@ def power_law_diameters(
     count: int, low_m: float, high_m: float, exponent: float, rng: np.random.Generator
 ) -> FloatArray:
     """Draw diameters between two bounds whose cumulative number falls as D**-exponent, largest first."""
+    # Inversion: D**-exponent is uniform where the cumulative number falls as D**-exponent.
     least, most = high_m**-exponent, low_m**-exponent
     return np.sort(rng.uniform(least, most, count) ** (-1.0 / exponent))[::-1]
 
 
 def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: FloatArray) -> Iterator[FeatureVertices]:
     """Yield the vertices within ``reach_m`` (N,) of each vertex of ``places`` (N,), in blocks of bounded memory."""
+    # Expected vertices within a radius r of a mesh of edge a: pi r^2 / (0.87 a^2) is 3.6 (r / a)^2.
     pairs = np.cumsum(4.0 * (reach_m / ground.edge_m) ** 2 + 1.0)
     block = (pairs / _PAIRS_AT_ONCE).astype(np.int64)
     for features in np.split(np.arange(len(places)), np.flatnonzero(np.diff(block)) + 1):
@@ -120,6 +123,7 @@ def boulder_heights(
     blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
     heights = np.zeros(len(ground.points_m))
     for patches in find_feature_vertices(ground, places[:kept], 0.5 * diameters_m[:kept]):
+        # Several boulders can cover a vertex; plain indexing would keep the last of them.
         np.maximum.at(heights, patches.vertex, blocks.heights_m(patches))
     return heights, spec.count - kept
 
@@ -150,6 +154,7 @@ def _scatter(
     diameters_m, places = _draw_sizes_and_places(spec, ground, rng)
     if small is not None:
         _, elsewhere = _draw_sizes_and_places(spec, ground, np.random.default_rng(small.seed))
+        # Sizes stay those of the known population; the small ones stand elsewhere.
         places = np.where(diameters_m < small.below_m, elsewhere, places)
     return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
 
@@ -163,10 +168,13 @@ def _draw_sizes_and_places(
 
 def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
     """Height over diameter: a paraboloid inside, an inverse-cube ejecta blanket outside, blended at the rim."""
+    # From the rim's height down to rim minus depth in the centre.
     bowl = spec.rim_ratio - spec.depth_ratio * np.maximum(1.0 - radii**2, 0.0)
+    # The blanket r^-3 is lowered so that it ends at height 0, and scaled back to the rim's height at r = 1.
     end = _CRATER_REACH**-3
     blanket = spec.rim_ratio * (np.maximum(radii, 1.0) ** -3 - end) / (1.0 - end)
     outside = np.clip((radii - 1.0) / _RIM_WIDTH + 0.5, 0.0, 1.0)
+    # Smoothstep: no crease at the ends of the blend.
     outside = outside * outside * (3.0 - 2.0 * outside)
     return (1.0 - outside) * bowl + outside * np.maximum(blanket, 0.0)
 
@@ -202,6 +210,7 @@ class _Blocks:
             side = np.maximum(self.sides[block, k, 0] * x + self.sides[block, k, 1] * y, 0.0)
             norm += ((side * side) ** 2) ** 2
         rise = np.clip((1.0 - norm**0.125) / _WALL, 0.0, 1.0)
+        # The minimum of planes is a convex top with ridges.
         tops = (self.tops[block, k, 0] + self.tops[block, k, 1] * x + self.tops[block, k, 2] * y for k in range(_TOPS))
         top = np.minimum.reduce(list(tops))
         heights_m: FloatArray = self.height_m[block] * rise * (2.0 - rise) * np.maximum(top, 0.0)

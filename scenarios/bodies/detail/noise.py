@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.bodies.topology import FloatArray
 
-_LATTICE = 96
+_LATTICE = 96  # random values along each side of a periodic lattice
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,7 @@ class Band:
     @property
     def wavelengths_m(self) -> FloatArray:
         """The octaves, longest first."""
+        # 1e-9: a band of whole octaves must not get another one by rounding.
         count = 1 + int(np.ceil(np.log2(self.longest_m / self.shortest_m) - 1e-9))
         return np.geomspace(self.longest_m, self.shortest_m, count, dtype=np.float64)
 
@@ -70,9 +71,12 @@ def fractal_field(
         if wavelength_m < resolution_m:
             omitted += 1
             continue
+        # Two lattice steps make the shortest wave of a lattice.
         octave = _lattice_noise(points_m * (2.0 / wavelength_m), np.random.default_rng(stream))
+        # Normalised over the surface: a lattice much coarser than the body has few independent values on it.
         field += amplitude * (octave - octave.mean()) / octave.std()
         variance += amplitude**2
+    # The octaves that are left keep their share of the variance of the whole band.
     return (field * np.sqrt(variance) / field.std() if variance else field), omitted
 
 

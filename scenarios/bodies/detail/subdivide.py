@@ -6,7 +6,7 @@ import numpy as np
 
 from scenarios.bodies.topology import FloatArray, IntArray, MeshEdges, find_edges
 
-_FIT_ROUNDS = 8
+_FIT_ROUNDS = 8  # of progressive interpolation
 
 
 def rounds_for(n_faces: int, wanted: int) -> int:
@@ -58,6 +58,7 @@ def _valence(edges: MeshEdges, n_vertices: int) -> FloatArray:
 
 def _neighbour_sum(values: FloatArray, edges: MeshEdges) -> FloatArray:
     here, there = edges.ends.T
+    # Each edge counts in both directions.
     here, there = np.concatenate([here, there]), np.concatenate([there, here])
     return np.stack([np.bincount(here, column[there], len(values)) for column in values.T], axis=1)
 
@@ -76,12 +77,14 @@ def _moved(values: FloatArray, edges: MeshEdges) -> FloatArray:
 def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
     """Return the limits of vertex values (V, k) after infinitely many subdivisions."""
     valence = _valence(edges, len(values))[:, None]
+    # Limit of Loop's matrix powers: 1 / (3 / (8 beta) + n) for each of n neighbours.
     weight = 1.0 / (0.375 / _beta(valence) + valence)
     return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)
 
 
 def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
     """Return the new vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
+    # Corner k - 1 is opposite to the edge from corner k to corner k + 1.
     opposite = np.roll(faces, 1, axis=1).ravel()
     edge = edges.of_face.ravel()
     wings = np.stack([np.bincount(edge, column[opposite], len(edges.ends)) for column in values.T], axis=1)
@@ -91,5 +94,6 @@ def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> Float
 def _split(faces: IntArray, edges: MeshEdges, n_old: int) -> IntArray:
     a, b, c = faces.astype(np.int64).T
     ab, bc, ca = edges.of_face.T + n_old
+    # Three triangles at the corners and one in the middle, each with the winding of its parent.
     children = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
     return children.reshape(-1, 3)

@@ -34,6 +34,7 @@ def cube_lattice(q: int) -> IndexArray:
 def cube_quads(q: int) -> IndexArray:
     """Corners, (6 q**2, 4), of the quadrilaterals as point numbers in ICQ order, counter-clockwise from outside."""
     face, j, i = np.meshgrid(np.arange(6), np.arange(q), np.arange(q), indexing="ij")
+    # Number of a point in ICQ order.
     corner = (face * (q + 1) + j) * (q + 1) + i
     down = q + 1
     return np.stack([corner, corner + down, corner + down + 1, corner + 1], axis=-1).reshape(-1, 4)
@@ -41,8 +42,10 @@ def cube_quads(q: int) -> IndexArray:
 
 def weld_seams(q: int) -> tuple[IndexArray, IndexArray]:
     """Coincident points of the seams: the first point of each of the 6 q**2 + 2 groups, and each point's group."""
+    # One integer for each lattice position; points on the seams have the same.
     key = cube_lattice(q) @ np.array([(q + 1) ** 2, q + 1, 1])
     _, first, group = np.unique(key, return_index=True, return_inverse=True)
+    # Groups are numbered by their first points, so that vertices keep the order of the file.
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -90,5 +93,6 @@ def _split(vertices: FloatArray, quads: IndexArray) -> IndexArray:
     """Cut quadrilaterals (N, 4) into triangles (2 N, 3) along the shorter diagonal."""
     a, b, c, d = (vertices[quads[:, k]] for k in range(4))
     along_ac = np.linalg.norm(c - a, axis=1) <= np.linalg.norm(d - b, axis=1)
+    # Turned by one corner, the quadrilateral has its other diagonal from the first corner to the third.
     turned = np.where(along_ac[:, None], quads, np.roll(quads, -1, axis=1))
     return np.stack([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]], axis=1).reshape(-1, 3)

@@ -33,6 +33,7 @@ _MAX_HEADER_BYTES = 1 << 16
 
 def read_obj(source: ShapeFile) -> RawShape:
     """Read a Wavefront OBJ file; polygons are split into triangles, groups and materials are ignored."""
+    # A backslash continues a line; the blank keeps the numbers apart.
     text = "\n".join(source.lines()).replace("\\\n", " ").encode()
     bad = _BAD_OBJ_LINE.search(text)
     if bad:
@@ -103,6 +104,7 @@ def _ply_elements(source: ShapeFile, lines: list[str]) -> tuple[dict[str, int], 
             types = words[2:4] if words[1:2] == ["list"] else words[1:2]
             if element not in sizes or not types or any(name not in _PLY_BYTES for name in types):
                 raise source.fault(f"{line[:60]!r} is not a property of a PLY element", number)
+            # A list of a face has three indices at least, other lists may be empty.
             least_entries = 3 if element == "face" else 0
             sizes[element] += _PLY_BYTES[types[0]] + sum(least_entries * _PLY_BYTES[name] for name in types[1:])
     return counts, sizes

@@ -38,6 +38,7 @@ def _grid(source: ShapeFile, table: FloatArray, west: bool) -> tuple[FloatArray,
     if (abs(table[:, 0]) > 90.0).any() or (abs(table[:, 1]) > 360.0).any() or (table[:, 2] <= 0.0).any():
         row = table[(abs(table[:, 0]) > 90.0) | (abs(table[:, 1]) > 360.0) | (table[:, 2] <= 0.0)][0]
         raise source.fault(f"{row.tolist()} is not a latitude, a longitude (deg) and a radius above 0")
+    # Rounded, as 360 and 0 may differ in the last digit; the second modulo takes 360.0 from rounding to 0.
     east_deg = np.round((-table[:, 1] if west else table[:, 1]) % 360.0, 9) % 360.0
     latitudes_deg, lat_index = np.unique(table[:, 0], return_inverse=True)
     longitudes_deg, lon_index = np.unique(east_deg, return_inverse=True)
@@ -90,6 +91,7 @@ def read_plates(source: ShapeFile) -> RawShape:
     lines = source.lines()
     first = lines[source.filled(lines)[0]].split()
     vertices, faces = _tagged(source, lines) if first[0] in ("v", "f", "#") else _counted(source, lines)
+    # A 1-based table cannot contain index 0.
     base = 0 if len(faces) and faces.min() == 0 else 1
     return source.shape(vertices, faces - base)
 
