@@ -126,6 +126,7 @@ def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:
     It depends on the address (seed, stream, trial) alone, not on the order of trials or the content of the scenario, so
     that scenarios and estimators are compared on the same draws.
     """
+    # spawn_key, not the seed plus a number: streams of neighbouring trials are independent.
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), trial)))
 
 
@@ -200,6 +201,7 @@ def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.rando
     error times the range.
     """
     range_m = float(np.linalg.norm(T_cam_body.translation_m))
+    # Drawn before the attitude: the order belongs to the stream.
     shift_m = _shift(spec, range_m, camera, rng)
     return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
 

@@ -112,6 +112,7 @@ def _wheel_files() -> list[tuple[Path, tuple[Path, ...]]]:
     paths = [Path(str(file.locate())).resolve() for file in files if re.match(r"lib(LLVM|unwind|c\+\+)", file.name)]
     runtime = [
         next((path for path in paths if path.name.startswith(f"{name}.so.1") and path.is_file()), None)
+        # In the order in which they depend on each other.
         for name in ("libunwind", "libc++abi", "libc++")
     ]
     preload = tuple(path for path in runtime if path is not None)

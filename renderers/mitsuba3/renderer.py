@@ -95,6 +95,7 @@ class MitsubaRenderer:
         window = body_window(view, self._outline_m)
         if window is not None:
             for strip in window.strips(max(1, _MAX_SAMPLES // (window.width * self._samples_per_pixel))):
+                # Strips are whole rows of pixels: the samples of a pixel are never divided.
                 image[strip.slices] = self._tracer.image(view, strip)
         return image
 

@@ -181,8 +181,8 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     """Digest (hexadecimal SHA-256) of what determines the mesh, without making it.
 
     It covers the bytes of the shape file (not its path) or the name of the embedded body, the keys that change
-    how it is read, the detail, and the versions of the code. Shading and the expected diameter are not in it:
-    they do not change the mesh.
+    how it is read, resampling, detail and height error, and the versions of the code. Shading and the expected
+    diameter are not in it: they do not change the mesh.
     """
     path = _shape_path(spec, search_dirs)
     content: dict[str, object] = {
@@ -220,6 +220,7 @@ def _bytes(path: Path) -> bytes:
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
     mesh, notes = _original(spec, path)
+    # Keys that are not given are left out: digests of bodies without them stay as they are.
     if spec.even_facets is not None:
         mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
     return mesh, notes

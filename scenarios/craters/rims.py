@@ -74,6 +74,7 @@ def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatA
     tree = cKDTree(middles)
     smooth_rims, crests, whole = [], [], []
     for crater, frame in zip(chosen, frames, strict=True):
+        # Every vertex of a tile is within reach_m of its middle.
         near = tree.query_ball_point(craters.centre_m[crater], craters.radius_m[crater] + tiling.reach_m)
         tiles = np.sort(np.asarray(near, dtype=np.int64))
         far = np.linalg.norm(corners_m[tiles] - craters.centre_m[crater], axis=2) - craters.radius_m[crater]

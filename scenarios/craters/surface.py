@@ -116,6 +116,7 @@ def cratered_surface(
     check_size(carrier.mesh, craters)
     smooth = smooth_tiles(carrier, craters)
     tiling = Tiling.of(*smooth, craters.edge_m)
+    # Population and tiling are made in every process; what takes long is cached by `build`.
     population = draw_craters(craters, *smooth)
 
     def build(folder: Path) -> None:

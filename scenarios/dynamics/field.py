@@ -113,6 +113,7 @@ class HarmonicField:
 
     def changed(self, gm_ratio: float, light_factor: float, coefficients: FloatArray) -> HarmonicField:
         """Return the field with scaled GM and solar pressure, and with additions to the normalised coefficients."""
+        # Coefficients of higher degrees than the a priori field's may be estimated: they start at 0.
         size = max(self.by_degree, self.harmonics.degree) + 1
         c, s = np.zeros((2, size, size))
         kept = self.harmonics.degree + 1
@@ -127,6 +128,7 @@ class HarmonicField:
         """The field as arrays for the kernels."""
         potential = self.harmonics.flat
         pull = [derivative(potential, axis) for axis in range(3)]
+        # The gradient serves the variational equations alone, for which a lower degree suffices.
         coarse = self.harmonics.truncated(_TIDE_DEGREE).flat
         return FlatField(
             self.harmonics.gm_m3_s2 / self.harmonics.radius_m**2,
@@ -145,6 +147,7 @@ class HarmonicField:
 
     def work(self) -> FloatArray:
         """Return the work array of `accelerate` and `differentiate`."""
+        # Long enough for V and W of the highest degree of the three tables.
         return np.empty((2, max(self.flat.pull.shape[2], self.flat.tide.shape[2], self.flat.parts.shape[3])))
 
     def _parts(self) -> FloatArray:

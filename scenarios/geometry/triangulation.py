@@ -66,6 +66,7 @@ def triangulation_equations(
         (L, 3, 3) and (L, 3). Where w is the information of a line, 1 / m^2, the inverse of the matrix is the
         covariance of the point, m^2.
     """
+    # An error along a line of sight costs nothing: d is in the null space of I - d d^T.
     information = lines.projectors()
     for weight in weights:
         information = information * weight[:, None, None]

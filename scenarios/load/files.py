@@ -132,6 +132,7 @@ def validated(model: type[Spec], root: ConfigEntry) -> Spec:
         With one line for each fault.
     """
     try:
+        # As JSON, because strict validation of Python values would refuse lists for tuples.
         return model.model_validate_json(json.dumps(_completed(model, root.plain())), strict=True)
     except ValidationError as error:
         raise BoresightError(explain(error, root, model)) from error
@@ -171,6 +172,7 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
     own = read(path)
     section = dict(own.section or {})
     extends = section.pop("extends", None)
+    # A name is not inherited; that of the file itself is its default.
     if not children:
         section.setdefault("name", ConfigEntry(name_of(path), display(path)))
     if len(children) > _MAX_GENERATIONS:
@@ -181,6 +183,7 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
         if parent_path.resolve() in (*children, resolved):
             raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
         file = _read_chain(parent_path, catalog, model, (*children, resolved))
+        # Name and description belong to a file alone.
         inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
         base = merge(base, ConfigEntry(inherited, own.place), (model,))
         folders += file.folders

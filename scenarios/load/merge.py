@@ -61,7 +61,9 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
     if (given and not set(given) & set(fields)) or given.get("kind", kind) != kind:
         return given
     chosen = {key for key, value in given.items() if value is not None}
+    # A given key of a group of alternatives takes the place of the default one.
     displaced = {key for group in default.alternatives if set(group) & chosen for key in group}
+    # What differs from the defaults of the model itself is all that this default adds.
     own = {key for key, field in fields.items() if key == "kind" or getattr(default, key) != field.get_default()}
     deeper = {
         key: _laid_on(getattr(default, key), value)
@@ -149,6 +151,7 @@ def _is_other_form(base: ConfigEntry, over: ConfigEntry, models: Models) -> bool
         default = next((kind for kind in kinds if isinstance(kind, str)), None)
         old_kind = old["kind"].value if "kind" in old else default
         return "kind" in new and new["kind"].value != old_kind
+    # Two forms of a distribution have no key in common.
     return len(models) > 1 and bool(new) and not set(old) & set(new)
 
 

@@ -217,7 +217,8 @@ def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> L
     times = pictures.times_s[used]
     try:
         states = propagate_states(knowledge.field, knowledge.state, times, PiecewiseAcceleration.none(float(times[-1])))
-    # A poor a priori orbit can lead into the body. Positions by the state at the epoch are wrong, but the trial goes on.
+    # A poor a priori orbit can lead into the body. Positions by the state at the epoch are wrong, but the trial goes
+    # on.
     except OrbitLostError:
         states = np.tile(knowledge.state, (len(times), 1))
     turns = knowledge.field.rotation.at(times)

@@ -125,6 +125,7 @@ class MeshGround:
         """(n,) whether points face the camera and no facet obstructs the line of sight."""
         seen = faces_camera(points_m, normals, camera_position_m)
         rows = np.flatnonzero(seen)
+        # Points that face away need no ray.
         seen[rows] = ~self._tree.hidden(points_m[rows], camera_position_m)
         return seen
 

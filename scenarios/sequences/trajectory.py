@@ -85,6 +85,7 @@ def _look_down(position_m: FloatArray, radial: FloatArray, normal: FloatArray) -
 
 
 def _rate_rad_s(orbit: SequenceOrbitSpec) -> float:
+    # Kepler's third law: n^2 r^3 = GM.
     return float(np.sqrt(orbit.gm_m3_s2 / orbit.radius_m**3))
 
 
@@ -155,6 +156,7 @@ def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> At
 def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
     """Differentiate by time: q' = q (w, 0) / 2 for q from body to inertial axes and w in body axes."""
     vector, scalar = quat_xyzw[:3], quat_xyzw[3]
+    # Product of the quaternions (vector, scalar) and (w, 0): (scalar w + vector x w, -vector . w).
     return 0.5 * np.concatenate([scalar * rate + np.cross(vector, rate), [-vector @ rate]])
 
 
@@ -214,6 +216,7 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
         start = np.concatenate([positions[0], velocities[0]])
         states = propagate(pulled, ground.reach_m, start, times, PiecewiseAcceleration(times, unmodelled_m_s2))
         positions, velocities = states[:, :3], states[:, 3:]
+        # The camera keeps looking at the origin, along the propagated orbit.
         poses = tuple(nadir_pose(*state) for state in zip(positions, velocities, strict=True))
     turns = attitude(times)
     over = tuple(_to_body_axes(pose, turn) for pose, turn in zip(poses, turns, strict=True))

@@ -75,6 +75,7 @@ def canonical_json(spec: SpecModel) -> str:
 
 def digest(spec: SpecModel) -> str:
     """Return the SHA-256 of the canonical form without names and descriptions, which results do not depend on."""
+    # Canonical: sorted keys and no white space, so that equal specifications have equal digests.
     text = _dump(_without_texts(spec))
     return hashlib.sha256(text.encode()).hexdigest()
 

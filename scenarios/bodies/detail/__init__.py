@@ -42,6 +42,11 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     Returns
     -------
     The detailed mesh, and one note for each kind of feature of which some are too small for the mesh.
+
+    Raises
+    ------
+    BoresightError
+        If both the mesh and the spec have an albedo.
     """
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
@@ -87,6 +92,7 @@ def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
 def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:
     """Return the refined surface with its displacement directions, its faces, and the refined albedo or None."""
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
+    # Directions are smoothed on the coarse mesh, so that they do not depend on the number of facets.
     edges = find_edges(coarse_faces)
     coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())
     # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.

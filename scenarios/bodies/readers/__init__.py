@@ -67,6 +67,7 @@ def detect_format(source: ShapeFile) -> str:
     widths = [len(row) for row in rows[:2]]
     if rows and rows[0][0] == b"v":
         return "pds-plates"
+    # Numbers on the first two lines: Q or a count, then a vertex without or with its number; or two rows of a grid.
     by_widths = {(1, 3): "icq", (1, 4): "pds-plates", (3, 3): "pds-grid"}
     if tuple(widths) not in by_widths:
         raise source.fault(

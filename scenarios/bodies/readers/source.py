@@ -90,6 +90,7 @@ class ShapeFile:
         if not rows:
             return np.empty((0, len(columns)))
         try:
+            # comments=None: a # in a table is an error, not the end of a line.
             values = np.loadtxt((lines[i] for i in rows), usecols=columns, comments=None, ndmin=2)
         except ValueError as error:
             raise self._first_bad(lines, rows, columns) from error
@@ -117,6 +118,7 @@ class ShapeFile:
         if not useful.all():
             first = int(np.argmin(useful))
             raise self.fault(f"vertex {first + 1} is not finite, or far too large: {vertices[first].tolist()}")
+        # Indices come as floating-point numbers from tables: they must be whole.
         bad = (faces < 0) | (faces >= len(vertices)) | (faces != np.floor(faces))
         if bad.any():
             first = int(np.flatnonzero(bad.any(axis=1))[0])
