@@ -86,7 +86,8 @@ def propagate(
     Raises
     ------
     OrbitLostError
-        If the distance from the origin falls to ``lowest_m``.
+        If the distance from the origin falls to ``lowest_m`` before the end of the interval with the last time, or the
+        integrator fails.
     """
     length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
     # One absolute tolerance holds for positions and velocities only if both are near 1.

@@ -56,8 +56,8 @@ def fractal_field(
     """Sum the octaves of a band at points (N, 3).
 
     Octaves shorter than ``resolution_m`` cannot be resolved by the mesh and are left out; each octave has its own
-    random stream, so that the long ones do not depend on the number of facets. Octaves shorter than
-    ``small.below_m`` are drawn from ``small.seed``.
+    random stream, so that the long ones depend on the number of facets by their normalisation over the points alone.
+    Octaves shorter than ``small.below_m`` are drawn from ``small.seed``.
 
     Returns
     -------
