@@ -88,7 +88,7 @@ def body_window(view: View, outline_m: FloatArray) -> PixelWindow | None:
     in_front = points_cam_m[:, 2] > 0.0
     if not in_front.any():
         return None
-    # The camera is within the bounding hull: projected points do not bound the body.
+    # Points behind the camera have no pixel, and the others alone do not bound the body.
     if not in_front.all():
         return PixelWindow(0, 0, camera.width_px, camera.height_px)
     # Convexity is kept by the pinhole's projection alone; the lens bends the hull afterwards.

@@ -109,7 +109,7 @@ def place_inner_vertices(
 @kernel
 def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step: int, n: int) -> int:
     """Return the vertex of an edge that is nearest to the fraction step / n from one end to the other."""
-    # round(step / n * pieces) in integers, the same for both tiles of the edge.
+    # round(step / n * pieces) in integers.
     k = (2 * step * pieces + n) // (2 * n)
     if k == 0:
         return corner

@@ -45,7 +45,7 @@ def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArra
     normals = mesh.normals
     least = np.empty(len(mesh.faces))
     least_heights(least, vertices_m, mesh.corners_m[:, 0], normals, tiling.layout)
-    # A corner moves by the least of what its tiles demand.
+    # A corner moves as far inward as any of its tiles demands.
     corner_least = np.full(len(mesh.vertices_m), np.inf)
     steep = np.einsum("tki,ti->tk", tiling.up[mesh.faces], normals)
     # A corner that moves by h along its own direction moves by h times the cosine along the tile's normal.

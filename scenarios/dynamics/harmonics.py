@@ -98,7 +98,7 @@ def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
 def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: tuple[float, float], axis: int) -> None:
     """Add the derivative of ``value[0] V_nm + value[1] W_nm`` to a table."""
     (n, m), (of_v, of_w) = term, value
-    # Equation (3.33), with both signs of a coefficient's V and W kept apart.
+    # Equation (3.33): the derivatives of V_nm and of W_nm, each with its own factor.
     if axis == 2:
         k = term_index(n + 1, m)
         c[k] -= (n - m + 1) * of_v
