@@ -38,11 +38,17 @@ def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> 
     for _ in range(rounds):
         far = sampson_distances(points, conics)
         far = np.where(np.isfinite(far), far, 0.0)
+        # 1.4826 times the median absolute deviation is the standard deviation of a Gaussian; the floor of 0.1 px keeps
+        # a fit through nearly perfect points from rejecting all but those exactly on it.
         spread = np.maximum(1.4826 * _median(np.abs(far), weights), 0.1)
         robust = (1.0 + (far / (_CUTOFF * spread[:, None])) ** 2) ** -2.0
         homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+        # The algebraic distance is to first order the geometric one times the gradient of the conic, 2 |(C x)_1:2|:
+        # divided by its square, the squares that the direct fit sums become geometric ones (Sampson 1982).
         slope = np.linalg.norm(np.einsum("mij,mkj->mki", conics[:, :2], homogeneous), axis=-1)
         mean = np.sqrt(np.sum(weights * slope**2, axis=1) / np.maximum(weights.sum(axis=1), 1e-12))
+        # Relative to the mean gradient, so that the floor does not depend on the scale of the conic. Near its centre
+        # the gradient vanishes: the floor limits the weight to 25.
         flat = np.maximum(slope / np.maximum(mean, 1e-30)[:, None], 0.2)
         renewed = weights * robust / flat**2
         good = np.isfinite(renewed).all(axis=1)
@@ -53,7 +59,7 @@ def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> 
 
 
 def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the medians (m,) of the rows' values with a positive weight."""
+    """Return the medians (m,) of the rows' values with a positive weight; 0 for rows without any."""
     kept = np.where(weights > 0.0, values, np.nan)
     kept[np.isnan(kept).all(axis=1)] = 0.0
     return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
@@ -66,7 +72,7 @@ class EllipseCandidates:
     Parameters
     ----------
     support
-        (n,) share of the rim, transition arcs included, along which edges agree with it.
+        (n,) share of the sectors of the whole rim, transition arcs included, that have an edge near it.
     """
 
     ellipses: Ellipses
@@ -90,12 +96,23 @@ def fit_candidates(
     radius_px: tuple[float, float],
     axis_ratio_min: float,
 ) -> EllipseCandidates:
-    """Fit an ellipse to each pair of arcs, then to all edges near it."""
+    """Fit an ellipse to each pair of arcs, then to all edges near it; drop those that are no rim of a crater.
+
+    Parameters
+    ----------
+    pairs
+        (k, 2) rows of ``shaded`` and ``lit``.
+    radius_px
+        Least and largest mean radius.
+    axis_ratio_min
+        Least ratio of the shorter to the longer axis.
+    """
     nothing = EllipseCandidates(Ellipses.none(), np.empty(0))
     if len(pairs) == 0:
         return nothing
     points, normals = _sample_pairs(pairs, shaded, lit)
     ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
+    # Two arcs of different craters can be fitted by an ellipse, but its normals then differ from their gradients.
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
     # Pairs are many and mostly false: only the best by the cheap first fit are fitted again.
@@ -117,6 +134,7 @@ def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) ->
     """Return points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
 
     def sampled(arcs: list[RimArc]) -> tuple[FloatArray, FloatArray]:
+        # As many points of each arc, so that a long arc does not outweigh a short one on the other side.
         rows = [np.linspace(0, len(arc.uv_px) - 1, _SAMPLES).round().astype(np.int64) for arc in arcs]
         points = np.stack([arc.uv_px[row] for arc, row in zip(arcs, rows, strict=True)])
         return points, np.stack([arc.outward[row] for arc, row in zip(arcs, rows, strict=True)])
@@ -155,7 +173,13 @@ def plausible(
 
 
 def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) -> tuple[FloatArray, FloatArray]:
-    """Gather the edges near each rim whose gradient agrees with their side of it: points and weights, zero-padded."""
+    """Gather the edges near each rim whose gradient agrees with their side of it.
+
+    Returns
+    -------
+    points, weights
+        (n, k, 2) px and (n, k): 1, and 0 for the padding of rims with fewer than k edges.
+    """
     tree = cKDTree(edges.uv_px)
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
     conics = ellipses.conics()
@@ -168,8 +192,11 @@ def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) ->
         rows = rows[np.abs(far) < band[i]]
         slope = np.concatenate([edges.uv_px[rows], np.ones((len(rows), 1))], axis=1) @ conics[i]
         normal = slope[:, :2] / np.maximum(np.linalg.norm(slope[:, :2], axis=1, keepdims=True), 1e-12)
+        # On a rim the brightness rises towards the Sun on both sides: outwards on the near side, inwards on the far
+        # one.
         signed = normal * np.sign(normal @ picture.sun_px)[:, None]
         chosen.append(np.sort(rows[np.einsum("ki,ki->k", signed, unit[rows]) > 0.8]))
+    # Padded with zero weights to one array, so that all rims are fitted at once.
     width = max(6, *(len(rows) for rows in chosen))
     points, weights = np.zeros((len(chosen), width, 2)), np.zeros((len(chosen), width))
     for i, rows in enumerate(chosen):
@@ -180,8 +207,10 @@ def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) ->
 def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sectors: int = 36) -> FloatArray:
     """Return the share (n, 2) of the sectors of each half of the rim with an edge within a tenth of the radius.
 
-    The halves are those of the parameter t of the ellipse below and above pi.
+    The halves are those on either side of the longer axis: parameters t of equation (2) below and above pi, whatever
+    the direction of the Sun.
     """
+    # In the axes of the ellipse, divided by its semi-axes, the rim is the unit circle and t the polar angle.
     c, s = np.cos(ellipses.angle_rad), np.sin(ellipses.angle_rad)
     moved = points - ellipses.centre_px[:, None]
     x = (moved[..., 0] * c[:, None] + moved[..., 1] * s[:, None]) / ellipses.semi_axes_px[:, :1]
@@ -196,6 +225,7 @@ def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sec
 
 def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int = 11) -> FloatArray:
     """Correlate the brightness along the Sun's direction with a rise from the shaded to the lit side: (n,)."""
+    # From the shaded wall, towards the Sun, to the lit one; the rim itself is left out, where its shape is uncertain.
     along = np.linspace(0.8, -0.8, steps)
     aside = np.array([-0.3, 0.0, 0.3])
     sun = picture.sun_px
@@ -213,5 +243,6 @@ def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int =
     value = cv2.remap(picture.even, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     means = value.reshape(len(ellipses), steps, len(aside)).mean(axis=2)
     means = means - means.mean(axis=1, keepdims=True)
+    # A bowl is a ramp to first order: its slope towards the Sun changes linearly across the diameter.
     ramp = -along / np.linalg.norm(along)
     return np.asarray(means @ ramp / np.maximum(np.linalg.norm(means, axis=1), 1e-12), dtype=np.float64)

@@ -128,6 +128,7 @@ class CraterClassic:
         """
         o = self.options
         picture = prepare_image(frame, camera, o.window_px)
+        # Two passes as in the paper: a small kernel places sharp rims, a large one finds degraded ones.
         small = canny(picture, o.small_kernel_px, o.strong_share, o.weak_ratio)
         large = canny(picture, o.large_kernel_px, o.strong_share, o.weak_ratio)
         shaded, lit = list[RimArc](), list[RimArc]()
@@ -158,14 +159,20 @@ class CraterClassic:
     def _refine_and_select(
         self, fitted: Ellipses, scales: GradientScales, picture: PreparedImage
     ) -> tuple[Ellipses, CraterDetections]:
-        """Refine, rate, drop duplicates, and scale rims from the steepest gradient out to the crest."""
+        """Refine and rate rims, drop duplicates, and scale them from the steepest gradient out to the crest.
+
+        Return the refined rims, duplicates included, and the detections.
+        """
         o = self.options
         gap = float(np.sin(np.radians(o.transition_deg)))
         first = confidence(fitted, scales, picture.sun_px, gap)
+        # Both passes and many pairs of arcs find the same rim: near copies are dropped before the costly refinement,
+        # and the most confident 120 of the rest go on.
         fitted = fitted[suppress_duplicates(fitted, first, 0.15, 1.15)][:120]
         refined = refine(fitted, scales, picture.sun_px, gap, o.rounds)
         value = confidence(refined, scales, picture.sun_px, gap)
         rows = suppress_duplicates(refined, value, 0.6, 1.6)
         kept = refined[rows]
+        # The steepest brightness lies on the inner wall; the true rim is the crest, a little farther out.
         crest = Ellipses(kept.centre_px, kept.semi_axes_px * o.crest_scale, kept.angle_rad)
         return refined, CraterDetections.above(o.confidence_min, crest, value[rows])

@@ -54,12 +54,13 @@ def gradient_of(image: NDArray[np.float32], kernel_px: int) -> Gradient:
     derive, smooth = cv2.getDerivKernels(1, 0, kernel_px, normalize=True)
     along_u = cv2.sepFilter2D(image, cv2.CV_32F, derive, smooth, borderType=cv2.BORDER_REPLICATE)
     along_v = cv2.sepFilter2D(image, cv2.CV_32F, smooth, derive, borderType=cv2.BORDER_REPLICATE)
+    # OpenCV's sum is a correlation with the kernel: its response to the ramp u is the kernel's first moment.
     ramp = float(np.abs(np.sum(derive.ravel() * (np.arange(kernel_px) - kernel_px // 2))))
     return Gradient(along_u / np.float32(ramp), along_v / np.float32(ramp))
 
 
 def noise_gain(kernel_px: int) -> float:
-    """Return the standard deviation of one derivative of white noise of unit variance."""
+    """Return the standard deviation, per pixel, of one derivative of `gradient_of` for white noise of unit variance."""
     derive, smooth = cv2.getDerivKernels(1, 0, kernel_px, normalize=True)
     ramp = np.abs(np.sum(derive.ravel() * (np.arange(kernel_px) - kernel_px // 2)))
     return float(np.linalg.norm(derive) * np.linalg.norm(smooth) / ramp)
@@ -75,8 +76,10 @@ def canny(picture: PreparedImage, kernel_px: int, strong_share: float, weak_rati
     """
     gradient = gradient_of(picture.even, kernel_px)
     strength = gradient.strength
+    # The strength of pure noise is Rayleigh distributed: it exceeds 3.5 sigma at 0.2 % of the pixels.
     above = strength > _NOISE * noise_gain(kernel_px) * picture.noise
     upper = float(np.quantile(strength[picture.ground], 1.0 - strong_share))
+    # Quantised finely, but without an overflow of 16 bits; the thresholds are scaled alike.
     scale = min(_SCALE, 32000.0 / max(float(strength.max()), 1e-9))
     u16 = np.clip(np.rint(scale * gradient.along_u), -32767, 32767).astype(np.int16)
     v16 = np.clip(np.rint(scale * gradient.along_v), -32767, 32767).astype(np.int16)
@@ -100,6 +103,8 @@ def _place_subpixel(mask: NDArray[np.bool_], gradient: Gradient, strength: NDArr
 
     before, after = neighbour(-1.0), neighbour(1.0)
     bend = before - 2.0 * middle + after
+    # Vertex of the parabola through (-1, before), (0, middle), (1, after). OpenCV suppresses non-maxima along four
+    # directions only, so that a neighbour along the gradient can be higher and the vertex far away: it is clipped.
     offset = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0)
     place = np.stack([columns, rows], axis=1) + np.clip(offset, -0.6, 0.6)[:, None] * n
     return EdgePixels(pixel_from_opencv(place), g, mask)

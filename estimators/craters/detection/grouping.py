@@ -59,6 +59,7 @@ def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
     if n == 0:
         return []
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
+    # Neighbours whose gradients point elsewhere belong to another edge, as where two rims meet.
     pairs = cKDTree(edges.uv_px).query_pairs(_LINK_PX, output_type="ndarray")
     pairs = pairs[np.einsum("ij,ij->i", unit[pairs[:, 0]], unit[pairs[:, 1]]) > np.cos(bend_rad)]
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
@@ -68,7 +69,11 @@ def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
 
 
 def turning_points(angle: FloatArray, least: float) -> list[int]:
-    """Split a sequence into rises and falls of at least ``least``; return the indices where they meet."""
+    """Split a sequence (n,) into rises and falls of at least ``least``.
+
+    Return the indices where they meet, with the first and the last of the sequence. A change of trend counts only once
+    the sequence has gone back by ``least``, so that noise does not cut an arc into pieces.
+    """
     knots, low, high, trend = [0], 0, 0, 0
     for i in range(1, len(angle)):
         low = i if angle[i] < angle[low] else low
@@ -107,9 +112,11 @@ def rim_arcs(
     for rows in edge_chains(edges, bend_rad):
         if len(rows) < least_points:
             continue
+        # A sunward edge is the graph of a function over this axis, so that sorting by it follows the chain.
         rows = rows[np.argsort(edges.uv_px[rows] @ across, kind="stable")]
         # The direction of the gradient from the Sun's: monotonic along one side of a convex rim.
         unit = _smoothed(edges.gradient[rows])
+        # No wrap of 2 pi: only gradients within 90 deg of the Sun are left.
         angle = np.arctan2(unit @ across, unit @ sun)
         knots = turning_points(angle, least_turn_rad)
         for start, stop in pairwise(knots):
@@ -117,6 +124,8 @@ def rim_arcs(
             if abs(turn) < least_turn_rad or stop - start + 1 < least_points:
                 continue
             part = rows[start : stop + 1]
+            # With growing place across the Sun an outward normal turns towards +across. On the shaded side (towards the
+            # Sun) the gradient is that normal, on the lit side its opposite, which turns the other way.
             lit = turn < 0.0
             arcs.append(RimArc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
     return arcs
@@ -125,13 +134,24 @@ def rim_arcs(
 def _smoothed(gradient: FloatArray) -> FloatArray:
     """Return unit gradients, each averaged with its neighbours along the chain."""
     padded = np.concatenate([gradient[:1], gradient[:1], gradient, gradient[-1:], gradient[-1:]])
+    # Triangular weights 1 2 3 2 1: the angle of one gradient is too noisy to be tested for monotony.
     summed = padded[:-4] + 2 * padded[1:-3] + 3 * padded[2:-2] + 2 * padded[3:-1] + padded[4:]
     return np.asarray(summed / np.linalg.norm(summed, axis=1, keepdims=True), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArcTable:
-    """Measures of n arcs for pairing: ends across the Sun, place along it, radius by normals."""
+    """Measures of n arcs for pairing, each (n,) px.
+
+    Parameters
+    ----------
+    low, high, across
+        Coordinates of the ends and their mean, on the axis across the direction of the Sun.
+    along
+        Median coordinate on the axis towards the Sun.
+    radius
+        From the normals, as in `arc_radius`.
+    """
 
     low: FloatArray
     high: FloatArray
@@ -151,7 +171,9 @@ class ArcTable:
 
 
 def arc_radius(arc: RimArc) -> float:
-    """Fit x = c + R n to the points and outward normals of an arc by least squares in c and R."""
+    """Return the radius, px, of the circle x = c + R n that fits points and outward normals by least squares."""
+    # Centring eliminates c; R is the regression of the points on the normals. An arc with nearly parallel normals does
+    # not determine it; the floor of 1 px keeps logarithms of it finite.
     dx = arc.uv_px - arc.uv_px.mean(axis=0)
     dn = arc.outward - arc.outward.mean(axis=0)
     return float(max(np.sum(dx * dn) / max(np.sum(dn * dn), 1e-12), 1.0))
@@ -168,6 +190,7 @@ def pair_arcs(
     if not shaded or not lit:
         return np.empty((0, 2), dtype=np.int64)
     a, b = ArcTable.of(shaded, picture), ArcTable.of(lit, picture)
+    # Positive where the shaded arc is nearer to the Sun; in the other order two arcs cannot be one rim.
     gap = a.along[:, None] - b.along[None]
     common = np.minimum(a.high[:, None], b.high[None]) - np.maximum(a.low[:, None], b.low[None])
     width = np.minimum((a.high - a.low)[:, None], (b.high - b.low)[None])

@@ -1,4 +1,4 @@
-"""The merit of a rim in the image, equations (3) and (4), and its derivatives."""
+"""The merit of a rim in the image, equations (3) and (4) of Cheng et al. (2003), and its derivatives."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class GradientField:
         place = pixel_to_opencv(uv_px)
         top = np.array([width - 1.0, height - 1.0])
         held = np.clip(place, 0.0, top)
+        # At the last row or column the cell before it is used, so that its four corners exist.
         cell = np.minimum(np.floor(held), top - 1.0).astype(np.int64)
         f = held - cell
         u, v = cell[..., 0], cell[..., 1]
@@ -42,13 +43,17 @@ class GradientField:
         fu, fv = f[..., :1], f[..., 1:]
         upper, lower = a + fu * (b - a), c + fu * (d - c)
         by_u, by_v = (b - a) + fv * (d - c - b + a), lower - upper
+        # Where the place was clipped, the field does not change with the coordinate.
         inside = (place == held)[..., None, :]
         return upper + fv * (lower - upper), np.stack([by_u, by_v], axis=-1) * inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RimSamples:
-    """Points (n, k, 2) of n rims and their outward normals, with derivatives by (u0, v0, a, b, angle)."""
+    """Points (n, k, 2) of n rims and their outward unit normals (n, k, 2).
+
+    Their derivatives by (u0, v0, a, b, angle), in pixels and radians, are (n, k, 2, 5).
+    """
 
     points: FloatArray
     normals: FloatArray
@@ -67,6 +72,8 @@ class RimSamples:
         points, normals = ellipses.points(count)
         n = len(ellipses)
         by = np.zeros((n, count, 2, 5))
+        # Equation (2) is x = x0 + turn (a cos t, b sin t); the derivative of turn by the angle is turn times a quarter
+        # turn.
         by[..., 0, 0] = by[..., 1, 1] = 1.0
         by[..., 2] = np.einsum("nij,kj->nki", turn, np.stack([cos, 0 * cos], axis=-1))
         by[..., 3] = np.einsum("nij,kj->nki", turn, np.stack([0 * sin, sin], axis=-1))
@@ -97,6 +104,8 @@ def side_weights(toward_sun: FloatArray, gap: float) -> tuple[FloatArray, FloatA
         (...) odd and smooth (a quintic step over the outer half of the arcs), and their derivatives.
     """
     start = 0.5 * gap
+    # A quintic step has continuous first and second derivatives: conjugate gradients need a smooth merit when points of
+    # a turning rim pass from a transition arc to a side.
     x = np.clip((np.abs(toward_sun) - start) / (gap - start), 0.0, 1.0)
     step = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     slope = 30.0 * x**2 * (1.0 - x) ** 2 / (gap - start)
@@ -106,7 +115,7 @@ def side_weights(toward_sun: FloatArray, gap: float) -> tuple[FloatArray, FloatA
 def merit(
     ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int = 72
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean over both sides of a rim of the image's gradient along the signed normal, equation (3).
+    """Return the mean over both sides of a rim of the field's component along the signed normal, equation (3).
 
     On the side towards the Sun the brightness falls inwards, on the other it rises: with the normal signed by the side
     both contribute positively. Each side has the weight one half, whatever its number of points.
@@ -135,6 +144,7 @@ def _side_merits(
     g, g_by_uv = field.at(rim.points)
     cosine = rim.normals @ sun_px
     weight, slope = side_weights(cosine, gap)
+    # The component g . n, and its derivatives by the normals and by the places of the points.
     along = np.einsum("nki,nki->nk", rim.normals, g)
     along_by = np.einsum("nkip,nki->nkp", rim.normals_by, g)
     along_by += np.einsum("nki,nkij,nkjp->nkp", rim.normals, g_by_uv, rim.points_by)
@@ -143,9 +153,11 @@ def _side_merits(
     for sign in (1.0, -1.0):
         side = np.where(sign * cosine > 0.0, weight, 0.0)
         side_by = np.where((sign * cosine > 0.0)[..., None], weight_by, 0.0)
+        # The weights are negative on the far side, where the gradient points inwards: the ratio is positive for a rim.
         total = np.maximum(sign * side.sum(axis=1), 1e-9)
         value = np.einsum("nk,nk->n", side, along) / total
         by = np.einsum("nk,nkp->np", side, along_by) + np.einsum("nkp,nk->np", side_by, along)
+        # Quotient rule: the sum of the weights changes with the shape too.
         by = (by - value[:, None] * sign * side_by.sum(axis=1)) / total[:, None]
         values.append(value)
         derivatives.append(by)

@@ -83,19 +83,27 @@ def lit_ground(image: FloatImage, floor: float = 0.12, margin_px: int = 4) -> Ma
 
     Shadows in craters are dark too: dark areas of a crater's size within the bright surface count as ground.
     """
+    # The level of bright pixels is their 99th percentile, which a few outliers do not raise.
     smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
     bright = (smooth > floor * np.percentile(smooth, 99.0)).astype(np.uint8)
     closer = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
     pad = 32
+    # Replicated beyond the frame by more than the reach of both kernels: the frame is no edge of the ground.
     padded = cv2.copyMakeBorder(bright, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, closer)
+    # The limb and the terminator are edges too: the margin keeps their gradients off the ground.
     eaten = cv2.erode(closed, np.ones((2 * margin_px + 1,) * 2, np.uint8))
     return np.asarray(eaten[pad:-pad, pad:-pad] > 0)
 
 
 def noise_level(image: FloatImage, ground: Mask) -> float:
-    """Estimate white noise on the ground from the median of second differences across both axes (Immerkaer 1996)."""
+    """Estimate the standard deviation of white noise on the ground from second differences across both axes.
+
+    The mask is that of Immerkaer (1996), who averages absolute values; we take their median.
+    """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    # Planes and ramps cancel in the mask; white noise is amplified by the root of the sum of its squares, 6. The median
+    # absolute value of a Gaussian is 0.6745 sigma, and a few edges do not change it.
     rough = cv2.filter2D(image, cv2.CV_32F, mask)
     return float(np.median(np.abs(rough[ground])) / 0.6745 / 6.0)
 
@@ -125,6 +133,7 @@ def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedIma
         raise BoresightError("the Sun stands along the boresight: no side of a crater is shaded")
     image = frame.image
     weight = ground.astype(np.float32)
+    # Normalised convolution: divided by the blurred mask, so that black sky does not enter the means.
     share = np.maximum(cv2.GaussianBlur(weight, (0, 0), window_px), 1e-3)
     mean = cv2.GaussianBlur(image * weight, (0, 0), window_px) / share
     square = cv2.GaussianBlur(np.square(image - mean) * weight, (0, 0), window_px) / share

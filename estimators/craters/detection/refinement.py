@@ -64,7 +64,7 @@ def gradient_scales(
 
 
 def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
-    """Maximise each rim's merit over its centre, axes and angle.
+    """Maximise each rim's merit over its centre, axes and angle, by the gradient field of its size.
 
     A rim that moves by more than a third of its radius, or changes its axes by more than a factor of 1.5, is left as it
     was.
@@ -83,6 +83,7 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
         chosen = rows == i
         found[chosen] = _conjugate_gradients(start[chosen], scales.locating[i], sun_px, gap, rounds)
     radius = ellipses.radius_px
+    # A rim that has moved so far has probably locked to another edge.
     far = np.linalg.norm(found[:, :2] - start[:, :2], axis=1) > radius / 3.0
     bent = np.abs(np.log(found[:, 2:4] / start[:, 2:4])).max(axis=1) > 0.4
     return from_parameters(np.where((far | bent)[:, None], start, found))
@@ -103,6 +104,7 @@ def _conjugate_gradients(
 
     def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray]:
         moved = start + at * unit
+        # A collapsed rim is not evaluated; the merit is at least -1, so that -2 is refused by the line search.
         small = moved[:, 2:4].min(axis=1) < 0.3 * radius
         moved = np.where(small[:, None], start, moved)
         value, by = merit(Ellipses(moved[:, :2], moved[:, 2:4], moved[:, 4]), field, sun_px, gap)
@@ -113,8 +115,10 @@ def _conjugate_gradients(
     step_length = 0.3 / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)  # the first step is of 0.3 px
     for _ in range(rounds):
         slope_along = np.einsum("ni,ni->n", direction, slope)
+        # Restart with the gradient where the conjugate direction has lost the ascent.
         direction = np.where((slope_along > 0.0)[:, None], direction, slope)
         slope_along = np.einsum("ni,ni->n", direction, slope)
+        # Backtracking until Armijo's condition holds, each rim with its own step; those that never reach it stay.
         taken, new_value, new_slope = step, value, slope
         open_rows = np.ones(len(start), dtype=bool)
         for _ in range(_HALVINGS):
@@ -131,9 +135,13 @@ def _conjugate_gradients(
         if np.abs(taken - step).max(initial=0.0) < _CONVERGED_PX:
             break
         beta = np.einsum("ni,ni->n", new_slope - slope, new_slope)
+        # Polak and Ribiere, floored at 0: a negative value would reverse the old direction; 0 restarts with the
+        # gradient.
         beta = np.maximum(beta / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
         old_gain = np.linalg.norm(direction, axis=1)
         direction = new_slope + beta[:, None] * direction
+        # The first trial is somewhat longer than the last accepted step, and moves the rim by a tenth of its radius at
+        # most.
         step_length = 1.8 * step_length * old_gain / np.maximum(np.linalg.norm(direction, axis=1), 1e-30)
         step_length = np.minimum(step_length, 0.1 * radius / np.maximum(np.linalg.norm(direction, axis=1), 1e-30))
         step, value, slope = taken, new_value, new_slope
@@ -141,7 +149,7 @@ def _conjugate_gradients(
 
 
 def parameters(ellipses: Ellipses) -> FloatArray:
-    """Arrange ellipses as (n, 5): u0, v0, a, b and the angle of a."""
+    """Arrange ellipses as (n, 5): u0, v0, a, b in pixels and the angle of a in radians."""
     return np.concatenate([ellipses.centre_px, ellipses.semi_axes_px, ellipses.angle_rad[:, None]], axis=1)
 
 
@@ -155,7 +163,8 @@ def from_parameters(rows: FloatArray) -> Ellipses:
 def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:
     """Return the mean cosine (n,) between the gradient and the signed normal, equation (4), of the worse side.
 
-    Both sides have to agree, because a terminator or a ridge lights up one side as well as any rim.
+    The paper takes one mean over the points of both sides. Here both have to agree, because a
+    terminator or a ridge lights up one side as well as any rim.
     """
     values = np.zeros(len(ellipses))
     rows = scales.of(ellipses.radius_px)
@@ -177,6 +186,7 @@ def suppress_duplicates(
     least_ratio
         Ratio of mean radii from which two are different craters, one in the other.
     """
+    # The stable sort keeps the order of equal scores the same on every machine.
     order = np.argsort(-score, kind="stable")
     radius = ellipses.radius_px
     kept: list[int] = []

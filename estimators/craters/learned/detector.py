@@ -55,6 +55,7 @@ def blend_with_gradient(seen: Ellipses, picture: PreparedImage, from_px: float, 
         return seen
     rims, gap = seen[rows], float(np.sin(np.radians(options.transition_deg)))
     scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], options.softness)
+    # The merit is highest on the steepest part of the wall, inside the crest that the network returns.
     steepest = Ellipses(rims.centre_px, rims.semi_axes_px / options.crest_scale, rims.angle_rad)
     steepest = refine(steepest, scales, picture.sun_px, gap, options.rounds)
     merit = confidence(steepest, scales, picture.sun_px, gap)
@@ -62,6 +63,7 @@ def blend_with_gradient(seen: Ellipses, picture: PreparedImage, from_px: float, 
     good = (merit > _MIN_MERIT) & (apart < _MAX_DISTANCE * rims.radius_px)
     crest = Ellipses(steepest.centre_px, steepest.semi_axes_px * options.crest_scale, steepest.angle_rad)[good]
     rims, rows = rims[good], rows[good]
+    # Halfway in the parameters of `shape_of`: angles of nearly circular rims cannot be averaged themselves.
     shape = 0.5 * (shape_of(rims, picture.sun_px) + shape_of(crest, picture.sun_px))
     middle = ellipses_of(0.5 * (rims.centre_px + crest.centre_px), shape, picture.sun_px)
     centre, axes, angle = seen.centre_px.copy(), seen.semi_axes_px.copy(), seen.angle_rad.copy()
@@ -167,7 +169,7 @@ class CraterLearned:
         return CraterDetections.above(o.confidence_min, rims, sure)
 
     def refine_proposals(self, source: PatchSource, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
-        """Apply the network repeatedly, each time to the rims that it returned; return the rims with their log odds.
+        """Apply the network repeatedly, each time to the rims that it returned; return the rims, and log odds (n,).
 
         After each round but the last, duplicates and unlikely rims are dropped.
         """
@@ -180,6 +182,8 @@ class CraterLearned:
             odds = outputs[:, 0]
             seen = rims_from_outputs(seen, outputs[:, 1:], source.sun_px)
             if not last:
+                # Proposals of one crater converge to the same rim, so that few are left for the later, equally costly
+                # rounds.
                 rows = suppress_duplicates(seen, odds, 0.2, 1.2)
                 seen, odds = seen[rows[odds[rows] > -4.0]], odds[rows[odds[rows] > -4.0]]
         return seen, odds
@@ -190,5 +194,7 @@ class CraterLearned:
         outputs = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
         if not mirror:
             return outputs
+        # Mirrored across the direction of the Sun, a crater is still lit from the same side: the two errors of the
+        # network partly cancel in the mean.
         mirrored = self.network.forward(patches.pixels[:, ::-1], patches.scalars).astype(np.float64)
         return np.asarray(0.5 * (outputs + mirrored * MIRRORED), dtype=np.float64)

@@ -32,6 +32,7 @@ def windows(x: FloatImage, size: int) -> FloatImage:
     pad = size // 2
     padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
     view = np.lib.stride_tricks.sliding_window_view(padded, (size, size), axis=(1, 2))[:, ::STRIDE, ::STRIDE]
+    # The channel becomes the last axis of a window, the order in which the weights of the kernels are stored.
     rows = np.ascontiguousarray(np.moveaxis(view, 3, 5))
     return rows.reshape(*rows.shape[:3], -1)
 
@@ -101,6 +102,7 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
     """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples."""
     n = len(ellipses)
     pixels = np.zeros((n, SIDE, SIDE), dtype=np.float32)
+    # Sampling a finer level than the step would alias; a coarser one would lose detail.
     step = ellipses.radius_px * (2.0 * REACH / SIDE)
     level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
     for i in np.unique(level):
@@ -114,6 +116,7 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
             pixels[rows[part]] = found.reshape(len(part), SIDE, SIDE)
     mean = pixels.mean(axis=(1, 2))
     spread = np.maximum(pixels.std(axis=(1, 2)), 1e-9)
+    # Brightness and contrast are divided out of the patch, and enter as separate inputs with a range of about -3 to 3.
     even = (pixels - mean[:, None, None]) / spread[:, None, None]
     level_of = np.maximum(mean, 1e-3 * float(source.levels[0].max()))
     scalars = np.stack(
@@ -136,6 +139,7 @@ def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
     """
     axes = np.log(ellipses.semi_axes_px)
     elongation = 0.5 * (axes[:, 0] - axes[:, 1])
+    # An axis has the period pi: twice its angle is continuous where the angle jumps from pi to 0.
     angle = 2.0 * (ellipses.angle_rad - np.arctan2(sun_px[1], sun_px[0]))
     return np.stack([axes.mean(axis=1), elongation * np.cos(angle), elongation * np.sin(angle)], axis=1)
 
@@ -166,6 +170,7 @@ def rims_from_outputs(seen: Ellipses, outputs: FloatArray, sun_px: FloatArray) -
     """Apply the network's outputs (n, 5) to the rims ``seen`` of its patches: the inverse of ``target_outputs``."""
     radius = seen.radius_px[:, None]
     outputs = np.asarray(outputs, dtype=np.float64)
+    # Outside the range of the training data the outputs are extrapolations.
     step = np.clip(outputs[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
     centre = seen.centre_px + radius * step @ patch_axes(sun_px)
     shape = outputs[:, 2:].copy()

@@ -56,6 +56,7 @@ def ring_templates(sun_px: FloatArray) -> RingTemplates:
     kernels = np.zeros((len(rows), 2, 2 * half + 1, 2 * half + 1, 2))
     for side, sign in enumerate((1.0, -1.0)):
         part = np.where(sign * weight > 0.0, weight, 0.0)
+        # Each side is a mean of its own, so that the merit can be the smaller one.
         part = part / np.abs(part).sum(axis=1, keepdims=True)
         _splat(kernels[:, side], pixel_to_opencv(points), part[..., None] * normals)
     return RingTemplates(rows, kernels.astype(np.float32))
@@ -91,7 +92,11 @@ def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
 
 
 def soft_directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
-    """Return gradients (H, W, 2) over their length, softened by ``softness`` medians or four times the noise's."""
+    """Return gradients g (H, W, 2) divided by sqrt(g^2 + f^2): near 0 for weak ones, unit vectors for strong ones.
+
+    The softening length f is ``softness`` times the median length of the gradients that are not 0, and at least four
+    times ``noise``, the standard deviation of the noise in a component.
+    """
     gradient = gradient_of(image, 3)
     strength = gradient.strength
     floor = max(softness * float(np.median(strength[strength > 0.0])) if np.any(strength > 0.0) else 1.0, 4.0 * noise)
@@ -117,6 +122,7 @@ def propose(picture: PreparedImage, levels: int, least_merit: float, count: int,
     for level, image in enumerate(pyramid(picture.even, levels)):
         if min(image.shape) < 2 * templates.kernels.shape[2]:
             break
+        # 0.43 is `noise_gain(3)`, and the mean of 2 x 2 pixels halves the noise at each level.
         noise = float(np.median(picture.noise[picture.ground])) * 0.43 / 2.0**level
         score, best = _scores(soft_directions(image, noise, softness), templates)
         rows, columns = _maxima(score, least_merit)
@@ -135,6 +141,7 @@ def _scores(field: FloatImage, templates: RingTemplates) -> tuple[FloatImage, ND
     """Return the best merit (H, W) of all templates at each pixel, and the template's row."""
     height, width = field.shape[:2]
     half = templates.kernels.shape[2] // 2
+    # Padded by the kernel, or the periodic transform would let one border of the image act on the other.
     size = tuple(fft.next_fast_len(n + 2 * half, real=True) for n in (height, width))
     spectra = [fft.rfft2(field[..., i], size) for i in (0, 1)]
     best = np.full((height, width), -2.0, dtype=np.float32)
@@ -156,6 +163,7 @@ def _scores(field: FloatImage, templates: RingTemplates) -> tuple[FloatImage, ND
 
 def _maxima(score: FloatImage, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return rows and columns of the local maxima within 3 x 3 that reach ``least``."""
+    # A pixel is a local maximum where the dilation, the maximum of its neighbours and itself, leaves it unchanged.
     top = cv2.dilate(score, np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero((score >= top) & (score >= least))
     return rows, columns
