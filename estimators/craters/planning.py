@@ -136,6 +136,7 @@ def plan_images(
         for kind in (*kinds[turn:], *kinds[:turn]):
             target = find_target(ground, position, sun, kind)
             if target is not None:
+                # look_at points to the origin of its axes: shifted by the target, that is where the boresight goes.
                 looking = look_at(position - target).rotation @ attitude
                 seen = look_at(position).rotation @ sun
                 time_s = float(ephemeris.time_s[epoch])
@@ -165,6 +166,7 @@ def find_target(
     emission, incidence = emission_incidence_deg(places, normals, position_body_m, sun_dir_body)
     rows = np.flatnonzero(near_limb_or_terminator(kind, emission, incidence) & is_lit_and_facing(emission, incidence))
     rays = places[rows] - position_body_m
+    # Range times the cosine of the angle from the nadir: the largest is the nearest to the nadir.
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
     # Tested from the nadir outwards, so that the first visible facet is the nearest.
     rows = rows[np.argsort(-off_nadir, kind="stable")]

@@ -123,6 +123,8 @@ class CraterPose:
         for _ in range(_PASSES):
             pose = prior.perturbed(error[:3], error[3:])
             _, expected = expected_craters(self.landmarks, self._ground, frame, camera, pose, self._options)
+            # The rims are predicted with the corrected pose, from which the prior is -error away: new points of
+            # linearisation do not count the prior twice.
             field = replace(expected, mean=-error)
             found = associate(field, rims, area_px2, self._options.association)
             if found.reason:
@@ -158,6 +160,7 @@ def expected_craters(
     ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
     turned = points @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
+    # `Pose.perturbed`: x = R p + t moves by w x (R p) + d, so that the derivative by w is -[R p]x.
     by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
     # The uncertainty of the landmarks is independent between craters, unlike that of the pose.
     across = by_point @ pose.rotation
@@ -176,6 +179,7 @@ def _possibly_visible(
     facing = np.einsum("ni,ni->n", towards, landmarks.normal_body) > np.cos(np.radians(options.emission_deg))
     lit = landmarks.normal_body @ sun_dir_body > np.cos(np.radians(options.incidence_deg))
     cam = pose.transform(landmarks.position_body_m)
+    # Three sigma of the position in pixels: a landmark just outside the predicted frame may still be seen.
     spread_m = 3.0 * np.sqrt(np.trace(frame.prior_covariance[3:, 3:]))
     spread_px = spread_m / np.linalg.norm(pose.translation_m) / camera.pixel_angle_rad
     return np.asarray(facing & lit & (cam[:, 2] > 0.0) & camera.contains(camera.project(cam), -spread_px))

@@ -75,6 +75,7 @@ def triangulate_landmarks(
     row, lines, information = _lines_of_sight(database, options)
     normal = landmarks.normal_body
     height = np.einsum("ni,nj->nij", normal, normal) / height_sigma_m**2
+    # Information of the height along the normal, and the same times the a priori location: b = A x0.
     prior = height, np.einsum("nij,nj->ni", height, landmarks.position_body_m)
     position, robust = landmarks.position_body_m, np.ones(len(row))
     for _ in range(_PASSES):
@@ -110,5 +111,6 @@ def _lines_of(
     camera_m = np.broadcast_to(pose.camera_position_m, (len(rows), 3))
     direction = pose.inverse().rotate(picture.camera.unproject(picture.ellipses.centre_px))
     ranges = np.linalg.norm(landmarks.position_body_m[rows] - camera_m, axis=1)
+    # Isotropic noise of the centre, pixels to metres across the line of sight at the a priori range.
     sigma_m = np.sqrt(centre_noise(picture.ellipses, options)[:, 0, 0]) * ranges * picture.camera.pixel_angle_rad
     return rows, camera_m, direction, sigma_m**-2.0

@@ -85,11 +85,17 @@ def locate_landmarks(
 def _average_by_number(
     numbers: IndexArray, points: FloatArray, normals: FloatArray, log_radii: FloatArray, spread: FloatArray
 ) -> Landmarks:
-    """Average the values of all images for each number: positions by their information, radii by their logarithms."""
+    """Average the values of all images for each number.
+
+    Positions (k, 3) m are weighted with the inverse of ``spread`` (k, 3, 3) m^2; normals and logarithms of radii count
+    equally.
+    """
     number, place, images = np.unique(numbers, return_inverse=True, return_counts=True)
+    # Weighted with their information as if independent: errors of poses and shape common to several images are not.
     information = np.linalg.inv(spread)
     total, weighted = np.zeros((len(number), 3, 3)), np.zeros((len(number), 3))
     normal, log_radius = np.zeros((len(number), 3)), np.zeros(len(number))
+    # add.at, because a number occurs in several images: plain indexing would keep the last of them alone.
     np.add.at(total, place, information)
     np.add.at(weighted, place, np.einsum("nij,nj->ni", information, points))
     np.add.at(normal, place, normals)
@@ -111,5 +117,6 @@ def landmarks_for_orbit(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> L
     ``centre_of_mass_m`` is (3,) in the axes of the database: a plate model's origin need not be the centre of mass;
     that of Eros at uniform density lies at (-23, 2, 47) m.
     """
+    # Orbit determination takes one sigma for all directions: the root mean square of the three axes.
     sigma = np.sqrt(np.trace(landmarks.covariance_m2, axis1=1, axis2=2) / 3.0)
     return LandmarkFile(landmarks.number, landmarks.position_body_m - centre_of_mass_m, sigma)

@@ -92,6 +92,7 @@ def _all_pairs(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexA
 
 def _confirmations(edges: IndexArray, count: int) -> IndexArray:
     """Return (e,) the number of third detections with which both ends of each match are matched."""
+    # A wrong match is rarely repeated in a third image: triangles of matches are the more reliable ones.
     others: list[set[int]] = [set() for _ in range(count)]
     for a, b in edges.tolist():
         others[a].add(b)
@@ -109,6 +110,7 @@ def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int
         one, other = group_of[a], group_of[b]
         if one == other:
             continue
+        # A crater is seen at most once in an image.
         if images[one] & images[other]:
             conflicts += 1
             continue

@@ -65,11 +65,11 @@ class ExpectedCraters:
     ellipses
         n predicted rims.
     by_error
-        (n, 2, s) px by the common error.
+        (n, 2, s) H: derivatives of the centres, px, by the common error.
     covariance
-        (s, s) of the common error.
+        (s, s) P: of the common error, in the units of its components.
     noise_px2
-        (n, 2, 2) covariance of the independent error of each centre.
+        (n, 2, 2) R: covariance of the independent error of each centre.
     mean
         (s,) of the common error: zero unless the rims were predicted with a better estimate of it.
     """
@@ -121,7 +121,10 @@ def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> Float
 def associate(
     expected: ExpectedCraters, seen: Ellipses, area_px2: float, options: CraterAssociationOptions
 ) -> Association:
-    """Find the pairs of expected craters and detections in an image of ``area_px2``."""
+    """Find the pairs of expected craters and detections in an image of ``area_px2``, and the common error.
+
+    Clutter is uniform in the image, with the density of the detections.
+    """
     size = len(expected.covariance)
     none = Association(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(size), expected.covariance)
     if len(expected.ellipses) == 0 or len(seen) == 0:
@@ -130,6 +133,8 @@ def associate(
     likelihoods = _Likelihoods(_shape_ratios(expected.ellipses, seen, options), len(seen) / area_px2)
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]
+    # The prior moves all craters together by many pixels: pairs found one by one would be wrong. One pair fixes most of
+    # the common error, and the others then vote within their own noise.
     elected = _best_supported_pair(expected, offsets, likelihoods, options)
     if len(elected) == 0:
         return _no_association(none, "no detection fits an expected crater in place, size and shape")
@@ -156,6 +161,7 @@ def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociation
 def _log_shape(ellipses: Ellipses) -> FloatArray:
     """Return (n, 2) logarithms of the radius and of the ratio of axes."""
     a, b = np.log(ellipses.semi_axes_px).T
+    # Logarithms, so that errors of size are relative; the angle is left out, as nearly circular rims have none.
     return np.column_stack([0.5 * (a + b), b - a])
 
 
@@ -181,6 +187,7 @@ def _log_ratios(
     u, v = residuals[..., 0], residuals[..., 1]
     # The 2 x 2 inverse is written out: the arrays are (hypotheses, craters, detections).
     square = (c * u * u - 2.0 * b * u * v + a * v * v) / det
+    # Density of the offset if it is the same crater, over that of clutter, uniform in the image.
     place = -0.5 * square - 0.5 * np.log(det) - np.log(2.0 * np.pi * likelihoods.density_px2)
     odds = np.log(options.redetected / (1.0 - options.redetected))
     return np.asarray(np.maximum(place + likelihoods.shape + odds, _IMPOSSIBLE), dtype=np.float64)
@@ -194,11 +201,13 @@ def _best_supported_pair(
     If there are very many pairs, only the most likely of them are hypotheses; all of them count as support.
     """
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
+    # S_i = H_i P H_i^T + R_i, the covariance of an offset before any pair is known.
     prior = H @ P @ np.swapaxes(H, 1, 2) + R
     far = np.einsum("nmi,nij,nmj->nm", offsets, np.linalg.inv(prior), offsets)
     couples = np.argwhere((far < options.gate_sigma**2) & (likelihoods.shape > -0.5 * options.gate_sigma**2))
     voters = max(1, _MAX_WORK // offsets[..., 0].size)
     if len(couples) > voters:
+        # Sorted back into the order of rows, so that among equally supported pairs the first wins as without the limit.
         odds = _log_ratios(offsets, prior, likelihoods, options)[couples[:, 0], couples[:, 1]]
         couples = couples[np.sort(np.argsort(-odds, kind="stable")[:voters])]
     if len(couples) == 0:
@@ -218,7 +227,11 @@ def _support(
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """Return (v,) log-likelihood ratios of all pairs, each detection once, given the field conditioned on one pair."""
+    """Return (v,) the support of each of v hypotheses, the pairs (v, 2) of ``couples``.
+
+    It is the sum of the log-odds of all pairs, each crater and each detection once, given the field conditioned on the
+    hypothesis, plus the log-density of the hypothesis under the prior, but for a constant.
+    """
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     i = couples[:, 0]
     offset = offsets[i, couples[:, 1]]
@@ -228,9 +241,11 @@ def _support(
     left = P - gain @ H[i] @ P
     spread = np.einsum("nis,vst,njt->vnij", H, left, H, optimize=True) + R
     residuals = offsets[None] - np.einsum("nis,vs->vni", H, error)[:, :, None]
+    # A pair less likely than clutter is no evidence: it is left out instead of counting against the hypothesis.
     ratios = np.maximum(_log_ratios(residuals, spread, likelihoods, options), 0.0)
     # Each detection and each crater counts once; the smaller sum bounds the one-to-one assignment.
     once = np.minimum(ratios.max(axis=2).sum(axis=1), ratios.max(axis=1).sum(axis=1))
+    # The hypothesis itself costs what its offset is improbable under the prior.
     far = np.einsum("vi,vij,vj->v", offset, np.linalg.inv(prior[i]), offset)
     return np.asarray(once - 0.5 * far)
 
@@ -261,6 +276,7 @@ def _refine(
 
 def _one_to_one(ratios: FloatArray) -> IndexArray:
     """Return the pairs (k, 2) with positive log-odds of the best one-to-one assignment."""
+    # Odds below 0 cost the same as no pair, so that no crater is forced into a bad one.
     rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
     taken = ratios[rows, columns] > 0.0
     return np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
@@ -271,6 +287,7 @@ def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, Fl
     H = expected.by_error[pairs[:, 0]].reshape(-1, len(expected.covariance))
     joint = H @ expected.covariance @ H.T
     for row, i in enumerate(pairs[:, 0]):
+        # The errors of the poses correlate all offsets; the noise of the detector only the two components of one.
         joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += expected.noise_px2[i]
     return H, joint
 
@@ -285,6 +302,7 @@ def condition_on_pairs(
     gain = np.linalg.solve(joint, H @ P).T
     covariance = P - gain @ H @ P
     error = gain @ offsets[pairs[:, 0], pairs[:, 1]].ravel()
+    # Symmetric within rounding: made so exactly.
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
 
 
@@ -306,9 +324,11 @@ def _leave_one_out_probability(
     probability = np.empty(len(pairs))
     for row, (i, k) in enumerate(pairs):
         block = slice(2 * row, 2 * row + 2)
+        # Without its own pair: an offset that has helped to fit the common error would agree with it too well.
         spread = np.linalg.inv(weights[block, block])
         place = offsets[i, k] - spread @ weighted[row]
         own = _log_ratios((offsets[i] - place)[None], spread[None], _row_of(likelihoods, i), options)[0]
+        # The 1 is the event that none of the detections is this crater.
         probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
     rivals = _rival_probability(expected, offsets, pairs, likelihoods, options)
     return np.minimum(probability, rivals)
@@ -345,6 +365,8 @@ def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Associatio
     error, noise = found.error - expected.mean, expected.noise_px2[i]
     for _ in range(_HUBER_PASSES):
         left = offsets[i, k] - expected.by_error[i] @ error
+        # Offsets in units of the detector's noise alone; dividing that noise by the weight gives the weighted normal
+        # equations.
         sigmas = np.sqrt(np.einsum("ni,nij,nj->n", left, np.linalg.inv(noise), left))
         weighed = expected.noise_px2.copy()
         weighed[i] = noise / huber_weights(sigmas)[:, None, None]

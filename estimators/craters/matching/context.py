@@ -64,6 +64,7 @@ class ContextMatcher:
         options = self._options
         if reason := too_few_craters(first, second, needed=options.agreeing + 1):
             return CraterMatches.none(reason)
+        # Step 2: candidates by their distance from the epipolar line and the ratio of sizes.
         near = epipolar_offsets(first, second) < options.epipolar_px
         candidates = near & (np.abs(np.log(size_ratios(first, second))) < np.log(options.size_ratio))
         here, there = first.detections.ellipses, second.detections.ellipses
@@ -101,6 +102,7 @@ def match_constellations(
 def linear_transforms(here: FloatArray, there: FloatArray) -> FloatArray:
     """Return (c, 3, 3) T = (X'_1 X'_2 X'_3) (X_1 X_2 X_3)^-1 for three points, (3, 2), and c triples, (c, 3, 2)."""
     points = np.concatenate([here, np.ones((3, 1))], axis=1).T
+    # The equation of step 3, with the points as columns: exact for three of them.
     others = np.swapaxes(np.concatenate([there, np.ones((len(there), 3, 1))], axis=2), 1, 2)
     return np.asarray(others @ np.linalg.inv(points), dtype=np.float64)
 
@@ -108,6 +110,7 @@ def linear_transforms(here: FloatArray, there: FloatArray) -> FloatArray:
 def fitted_transform(here: FloatArray, there: FloatArray) -> FloatArray:
     """Return the (3, 3) linear transform of least squares between (k, 2) and (k, 2) points, k >= 3."""
     points = np.concatenate([here, np.ones((len(here), 1))], axis=1)
+    # Step 5. With homogeneous coordinates of last component 1, the linear transform of step 3 is affine as well.
     solution = np.linalg.lstsq(points, there, rcond=None)[0]
     return np.vstack([solution.T, [0.0, 0.0, 1.0]])
 
@@ -131,13 +134,14 @@ def agreeing_craters(
 def _triangles(
     centres: FloatArray, usable: BoolArray, options: ContextOptions, rng: np.random.Generator
 ) -> Iterator[IndexArray]:
-    """Draw triangles of neighbours that are not collinear, up to the loop limit."""
+    """Draw rows (3,) of neighbouring craters that are not nearly collinear; ``options.loops`` draws in all (step 1)."""
     rows = np.flatnonzero(usable)
     if len(rows) < 3:
         return
     for _ in range(options.loops):
         start = rng.choice(rows)
         order = rows[np.argsort(np.linalg.norm(centres[rows] - centres[start], axis=1), kind="stable")]
+        # Neighbours, because a plane fits the ground only locally.
         near = order[1 : _NEIGHBOURS + 1]
         triangle = np.concatenate([[start], rng.choice(near, 2, replace=False)])
         if _height(centres[triangle]) > options.least_height:
@@ -147,6 +151,7 @@ def _triangles(
 def _height(corners: FloatArray) -> float:
     """Return the smallest height of a triangle (3, 2), in units of its longest side."""
     sides = corners - np.roll(corners, 1, axis=0)
+    # The cross product is twice the area, which is the longest side times the smallest height.
     longest2 = float((sides**2).sum(axis=1).max())
     return abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
 
@@ -173,7 +178,10 @@ def _best_combination(
 
 
 def _combinations(candidates: BoolArray) -> IndexArray:
-    """Return (c, 3) choices of three different candidates; only the first if there are very many."""
+    """Return (c, 3) choices of three different candidates, (3, m); only the first if there are very many.
+
+    They are in lexicographic order: the first candidate of the first crater with all those of the others, and so on.
+    """
     choices = product(*(np.flatnonzero(row) for row in candidates))
     different = [choice for choice in choices if len(set(choice)) == 3]
     return np.array(different[:_MAX_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
@@ -214,11 +222,12 @@ def mutual_best(cost: FloatArray) -> IndexArray:
 
 
 def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
-    """Return (n, m) px from each rim's centre in the second image to the epipolar line of each in the first.
+    """Return (n, m) px from each rim's centre in the second image (m) to the epipolar line of each in the first (n).
 
     Two images from one place have no epipolar lines: then the centre itself is predicted from the attitudes.
     """
     one, other = first.frame.prior_T_cam_body, second.frame.prior_T_cam_body
+    # x2 = R x1 + t from the first to the second camera; ``here`` are the sights of the first, rotated by R.
     rotation = other.rotation @ one.rotation.T
     baseline = other.translation_m - rotation @ one.translation_m
     here = _homogeneous(first.detections.ellipses.centre_px) @ np.linalg.inv(first.camera.matrix).T @ rotation.T
@@ -227,6 +236,7 @@ def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
     if length <= _NO_BASELINE * float(np.linalg.norm(other.translation_m)):
         places = here @ second.camera.matrix.T
         return np.asarray(np.linalg.norm((places[:, :2] / places[:, 2:])[:, None] - there[None, :, :2], axis=2))
+    # l = K2^-T [t]x R K1^-1 u, in rows; the distance from the line is |l . u2| over the length of its first two terms.
     lines = here @ cross_matrix(baseline / length).T @ np.linalg.inv(second.camera.matrix)
     return np.asarray(np.abs(lines @ there.T) / np.linalg.norm(lines[:, :2], axis=1, keepdims=True))
 

@@ -67,7 +67,9 @@ class CorrelationMatcher:
 
 def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:
     """Return the angle between the directions of the Sun in body axes, from the prior attitudes."""
+    # In body axes: there the shadows are cast, however the camera is rolled.
     suns = [image.frame.prior_T_cam_body.rotation.T @ image.frame.sun_dir_cam for image in (first, second)]
+    # The arc tangent is accurate at small angles, where the arc cosine loses half of the digits.
     return float(np.arctan2(np.linalg.norm(np.cross(suns[0], suns[1])), suns[0] @ suns[1]))
 
 
@@ -76,6 +78,7 @@ def near_expected(
 ) -> NDArray[np.bool_]:
     """Return (p, m) which craters of the second image are near an expected one in place and size."""
     seen, H = second.detections.ellipses, expected.by_error
+    # Besides the errors of the poses an offset has those of both detections and of the shape, summed up as place_px.
     covariance = H @ joint_covariance(first, second) @ np.swapaxes(H, 1, 2) + options.place_px**2 * np.eye(2)
     offsets = seen.centre_px[None] - expected.ellipses.centre_px[:, None]
     far = np.einsum("pmi,pij,pmj->pm", offsets, np.linalg.inv(covariance), offsets)
@@ -116,6 +119,7 @@ def rectify_template(
         np.clip(np.ceil(options.template_radii * ellipse.radius_px[0]), options.least_half_px, options.most_half_px)
     )
     shift = np.eye(3)
+    # Pixel ``half`` is the central one, and its centre is at half + 0.5 in this project's pixels.
     shift[:2, 2] = half + 0.5 - ellipse.centre_px[0]
     matrix = np.linalg.inv(_HALF_PIXEL) @ shift @ homography @ _HALF_PIXEL
     side = 2 * half + 1
@@ -134,6 +138,7 @@ def rectify_template(
 
 def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
     """Return (...) the correlation (6) of a template (h, w) with windows (..., h, w)."""
+    # 2 cov / (var + var) instead of cov / (sigma sigma): 1 only for equal contrast too, not for any linear relation.
     here = template - template.mean()
     there = windows - windows.mean(axis=(-2, -1), keepdims=True)
     covariance = (here * there).mean(axis=(-2, -1))
@@ -144,13 +149,18 @@ def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
 def _best_correlation(
     template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions
 ) -> float:
-    """Return the highest correlation around a crater, or minus infinity if it is too far from the crater's centre."""
+    """Return the highest correlation around a crater's centre (2,) px.
+
+    Minus infinity if its place is too far from the centre, if the search window leaves the image, or if the template
+    is incomplete.
+    """
     half, reach = template.shape[0] // 2, options.search_px
     column, row = np.floor(centre_px).astype(int)
     top, left = row - half - reach, column - half - reach
     side = template.shape[0] + 2 * reach
     if top < 0 or left < 0 or top + side > image.shape[0] or left + side > image.shape[1]:
         return -np.inf
+    # A template that is cut off by the frame is not compared: equation (6) has no weights.
     if not np.isfinite(template).all():
         return -np.inf
     window = image[top : top + side, left : left + side].astype(np.float64)

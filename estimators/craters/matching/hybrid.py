@@ -75,6 +75,7 @@ class HybridMatcher:
         correlated = self._correlation.match(first, second, ground)
         certain = _pairs_of_expected(correlated.pairs, expected, near)
         seed, seen = (first.number, second.number), second.detections.ellipses
+        # Predicted rims instead of detected ones: relief is taken out, and what is left is nearly a common shift.
         others, _ = match_constellations(expected.ellipses, seen, near, self._options.context, seed)
         if len(others) == 0:
             others = _pairs_of_expected(self._invariants.match(first, second, ground).pairs, expected, near)
@@ -84,6 +85,7 @@ class HybridMatcher:
         pairs = _merge_pairs(certain, self._follow_common_shift(expected, second, near, found))
         if len(pairs) == 0:
             return CraterMatches.none(f"{len(found)} matches of constellations do not agree with each other")
+        # 2 for pairs confirmed by correlation: numbering prefers them to others with as many confirmations.
         score = np.isin(pairs[:, 0], certain[:, 0]).astype(np.float64) + 1.0
         return CraterMatches(np.column_stack([expected.rows[pairs[:, 0]], pairs[:, 1]]), score)
 
@@ -93,6 +95,7 @@ class HybridMatcher:
         """Find the pairs (k, 2) that agree with the transform fitted to the pairs found so far."""
         options, seen = self._options, second.detections.ellipses
         here = expected.ellipses
+        # Wrong pairs are dropped first: one of them can spoil a fit of least squares.
         inlier = _agreeing_offsets(seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]], options.context.place_px)
         pairs = found[inlier]
         for _ in range(_ROUNDS):
@@ -120,13 +123,17 @@ def _merge_pairs(certain: IndexArray, others: IndexArray) -> IndexArray:
 
 
 def _agreeing_offsets(offsets: FloatArray, limit_px: float) -> BoolArray:
-    """Return (k,) offsets near the one with most others around it; errors of poses move craters nearly alike."""
+    """Return (k,) which offsets (k, 2) are near the one with most others around it.
+
+    Errors of poses move neighbouring craters nearly alike.
+    """
     apart = np.linalg.norm(offsets[:, None] - offsets[None], axis=2) < _ROUGH * limit_px
     return np.asarray(apart[int(np.argmax(apart.sum(axis=1)))])
 
 
 def _transform(here: FloatArray, there: FloatArray) -> FloatArray:
     """Return the (3, 3) linear transform between places, or a shift if they are too few or nearly collinear."""
+    # A transform has six unknowns: with four pairs or fewer, or along a line, it would follow their noise.
     spread = np.linalg.svd(here - here.mean(axis=0), compute_uv=False)
     if len(here) > 4 and spread[-1] > 0.1 * spread[0]:
         return fitted_transform(here, there)

@@ -68,6 +68,7 @@ def conic_invariants(conics: FloatArray) -> FloatArray:
     Entry (j, i) is the second invariant of the pair. They are unchanged under C -> T^-T C T^-1: the product C_i^-1 C_j
     undergoes a similarity, which keeps the trace, and the determinants are scaled alike.
     """
+    # A conic has no scale of its own; a real cube root exists for either sign of the determinant.
     unit = conics / np.cbrt(np.linalg.det(conics))[:, None, None]
     return np.asarray(np.einsum("iab,jba->ij", np.linalg.inv(unit), unit), dtype=np.float64)  # eq. (10)
 
@@ -92,6 +93,7 @@ def vote_matrix(first: Ellipses, second: Ellipses, tolerance: float) -> IndexArr
     if len(first) < 2 or len(second) < 2:
         return votes
     (pairs, here), (others, there) = hash_table(first), hash_table(second)
+    # Both invariants have to be within the tolerance: the maximum norm.
     close = cKDTree(here).query_ball_tree(cKDTree(there), tolerance, p=np.inf)
     for (i, j), found in zip(pairs, close, strict=True):
         for k, m in others[found]:
@@ -106,6 +108,7 @@ def unambiguous_pairs(votes: IndexArray, threshold: int, margin: float | None = 
     A rival is a pair that exceeds the threshold as well; with a ``margin``, any pair whose votes times ``margin`` are
     not fewer. Each ordered pair of craters is in a table twice, (i, j) and (j, i), so that each agreement counts twice.
     """
+    # Doubled, because the table lists each pair of craters in both orders.
     strong = votes > 2 * threshold
     if margin is None:
         alone = strong & (strong.sum(axis=1, keepdims=True) == 1) & (strong.sum(axis=0, keepdims=True) == 1)

@@ -43,7 +43,7 @@ class ImagePairs:
     landmarks
         (k,) how many landmarks may be the same.
     overlap
-        (k,) share of the smaller lit region that the other image shows.
+        (k,) share of the sunlit points of one image that are in the frame of the other; the larger of both.
     """
 
     pairs: IndexArray
@@ -53,7 +53,19 @@ class ImagePairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Landmarks:
-    """All landmarks of all images."""
+    """All landmarks of all images.
+
+    Parameters
+    ----------
+    image
+        (n,) place of their image in the sequence.
+    points_m, covariance_m2
+        (n, 3) and (n, 3, 3), body axes.
+    by_common
+        (n, 3, s) m: effect of the errors that all images share, see `CraterImage.common`.
+    log_radius
+        (n,) logarithm of the radius in metres.
+    """
 
     image: IndexArray
     points_m: FloatArray
@@ -75,6 +87,7 @@ def preliminary_pairs(
     )
     ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
     between = landmarks.image[couples]
+    # Sorted, so that (i, j) and (j, i) count as one pair of images.
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
     lit = [_lit_points_of(image, ground, options.footprint) for image in images]
@@ -99,6 +112,7 @@ def couples_at_same_place(
         here = np.arange(start, min(start + _BLOCK_SIZE, n))
         apart = np.linalg.norm(points_m[here, None] - points_m[None], axis=2)
         # The distance alone excludes most pairs: few are left for the exact test.
+        # It excludes none by mistake: the sigma of a difference in any direction is at most the sum of both sigmas.
         near = (apart < reach[here, None] + reach) & (np.arange(n) > here[:, None])
         rows, others = np.nonzero(near)
         rows = here[rows]
@@ -117,6 +131,7 @@ def landmark_covariances(image: CraterImage, located: LocatedCraters, height_sig
     ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
     pixel_m = 0.5 * ranges * image.camera.pixel_angle_rad
     covariance = by_pose @ image.frame.prior_covariance @ np.swapaxes(by_pose, 1, 2)
+    # A higher ground is met earlier: the point moves along the line of sight, the farther the more slanted.
     covariance += height_sigma_m**2 * np.einsum("ni,nj->nij", by_height, by_height)
     return np.asarray(covariance + pixel_m[:, None, None] ** 2 * np.eye(3), dtype=np.float64)
 
@@ -130,6 +145,7 @@ def lit_points(
     rays = T_cam_body.inverse().rotate(camera.unproject(np.column_stack([u.ravel(), v.ravel()])))
     points, normals = ground.intersect(np.broadcast_to(T_cam_body.camera_position_m, rays.shape), rays)
     with np.errstate(invalid="ignore"):
+        # Rays that miss the body have NaN normals, for which the comparison is false. Cast shadows are not computed.
         lit = normals @ sun_dir_body > 0.0
     return points[lit], normals[lit]
 

@@ -58,6 +58,8 @@ class LocatedCraters:
         normal = self.normals_body @ pose.rotation.T
         slant = np.einsum("ni,ni->n", normal, sight)
         error = np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(self), 3, 3))], axis=2)
+        # The moved point stays on the line of sight and on the plane: R dp = s d - e with m . R dp = 0, s = m . e / m .
+        # d.
         along = np.einsum("ni,nij->nj", normal, error) / slant[:, None]
         moved = sight[:, :, None] * along[:, None, :] - error
         return np.asarray(np.einsum("ji,njk->nik", pose.rotation, moved), dtype=np.float64)
@@ -66,6 +68,7 @@ class LocatedCraters:
         """Differentiate each point by the height of the shape, (n, 3): it moves along the line of sight."""
         sight = self.points_body_m - self.T_cam_body.camera_position_m
         sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        # A plane raised by h along its normal meets the line d at h / (n . d): towards the camera, as n . d < 0.
         return np.asarray(sight / np.einsum("ni,ni->n", self.normals_body, sight)[:, None], dtype=np.float64)
 
 
@@ -79,6 +82,7 @@ def locate_craters(image: CraterImage, ground: GroundModel) -> LocatedCraters:
     centre_dir = pose.inverse().rotate(image.camera.unproject(ellipses.centre_px))
     points, normals = _intersect(ground, pose, centre_dir)
     rim, _ = _intersect(ground, pose, pose.inverse().rotate(image.camera.unproject(ellipses.points(_RIM_POINTS)[0])))
+    # The centre is located on the plane of the rim: where the shape has the crater, the ray meets its floor.
     middles, fitted = _fit_planes(rim, normals)
     known = np.isfinite(middles).all(axis=1)
     slant = np.einsum("ni,ni->n", fitted, centre_dir)
@@ -96,6 +100,7 @@ def occluded(
     rays = points_body_m - seen_from_body_m
     ranges = np.linalg.norm(rays, axis=1)
     met, _ = ground.intersect(np.broadcast_to(seen_from_body_m, rays.shape), rays / ranges[:, None])
+    # NaN where the ray misses the body: then nothing is in the way, and the comparison is false.
     nearer = ranges - np.linalg.norm(met - seen_from_body_m, axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(nearer > slack_m)
@@ -129,6 +134,7 @@ def _fit_planes(rims: FloatArray, normals: FloatArray) -> tuple[FloatArray, Floa
 def _fit_plane(rims: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit planes of least squares to points (..., k, 3): their centroids and normals of either sign."""
     middle = rims.mean(axis=-2)
+    # The direction of least variance is the last right singular vector.
     return middle, np.linalg.svd(rims - middle[..., None, :])[2][..., 2, :]
 
 
@@ -185,6 +191,7 @@ def transfer_craters(
 
 def joint_covariance(first: CraterImage, second: CraterImage) -> FloatArray:
     """Return the (12, 12) covariance of the errors of both prior poses, correlated by their common errors."""
+    # Both poses are linear in the same unit errors c: Cov(B1 c, B2 c) = B1 B2^T.
     between = first.common @ second.common.T
     blocks = [[first.frame.prior_covariance, between], [between.T, second.frame.prior_covariance]]
     return np.asarray(np.block(blocks), dtype=np.float64)
@@ -197,6 +204,7 @@ def plane_homographies(located: LocatedCraters, first: Camera, second: Camera, T
     """
     rotation = T_second_body.rotation @ located.T_cam_body.rotation.T
     shift = T_second_body.translation_m - rotation @ located.T_cam_body.translation_m
+    # On the plane m . x / h = 1, so that x2 = R x + t = (R + t m^T / h) x.
     normal = located.T_cam_body.rotate(located.normals_body)
     height = np.einsum("ni,ni->n", normal, located.T_cam_body.transform(located.points_body_m))
     moved = rotation + shift[:, None] * (normal / height[:, None])[:, None, :]
@@ -211,7 +219,10 @@ def map_ellipses(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolAr
 
 
 def _sensitivity(located: LocatedCraters, camera: Camera, pose: Pose) -> tuple[FloatArray, FloatArray]:
-    """Differentiate the places in an image by the errors of both poses and by the height of the shape."""
+    """Differentiate the places in an image by the errors of both poses, (n, 2, 12), and by the shape's height, (n, 2).
+
+    Pixels per rad and metre; the errors are [rotation_rad, translation_m] of the first and the second pose.
+    """
     turned = located.points_body_m @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
     # An error of the first pose moves the point on the body; one of the second moves its image.

@@ -58,6 +58,8 @@ class VoteMatcher:
         """Match by place, size and shape."""
         if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
+        # The errors of both poses, [rotation_rad, translation_m] each; the shape and its projection are not linear in
+        # them.
         error = np.zeros(12)
         for _ in range(_PASSES):
             rows, found = self._associated(first, second, ground, error)
@@ -79,6 +81,7 @@ class VoteMatcher:
         one, other = with_pose_error(first, error[:6]), with_pose_error(second, error[6:])
         expected = transfer_craters(one, other, locate_craters(one, ground), ground)
         noise = centre_noise(expected.ellipses, options.association)
+        # Heights under different craters are taken as independent; the errors of the poses are common to all.
         noise += options.height_sigma_m**2 * np.einsum("ni,nj->nij", expected.by_height, expected.by_height)
         field = ExpectedCraters(expected.ellipses, expected.by_error, covariance, noise, -error)
         area_px2 = float(second.camera.width_px * second.camera.height_px)

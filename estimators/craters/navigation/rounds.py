@@ -170,6 +170,7 @@ class CraterNavigation:
             CraterDatabase(numbered_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
 
         place = f"database-{options.agreeing}/{LANDMARKS}"
+        # Read back from its files, so that a continued chain has the same input as an uninterrupted one.
         database = stages.cached(place, "database", build, lambda path: CraterDatabase.load(path.parent))
         known = task.knowledge
         data = OrbitData(

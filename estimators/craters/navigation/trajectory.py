@@ -52,6 +52,8 @@ class Trajectory:
         flown = propagate_partials(
             knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
         )
+        # The errors of state, GM and solar pressure are constants of the arc: times their partials, they are the common
+        # errors, and the covariance is the sum of their squares.
         sigma = np.repeat([knowledge.position_sigma_m, knowledge.velocity_sigma_m_s], 3)
         forces = flown.by_parameters[:, :3, :2] * [knowledge.gm_sigma, knowledge.light_sigma]
         spread = np.concatenate([flown.by_state[:, :3] * sigma, forces], axis=2)
@@ -65,6 +67,7 @@ class Trajectory:
         larger than expected.
         """
         rows = np.searchsorted(wanted_s, times_s)
+        # An orbit estimate has no covariance between times: its errors count as independent between images.
         covariances = inflation * orbit.position_covariances_m2[rows]
         return cls(times_s, orbit.positions_m[rows], covariances, np.zeros((len(rows), 3, 0)))
 
@@ -78,6 +81,7 @@ def images_along_trajectory(
     for i, (exposure, turn, position) in enumerate(zip(exposures, turns, trajectory.positions_m, strict=True)):
         attitude = exposure.R_cam_inertial
         rotation = attitude @ turn.T
+        # The position is about the centre of mass, the shape about its own origin: t = -R (c + centre of mass).
         pose = Pose(rotation, -rotation @ (turn @ position + task.shape.centre_of_mass_m))
         by_turn, by_place = _by_turn(pose), np.vstack([np.zeros((3, 3)), -attitude])
         # Independent attitude error and common misalignment, both rotations of the camera, and the position.
