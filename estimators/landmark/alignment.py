@@ -84,6 +84,8 @@ def align_translation(
 ) -> Alignment:
     """Render the mesh and shift it onto the observed image, until the rendered point no longer moves.
 
+    The pose after the greatest number of iterations is returned like a converged one.
+
     Parameters
     ----------
     observed
@@ -120,6 +122,7 @@ def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: F
     """Translate the body at its distance so that the rendered point moves to the observed one."""
     r_obs, r_sim = camera.unproject(observed_px), camera.unproject(rendered_px)  # eq. (11)
     distance = float(np.linalg.norm(T_cam_body.translation_m))
+    # The paper moves the point r_sim at the distance of the origin to the foot of its perpendicular on r_obs.
     delta = distance * float(r_obs @ r_sim) * r_obs - distance * r_sim  # eq. (13)
     return T_cam_body.perturbed(np.zeros(3), delta)
 
@@ -157,9 +160,11 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())
+    # Cut to its lit part, so that padding by half of it covers all shifts that keep half in the image.
     template = rendered[top : int(rows.max()) + 1, left : int(columns.max()) + 1]
     pad_rows, pad_columns = template.shape[0] // 2, template.shape[1] // 2
     field = np.pad(observed, ((pad_rows, pad_rows), (pad_columns, pad_columns)))
+    # The sum of |observed - rendered|^2 over the plane is constant but for -2 times the correlation.
     correlation = cv2.matchTemplate(field, template, cv2.TM_CCORR)
     row, column = (int(i) for i in np.unravel_index(int(correlation.argmax()), correlation.shape))
     dv = row + _peak_offset(correlation[:, column], row) - pad_rows - top
@@ -201,8 +206,9 @@ def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> f
 def image_correlation(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
     """Correlation coefficient of the image with a shape rendered at a pose, over all pixels; -1 if it is out of view.
 
-    Both are signals with a background of 0, so the outline and the shading contribute. Two poses can be compared by it
-    without a threshold, because neither was estimated from it.
+    Both are signals with a background of 0, so the outline and the shading contribute. Two poses are compared by it
+    without a threshold. It is the correlation with the onboard shape, not with the mesh of landmarks that the alignment
+    renders.
     """
     rendered = extract_signal(view.render(T_cam_body), KNOWN_SKY)
     if rendered.empty:

@@ -128,6 +128,7 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
         hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
     except BoresightError as error:
         raise NoProductError(str(error)) from error
+    # A landmark that is not on the mesh could not be tested for visibility: it is dropped.
     kept = [clusters[index] for index in hull.kept]
     database = LandmarkDatabase(
         np.stack([cluster.mean_m for cluster in kept]),

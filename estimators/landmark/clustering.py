@@ -52,6 +52,8 @@ class PointCluster:
         chosen = points_m[ordered]
         mean = chosen.mean(axis=0)
         centred = chosen - mean
+        # Points on a plane have a singular dispersion: the floor keeps it invertible and bounds the weight of a
+        # landmark.
         covariance = centred.T @ centred / max(len(ordered) - 1, 1) + sigma_floor_m**2 * np.eye(3)
         return cls(ordered, mean, covariance)
 
@@ -77,6 +79,7 @@ def seed_clusters(points_m: FloatArray, radius_m: float) -> list[IndexArray]:
         centroid = points_m[start]
         while True:
             near = np.asarray(tree.query_ball_point(centroid, radius_m, return_sorted=True), dtype=np.intp)
+            # Earlier members stay, even where the centroid has moved away from them.
             grown = np.union1d(members, near[free[near]])
             if len(grown) == len(members):
                 break
@@ -99,6 +102,7 @@ def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: Cluste
     for seed in dense:
         free[seed] = False
     clusters = []
+    # The most populated cluster chooses first among the free points.
     for seed in sorted(dense, key=len, reverse=True):
         cluster = PointCluster.of(points_m, seed, options.sigma_floor_m)
         while (added := _within_reach(points_m, tree, free, cluster, options.growth_sigma)).size:
@@ -150,9 +154,12 @@ def _refine_once(points_m: FloatArray, clusters: list[PointCluster], options: Cl
             continue
         waiting.remaining[index] = False
         cluster = first
+        # After a merger the mean and dispersion are new, and with them the distances to the remaining clusters.
         while (neighbour := waiting.nearest(cluster, options.merge_sigma)) is not None:
             waiting.remaining[neighbour] = False
             members = np.concatenate([cluster.members, ordered[neighbour].members])
+            # Section 2.3: merged if one cluster is tighter than two; else the less populated one, always the neighbour,
+            # is dropped.
             merged = PointCluster.of(points_m, members, options.sigma_floor_m)
             if cluster.trace_m2 + ordered[neighbour].trace_m2 > merged.trace_m2:
                 cluster = merged
@@ -172,6 +179,7 @@ class _ClusterIndex:
 
     def nearest(self, cluster: PointCluster, sigma: float) -> int | None:
         """Index of the remaining cluster at the least distance weighted by both covariances, if below ``sigma``."""
+        # The largest eigenvalue of a sum is at most the sum of both largest: no neighbour within reach is missed.
         largest = float(np.linalg.eigvalsh(cluster.covariance_m2)[-1]) + self._largest_variance
         reach_m = sigma * float(np.sqrt(largest))
         near = np.asarray(self._tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)

@@ -82,6 +82,7 @@ def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corner
         return Corners(np.empty((0, 2)), np.empty(0))
     smooth = cv2.GaussianBlur(signal.image, (0, 0), options.blur_px) if options.blur_px > 0.0 else signal.image
     found = _blobs(smooth, options) if options.detector == "surf" else _corners(smooth, options)
+    # Before the refinement to subpixels: patches are cut at whole pixels.
     kept = distinct_peaks(smooth, found.peaks, options)
     positions = found.peaks[kept, ::-1].astype(np.float64)
     if options.subpixel:
@@ -108,6 +109,7 @@ def _corners(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPea
 def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPeaks:
     """Find blobs of all scales; where several coincide, keep the strongest."""
     blobs = fast_hessian(image)
+    # Ascending, so that of several blobs at a pixel the strongest is written last and stays.
     order = np.argsort(blobs.strength, kind="stable")
     rows, columns = blobs.peaks[order, 0], blobs.peaks[order, 1]
     strongest = np.zeros(image.shape, dtype=np.float32)
@@ -128,10 +130,12 @@ def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDA
 
     Peaks whose surroundings extend beyond the image are left out.
     """
+    # A local maximum is its own neighbourhood's maximum, which the dilation computes.
     side = 2 * options.separation_px + 1
     neighbourhood = cv2.dilate(response, np.ones((side, side), dtype=np.uint8))
     floor = max(options.min_relative_strength * float(response.max()), 0.0)
     peak = (response == neighbourhood) & (response > floor)
+    # The surroundings of a corner have to be in the image for its self-similarity.
     margin = options.surroundings_px // 2
     peak[:margin] = peak[-margin:] = False
     peak[:, :margin] = peak[:, -margin:] = False
@@ -164,12 +168,14 @@ def self_similarity(image: NDArray[np.float32], row: int, column: int, options: 
     window = image[row - reach : row + reach + 1, column - reach : column + reach + 1]
     if np.ptp(patch) == 0.0:
         return 1.0
+    # Zero-mean normalised: independent of brightness and contrast, which vary along a limb.
     correlation = cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED)
     return float(correlation[_away_from_centre(options.patch_px, options.surroundings_px)].max())
 
 
 def _away_from_centre(patch_px: int, surroundings_px: int) -> NDArray[np.bool_]:
     shift = np.arange(surroundings_px - patch_px + 1) - (surroundings_px - patch_px) // 2
+    # At least the outermost shifts are kept where the surroundings are hardly larger than the patch.
     mask: NDArray[np.bool_] = np.hypot(shift[:, None], shift[None, :]) > min(patch_px // 2, shift.max() - 1)
     return mask
 

@@ -72,9 +72,12 @@ def determinant(image: Image, side: int) -> Image:
     """Dxx Dyy - (0.9 Dxy)^2 of box filters of a side, normalised by their area, (H, W)."""
     lobe = side // 3
     long = 2 * lobe - 1
+    # Lobes of weight 1, -2, 1: the whole box once, minus three times its middle third.
     xx = _box(image, (side, long)) - 3.0 * _box(image, (lobe, long))
     yy = _box(image, (long, side)) - 3.0 * _box(image, (long, lobe))
     xy = _mixed(_box(image, (lobe, lobe)), (lobe + 1) // 2)
+    # Each derivative is divided by the area of the filter, side^2, so that responses of all sides compare; 0.9 balances
+    # the box filters against Gaussian derivatives (Bay et al., section 3.2).
     normalised: Image = (xx * yy - (_MIXED_WEIGHT * xy) ** 2) / np.float32(side**4)
     return normalised
 
@@ -97,6 +100,7 @@ def _maxima(layers: Mapping[int, Image], dilated: Mapping[int, Image], sides: tu
     below, middle, above = sides
     around = np.maximum(np.maximum(dilated[below], dilated[above]), dilated[middle])
     highest = (layers[middle] == around) & (layers[middle] > 0.0)
+    # Filters that reach beyond the image see replicated pixels.
     reach = above // 2 + 1
     highest[:reach] = highest[-reach:] = False
     highest[:, :reach] = highest[:, -reach:] = False
@@ -126,6 +130,7 @@ def _interpolated(layers: Sequence[Image], peaks: NDArray[np.intp]) -> FloatArra
                 curvature[:, i, i] = at(one) - 2.0 * at(0 * one) + at(-one)
             else:
                 curvature[:, i, j] = 0.25 * (at(one + other) + at(-one - other) - at(one - other) - at(other - one))
+    # Only a negative definite curvature has a maximum; elsewhere the Newton step leads to a saddle.
     peaked = np.linalg.eigvalsh(curvature)[:, -1] < 0.0
     offsets = np.zeros((len(peaks), 3))
     offsets[peaked] = -np.linalg.solve(curvature[peaked], slope[peaked, :, None])[..., 0]

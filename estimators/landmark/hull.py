@@ -75,6 +75,7 @@ def concave_hull(points_m: FloatArray) -> ConcaveHull:
 
 def circumspheres(corners_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Centres (T, 3) and radii (T,) of the spheres through the corners (T, 4, 3) of tetrahedra; inf where flat."""
+    # |c - x0|^2 = |c - xi|^2 for the other three corners: linear in c - x0, e_i . (c - x0) = |e_i|^2 / 2.
     edges = corners_m[:, 1:] - corners_m[:, :1]
     flat = np.abs(np.linalg.det(edges)) <= _FLAT * np.linalg.norm(edges, axis=2).prod(axis=1)
     solvable = np.where(flat[:, None, None], np.eye(3), edges)
@@ -94,6 +95,7 @@ class _Solid:
         except QhullError as error:
             raise BoresightError(_no_volume(len(points_m))) from error
         corners = self._points[delaunay.simplices]
+        # Qhull does not orient tetrahedra: the faces of those with negative volume are reversed.
         mirrored = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
         self._tetrahedra = delaunay.simplices.astype(np.intp)
         self._neighbours = delaunay.neighbors.astype(np.intp)
@@ -102,6 +104,7 @@ class _Solid:
         centres, self._radii = circumspheres(corners)
         self._centre_outside = ~np.isfinite(self._radii)
         bounded = np.flatnonzero(~self._centre_outside)
+        # Heights above the planes of the convex hull: a point outside is above at least one of them.
         height = centres[bounded] @ hull.equations[:, :3].T + hull.equations[:, 3]
         self._centre_outside[bounded] = (height > _HULL_TOLERANCE).any(axis=1)
         self._in_solid = np.ones(len(self._tetrahedra), dtype=bool)
@@ -145,9 +148,14 @@ class _Solid:
         faces = self._surface_faces_of(tetrahedron)
         corners = self._tetrahedra[tetrahedron]
         if len(faces) == 1:
+            # The face is replaced by the other three, which meet at the opposite vertex: on the surface already, it
+            # would be pinched.
             return bool(self._vertex_uses[corners[faces[0]]] == 0)
         if len(faces) == 2:
+            # Two faces are replaced by the other two, which meet in the opposite edge: on the surface already, it would
+            # have four facets.
             return self._edge_uses.get(_edge(int(corners[faces[0]]), int(corners[faces[1]])), 0) == 0
+        # Three faces: their common landmark would leave the solid. Four or none: there is no surface to carve into.
         return False
 
     def _remove(self, tetrahedron: int) -> None:
@@ -190,6 +198,8 @@ class _Solid:
         corners = self._points[self._faces[rows]]  # (R, 4, 3, 3)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=2), axis=3).max(axis=2)
         longest = np.where(surface_faces[rows], edges, 0.0).max(axis=1)
+        # The mean of the centres of the tetrahedron's facets on the surface: from there the depth of a point is
+        # measured.
         weight = surface_faces[rows][:, :, None]
         centre = (corners.mean(axis=2) * weight).sum(axis=1) / weight.sum(axis=1)
         distance, _ = cKDTree(self._points[buried]).query(centre)
@@ -198,7 +208,10 @@ class _Solid:
         return next((int(rows[i]) for i in order if self._removable(int(rows[i]))), None)
 
     def _nearest_removable(self, buried: IndexArray) -> int | None:
-        """Find the removable tetrahedron nearest to a buried point by neighbours; of several, by circumsphere."""
+        """Find the removable tetrahedron that is the fewest neighbours away from a buried point.
+
+        Of several, the one with the largest circumsphere.
+        """
         level = np.flatnonzero(self._in_solid & np.isin(self._tetrahedra, buried).any(axis=1))
         seen = ~self._in_solid
         while level.size:

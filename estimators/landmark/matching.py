@@ -73,6 +73,8 @@ def match_landmarks(
     nearest_landmark = d2.argmin(axis=0)
     rows = np.arange(len(candidates))
     best = d2[rows, nearest_corner]
+    # Reciprocal, as in section 3.3: the corner does not lie closer to another landmark. Both distances are weighted
+    # with the covariance of the landmark in question.
     paired = (nearest_landmark[nearest_corner] == rows) & (best < d2_max)
     return Matches(candidates[paired], nearest_corner[paired], best[paired])
 
@@ -102,6 +104,7 @@ def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatA
     """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
     a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
     determinant = a * c - b * b
+    # Written out: far faster than LAPACK for many 2 x 2 matrices.
     adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
     return adjugate / determinant[..., None, None], determinant  # eq. (19)
 

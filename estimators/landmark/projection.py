@@ -39,7 +39,7 @@ class Projection:
 
 
 def project_landmarks(database: LandmarkDatabase, camera: Camera, T_cam_body: Pose) -> Projection:
-    """Project the means and the covariances of all landmarks into the image."""
+    """Project the means and the covariances of all landmarks into the image, equations (4) to (10)."""
     points_cam_m = T_cam_body.transform(database.means_m)  # eq. (4)
     uv_px = camera.project(points_cam_m)  # eqs. (5), (6)
     return Projection(points_cam_m, uv_px, image_covariances(database.covariances_m2, points_cam_m, camera, T_cam_body))
@@ -72,6 +72,7 @@ def visible_landmarks(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> B
 
 def faces_camera(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray:
     """(V,): vertices with at least one facet whose outward normal points towards the camera (far-side test)."""
+    # A vertex is on the far side only if all its facets face away: one that faces the camera is enough.
     result = np.zeros(len(mesh.vertices_m), dtype=bool)
     result[mesh.faces[_facing(mesh, camera_position_body_m)].ravel()] = True
     return result
@@ -131,11 +132,13 @@ def _near_pairs(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> tu
 def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolArray:
     """(P,): whether each ray intersects its facet between its two ends (Moeller and Trumbore 1997)."""
     edge1, edge2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
+    # Origin + t ray = corner + u edge1 + v edge2, solved by Cramer's rule.
     p, q = np.cross(rays, edge2), np.cross(offset, edge1)
     determinant = np.einsum("pi,pi->p", edge1, p)
     safe = np.where(np.abs(determinant) > _PARALLEL, determinant, np.nan)
     u = np.einsum("pi,pi->p", offset, p) / safe
     v = np.einsum("pi,pi->p", rays, q) / safe
     t = np.einsum("pi,pi->p", edge2, q) / safe
+    # The ray ends at the landmark, t = 1: only facets nearer than it hide it.
     blocking: BoolArray = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)
     return blocking

@@ -181,6 +181,7 @@ def recognise(
     observed = observed_signal(frame, camera, clock)
     if isinstance(observed, str):
         return Recognition(prior, Alignment(prior, ()), None, None, clock.seconds, observed)
+    # Section 3.2: matching by proximity needs the error across the line of sight to be small.
     alignment = aligner.align(observed, frame, view, clock)
     if alignment.failure:
         return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
@@ -191,6 +192,8 @@ def recognise(
     if solution.fit is None:
         return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
     with clock("consistency"):
+        # The outliers of the paper (section 4.2.1) are bodies rolled incorrectly onto wrong matches: the brightness
+        # centroid does not depend on the matches.
         residual_px = centroid_residual_px(observed, solution.fit.T_cam_body, view)
         correlations = None
         if shape_view is not None:

@@ -85,6 +85,7 @@ def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
     rows, columns = max(4, round(height * _CORNER_FRACTION)), max(4, round(width * _CORNER_FRACTION))
     blocks = [image[r, c] for r in (slice(rows), slice(-rows, None)) for c in (slice(columns), slice(-columns, None))]
     medians = [float(np.median(block)) for block in blocks]
+    # A corner that the body covers is brighter than the sky.
     darkest = int(np.argmin(medians))
     level = medians[darkest]
     return level, float(_MAD_TO_SIGMA * np.median(np.abs(blocks[darkest] - level)))
@@ -120,9 +121,12 @@ def extract_signal(
         raise BoresightError(f"the image holds {int((~np.isfinite(image)).sum())} pixels that are NaN or infinite")
     level, noise = background_level(image) if sky is None else sky
     rise = image.astype(np.float32) - np.float32(level)
+    # Pixels of the body, by the noise alone: the level of the body, on which the second threshold depends, is not known
+    # yet.
     bright = rise[rise > max(threshold_sigma * noise, 0.0)]
     if bright.size < _MIN_SIGNAL_PX:
         return Signal(np.zeros_like(rise), level, noise)
+    # A percentile, as glints and cosmic rays would scale the whole image down.
     full_scale = float(np.percentile(bright, _FULL_SCALE_PERCENTILE))
     floor = max(threshold_sigma * noise, threshold_fraction * full_scale)
     scaled = np.where(rise > floor, rise / np.float32(full_scale), np.float32(0.0))

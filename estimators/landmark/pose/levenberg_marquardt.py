@@ -76,6 +76,7 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
         iteration += 1
         trial = _updated(pose, _damped_step(problem, pose, damping, options.parameters), options.parameters)
         trial_chi2 = problem.chi2(trial)
+        # Also a step that puts a landmark behind the camera, where chi-square is infinite.
         if adaptive and trial_chi2 > chi2:
             damping *= 10.0
             continue
@@ -92,6 +93,9 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
 def _damped_step(problem: PoseProblem, pose: Pose, damping: float, parameters: str) -> FloatArray:
     jacobian = minimal_jacobian(problem, pose) if parameters == "minimal" else quaternion_jacobian(problem, pose)
     matrix, vector = problem.normal_equations(jacobian, problem.residuals_px(pose))
+    # Marquardt's scaling by the diagonal: radians, quaternions and metres are damped alike. With the quaternion the
+    # matrix alone is singular, as scaling q by a factor and T by its square leaves the image unchanged; lambda stays
+    # positive.
     damped: FloatArray = matrix + damping * np.diag(np.diag(matrix))
     return np.asarray(np.linalg.solve(damped, vector), dtype=np.float64)  # eq. (24), by LUP
 

@@ -107,6 +107,7 @@ def solve_pose(
         matches = match_landmarks(
             projection.uv_px, projection.covariances_px2, visible, corners_px, options.match_d2_max
         )
+        # The same matches give the same pose but for the weights, so that the set is stable.
         if rounds and rounds[-1].fit is not None and matches.same_pairs(rounds[-1].matches):
             return PoseSolution(tuple(rounds), True, "", rounds[-1].fit)
         rounds.append(MatchingRound(projection, visible, matches))
@@ -115,6 +116,8 @@ def solve_pose(
         problem = PoseProblem(
             database.means_m[matches.landmark],
             corners_px[matches.corner],
+            # Weights from the pose before the round: constant during the fit, so that chi-square is a plain sum of
+            # squares.
             inverse_2x2(projection.covariances_px2[matches.landmark]),
             camera,
         )

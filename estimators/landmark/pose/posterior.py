@@ -21,6 +21,7 @@ _MAX_STEPS = 50
 _STEP_TOLERANCE = 1e-8
 _NU = 4.0
 # Mean of weight times square per component, for squares with a chi-square distribution of two degrees of freedom.
+# E[(nu + 2) x / (nu + x)] / 2 with nu = 4 and the density exp(-x / 2) / 2: 3 (1 - 2 e^2 E1(2)).
 _GAUSSIAN_MEAN = 3.0 * (1.0 - 2.0 * float(np.exp(2.0) * exp1(2.0)))
 _UNKNOWN_POINTS = 3.0  # observations of two components that the six unknowns take up
 _LEAST_SCALE2 = 1e-4
@@ -110,11 +111,13 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
     for _ in range(_MAX_STEPS):
         residuals = problem.residuals_px(pose)
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)
+        # Scale and pose are iterated together: the weights need the scale, the scale the residuals.
         scale2 = _scale2(d2, independent)
         jacobian = minimal_jacobian(problem, pose)
         # Redundant observations count once: correlated errors do not average out.
         share = _weights(d2 / scale2) / (scale2 * redundancy)
         matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
+        # Normal equations of the posterior: the prior pulls back by its information times the offset from its mean.
         step = np.asarray(np.linalg.solve(matrix + known, vector - known @ prior.offset(pose)), dtype=np.float64)
         pose = pose.perturbed(step[:3], step[3:])
         if np.abs(step).max() < _STEP_TOLERANCE:
@@ -139,6 +142,7 @@ def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
     first_px, last_px
         (N, 2) columns and rows of the windows' first corners and of their opposite corners.
     """
+    # Windows are intervals along both axes: where the common one is empty, the clipped length is 0.
     low = np.maximum(first_px[:, None], first_px[None])
     high = np.minimum(last_px[:, None], last_px[None])
     common = np.clip(high - low, 0.0, None).prod(axis=2)
@@ -159,6 +163,7 @@ def _free(n: float) -> float:
 
 def _scale2(d2: FloatArray, independent: float) -> float:
     """Robust scale of the weighted squares (N,); for Gaussian residuals it is their variance."""
+    # The median as a start withstands outliers; the floor keeps the weights finite for perfect data.
     scale2 = max(float(np.median(d2)) / 2.0, _LEAST_SCALE2)
     for _ in range(_MAX_STEPS):
         mean = float((_weights(d2 / scale2) * d2).mean()) / 2.0
@@ -172,6 +177,7 @@ def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
     """E[psi^2] and E[psi'] per component, of the influence function psi, over the weighted squares (N,)."""
     weights = _weights(x)
     influence = _free(independent) * float((weights**2 * x).mean()) / 2.0
+    # psi(r) = w(x) r with x = |r|^2 has the mean derivative w + w' x per component, w' = -(nu + 2) / (nu + x)^2.
     slope = float((weights - (_NU + 2.0) * x / (_NU + x) ** 2).mean())
     return influence, slope
 
@@ -179,6 +185,7 @@ def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
 def _scores_covariance(information: FloatArray, jacobian: FloatArray, shared: FloatArray) -> FloatArray:
     """Covariance (P, P) of J^T S^-1/2 e for errors e of unit variance with the correlation ``shared``."""
     values, vectors = np.linalg.eigh(information)
+    # Symmetric square root of the information: it whitens both components of a residual.
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     white = root @ jacobian
     covariance: FloatArray = np.einsum("nip,niq->pq", white, np.einsum("nm,miq->niq", shared, white))

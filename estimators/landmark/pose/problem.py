@@ -75,6 +75,7 @@ def solve_epnp(problem: PoseProblem) -> Pose | None:
     """
     camera = problem.camera
     matrix = camera.matrix
+    # OpenCV counts the first pixel's centre as 0, this project as 0.5: for the principal point as for the corners.
     matrix[:2, 2] = pixel_to_opencv(matrix[:2, 2])
     found, rotation_vector, translation = cv2.solvePnP(
         problem.points_body_m, pixel_to_opencv(problem.uv_px), matrix, None, flags=cv2.SOLVEPNP_EPNP
@@ -135,5 +136,6 @@ def point_by_rotation(rotated_m: FloatArray) -> FloatArray:
     """Differentiate exp(w) R x by the small rotation w, (..., N, 3, 3), at R x = ``rotated_m`` (..., N, 3)."""
     x, y, z = np.moveaxis(rotated_m, -1, 0)
     zero = np.zeros_like(x)
+    # d(exp(w) x)/dw = -[x]x at w = 0, as w x x = -x x w.
     columns = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1)
     return columns.reshape(*x.shape, 3, 3)

@@ -274,6 +274,7 @@ def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, dampi
     matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
     try:
         return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
+    # NumPy raises for the whole stack if one matrix is singular: then one by one.
     except np.linalg.LinAlgError:
         return np.stack([_solution(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)])
 

@@ -115,6 +115,7 @@ class ConsensusRecognizer:
         solution = self._solve(observation.frame, observation.camera, clock, rng)
         if isinstance(solution, str):
             return Estimate("failed", solution, timings_s=clock.seconds)
+        # Inverse information at the maximum. It takes all landmarks as independent, hence the factor on the covariance.
         bound, matched = np.linalg.inv(solution.evaluation.hessian[0]), solution.matched()
         return Estimate(
             "ok",
@@ -157,6 +158,7 @@ class ConsensusRecognizer:
         if min(len(visible), len(corners_px)) < _FEWEST:
             return f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
         sigma_px = options.mixture.corner_sigma_px
+        # The grid is a ball: the largest of the three sigmas covers the prior in all directions.
         turn_sigma_rad = float(np.sqrt(np.diag(floor_variances(frame.prior_covariance))[:3].max()))
         prior = _prior_after_alignment(frame, start, camera, options)
         first = self._mixture(visible, corners_px, camera, prior)
@@ -175,6 +177,7 @@ class ConsensusRecognizer:
 
     def _mixture(self, visible: NDArray[np.intp], corners_px: FloatArray, camera: Camera, prior: PosePrior) -> Mixture:
         means, covariances = self._database.means_m[visible], self._database.covariances_m2[visible]
+        # Clutter lies on the body, not in the sky: its density is that in the convex hull of the corners.
         area_px2 = float(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))))
         area_px2 = max(area_px2, float(len(corners_px)))
         return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
@@ -187,11 +190,13 @@ def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options:
     boresight and in attitude there is only the prior.
     """
     prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
+    # Pixels to metres across the line of sight, at the distance of the body.
     sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
     measured = np.zeros((6, 6))
     measured[3, 3] = measured[4, 4] = sigma_m**-2
     information = prior_information + measured
     offset = np.concatenate([np.zeros(3), aligned.translation_m - frame.prior_T_cam_body.translation_m])
+    # Product of two Gaussians: (P^-1 + H) mean = H z, from the mean of the prior.
     shift = np.linalg.solve(information, measured @ offset)
     mean = frame.prior_T_cam_body.perturbed(shift[:3], shift[3:])
     return PosePrior(mean, information)

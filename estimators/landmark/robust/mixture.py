@@ -69,7 +69,19 @@ class MixtureEvaluation:
 
 
 class Mixture:
-    """The posterior of the pose, from visible landmarks, the corners of an image and a prior."""
+    """The posterior of the pose, from visible landmarks, the corners of an image and a prior.
+
+    Parameters
+    ----------
+    points_m, covariances_m2
+        (N, 3) and (N, 3, 3) landmarks in the body frame.
+    corners_px
+        (C, 2) corners of the image.
+    area_px2
+        Area of the image that the corners are spread over.
+    prior
+        Of the pose; its information must be regular.
+    """
 
     def __init__(
         self,
@@ -83,12 +95,14 @@ class Mixture:
     ) -> None:
         self.points_m = points_m
         self._covariances_m2 = options.covariance_scale * covariances_m2
+        # The row after the last stands for no corner, as the tree numbers a missing neighbour.
         self._corners_px = np.vstack([corners_px, [np.inf, np.inf]])
         self._tree = KDTree(corners_px)
         self._camera = camera
         self._prior = prior
         self._k = min(options.max_candidates, len(corners_px))
         p = options.detection_probability
+        # p / ((1 - p) b), with the density b of clutter in the hull of the corners.
         self.odds_px2 = p / (1.0 - p) * area_px2 / len(corners_px)
 
     def project(self, poses: PoseStack) -> FloatArray:
@@ -107,10 +121,12 @@ class Mixture:
         by_point = self._camera.jacobian(points)
         covariance = self._image_covariances(poses, by_point, corner_sigma_px)
         information, determinant = inverse_and_determinant(covariance)
-        # Corners beyond five standard deviations have no weight.
+        # Corners beyond five standard deviations of the median landmark have no weight: the tree takes one radius for
+        # all.
         reach_px = 5.0 * float(np.sqrt(np.median(covariance[..., 0, 0] + covariance[..., 1, 1])))
         _, near = self._tree.query(uv, k=self._k, distance_upper_bound=reach_px)
         near = near.reshape(*uv.shape[:2], self._k)
+        # 0 instead of infinity, so that products with zero weights are no NaN.
         offsets = np.where(near[..., None] < self._tree.n, self._corners_px[near] - uv[:, :, None], 0.0)
         square = np.einsum("hnki,hnij,hnkj->hnk", offsets, information, offsets, optimize=True)
         square = np.where(near < self._tree.n, square, np.inf)
@@ -120,10 +136,12 @@ class Mixture:
         total = 1.0 + ratio.sum(axis=2)
         responsibilities = ratio / total[..., None]
         weight = responsibilities.sum(axis=2)
+        # Each landmark is pulled to the mean of its candidates, weighted by their responsibilities.
         pull = np.einsum("hnk,hnki->hni", responsibilities, offsets)
         by_rotation = by_point @ point_by_rotation(points - poses.translations_m[:, None])
         jacobian = np.concatenate([by_rotation, by_point], axis=-1)
         weighted = information @ jacobian
+        # Maximum a posteriori: the prior adds its information, and a pull back to its mean.
         errors = self._prior.errors(poses)
         prior_pull = errors @ self._prior.information
         return MixtureEvaluation(
@@ -141,6 +159,8 @@ class Mixture:
         """Iterate expectation and maximisation, until no landmark moves by ``tolerance_px`` or more."""
         for _ in range(iterations):
             here = self.evaluate(poses, corner_sigma_px)
+            # One Gauss-Newton step for the weighted squares of the last expectation (generalised EM): the prior keeps
+            # the matrix regular, however few landmarks have candidates.
             moved: FloatArray = np.linalg.solve(here.hessian, here.gradient[..., None])[..., 0].astype(np.float64)
             before = self.project(poses)
             poses = poses.perturbed(moved)

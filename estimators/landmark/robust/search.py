@@ -54,11 +54,14 @@ def best_hypotheses(
     """Score rotations and shifts of ``start`` on a blurred map of the corners, and return the best.
 
     The score of a hypothesis is the log likelihood of `Mixture`, with the isotropic covariance of the map's blur and
-    landmarks rounded to pixels, plus the log prior of its rotation.
+    landmarks rounded to pixels, plus the log prior of its rotation, with the standard deviation ``turn_sigma_rad``
+    about each axis.
     """
+    # A rotation w moves the surface by w times its radius, in pixels by that over the size of a pixel on the body.
     size_m = float(np.median(np.linalg.norm(mixture.points_m, axis=1)))
     pixel_m = float(np.linalg.norm(start.translation_m)) * camera.pixel_angle_rad
     turns = rotation_grid(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
+    # About the origin of the body: `Pose.perturbed` leaves the translation as it is, which the alignment has measured.
     rotations = Rotation.from_rotvec(turns).as_matrix() @ start.rotation
     poses = PoseStack(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
     shifts = np.arange(-options.shift_px, options.shift_px + 1)
@@ -68,6 +71,7 @@ def best_hypotheses(
     scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
     best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
     turn, shift = np.divmod(best, len(du))
+    # The image of the origin moves by du pixels where the body moves by du pixels' size along x, at its distance.
     across_m = np.stack([du[shift], dv[shift], np.zeros(len(best))], axis=1) * pixel_m
     return PoseStack(rotations[turn], start.translation_m + across_m)
 
@@ -118,6 +122,7 @@ def _scores(
     row = np.clip(np.floor(uv_px[..., 1]), -1, height).astype(np.intp) + reach + 1
     flat = row * padded.shape[1] + column
     steps = dv * padded.shape[1] + du
+    # The border of the padded map is 0: landmarks outside the image add log 1.
     edge = padded.ravel()
     return np.stack(
         [edge[np.clip(flat + step, 0, edge.size - 1)].sum(axis=1) for step in steps], axis=1, dtype=np.float64
@@ -150,6 +155,7 @@ def sampled_hypotheses(
         return PoseStack(np.zeros((0, 3, 3)), np.zeros((0, 3)))
     residuals = corners_px[corner] - predicted_px[landmark]
     by_pose = jacobian[landmark]
+    # Three landmarks give six equations for six unknowns; the prior bounds the pose where they are nearly collinear.
     normal = np.einsum("hkip,hkiq->hpq", by_pose, by_pose) / sigma_px**2 + prior.information
     here = prior.errors(PoseStack.of([start]))[0]
     vector = np.einsum("hkip,hki->hp", by_pose, residuals) / sigma_px**2 - prior.information @ here
@@ -165,6 +171,7 @@ def sampled_hypotheses(
 
 def _likelihoods(offsets_px: FloatArray, jacobian: FloatArray, prior: PosePrior, sigma_px: float) -> FloatArray:
     """Likelihood (N, C) of each corner for each landmark, under the prior; 0 outside the matching radius."""
+    # Covariance of the predicted place: P of the pose through the Jacobian, plus the error of the corner.
     spread = jacobian @ np.linalg.inv(prior.information) @ np.swapaxes(jacobian, 1, 2) + sigma_px**2 * np.eye(2)
     d2 = np.einsum("nci,nij,ncj->nc", offsets_px, np.linalg.inv(spread), offsets_px)
     return np.where(d2 <= _MATCHING_SIGMA**2, np.exp(-0.5 * d2), 0.0)
@@ -178,15 +185,22 @@ def _draw(likelihood: FloatArray, draws: int, rng: np.random.Generator) -> tuple
         return np.zeros((0, _SET), dtype=np.intp), np.zeros((0, _SET), dtype=np.intp)
     landmark = matched[rng.integers(0, len(matched), (draws, _SET))]
     ordered = np.sort(landmark, axis=1)
+    # Sets with a landmark twice are left out, so that fewer than ``draws`` may remain.
     landmark = landmark[(np.diff(ordered, axis=1) > 0).all(axis=1)]
+    # Inverse transform sampling of the corner: the first whose cumulative likelihood exceeds the random share.
     share = rng.random(landmark.shape) * total[landmark, -1]
     corner = np.stack([(total[landmark[:, k]] <= share[:, k, None]).sum(axis=1) for k in range(_SET)], axis=1)
     return landmark, np.minimum(corner, likelihood.shape[1] - 1)
 
 
 def refine_hypotheses(mixture: Mixture, hypotheses: PoseStack, corner_sigma_px: float, options: SearchOptions) -> Pose:
-    """Maximise from each hypothesis with decreasing corner error, and return the pose of greatest posterior."""
+    """Maximise from each hypothesis with decreasing corner error, and return the pose of greatest posterior.
+
+    ``corner_sigma_px`` is the error in the last stage, in which only the ``options.finalists`` best are iterated until
+    no landmark moves by 0.001 px.
+    """
     poses = hypotheses
+    # From coarse to fine: a wide error first smooths the many local maxima of the likelihood.
     for sigma_px in options.anneal_px:
         poses = mixture.maximise(poses, sigma_px, options.iterations)
     order = np.argsort(-mixture.evaluate(poses, options.anneal_px[-1]).log_posterior, kind="stable")
