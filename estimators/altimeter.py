@@ -109,6 +109,7 @@ def fuse_range(
     if first is None:
         return None
     projected_m2 = float(first.gradient @ covariance @ first.gradient)  # H P H^T
+    # Inflation k at which nu^2 equals its expectation k H P H^T + R.
     excess = (first.innovation_m**2 - first.variance_m2) / projected_m2
     inflation = max(1.0, excess) if adaptive else 1.0
     grown = inflation * covariance
@@ -121,6 +122,7 @@ def fuse_range(
         if there is None or np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
             break
         at = there
+    # (I - K H) P at the last point of linearisation.
     updated = grown - np.outer(at.gain(grown), at.gradient @ grown)
     return RangeUpdate(
         T_cam_body=pose,
@@ -186,15 +188,21 @@ def boresight_range(mesh: TriangleMesh, T_cam_body: Pose) -> MeshRange | None:
         return None
     range_m, facet = found
     normal_cam = T_cam_body.rotate(mesh.normals[facet])
+    # The point hit lies on the boresight, the z axis of the camera; relative to the body's origin, about which
+    # `Pose.perturbed` turns.
     arm_m = np.array([0.0, 0.0, range_m]) - T_cam_body.translation_m
     gradient = np.concatenate([np.cross(arm_m, normal_cam), normal_cam]) / normal_cam[2]
     return MeshRange(range_m, gradient, float(-normal_cam[2]))
 
 
 def _first_hit(mesh: TriangleMesh, origin_m: FloatArray, direction: FloatArray) -> tuple[float, int] | None:
-    """Distance and facet of a ray's first hit on a facet that faces it (Moeller and Trumbore 1997)."""
+    """Distance, m, and facet of a ray's first hit on a facet that faces it (Moeller and Trumbore 1997); None if none.
+
+    ``direction`` (3,) is a unit vector in the body frame.
+    """
     first = mesh.corners_m[:, 0]
     edge1, edge2 = mesh.corners_m[:, 1] - first, mesh.corners_m[:, 2] - first
+    # From outside a closed mesh the first hit is on a facet that faces the ray: the others need no test.
     entering = mesh.area_vectors_m2 @ direction < 0.0
     p = np.cross(direction, edge2)
     determinant = np.where(entering, np.einsum("fi,fi->f", edge1, p), np.nan)
@@ -220,6 +228,7 @@ def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
     """
     mesh = database.mesh()
     normals = _vertex_normals(mesh)
+    # Along the normal only: across it a landmark slides on the surface, which changes no range.
     scatter_m2 = np.einsum("ni,nij,nj->n", normals, database.covariances_m2, normals)
     relief_m = np.einsum("ni,ni->n", normals, mesh.vertices_m - _neighbour_means(mesh))
     return float(np.sqrt(scatter_m2.mean() + np.mean((0.5 * relief_m) ** 2)))
@@ -304,6 +313,7 @@ def _with_range(estimate: Estimate, fused: RangeUpdate) -> Estimate:
     """Replace the pose of the base by the updated one, and add the range's information to the base's bound."""
     bound = estimate.bound
     if bound is not None:
+        # Information of independent measurements adds.
         bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
     return replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
 

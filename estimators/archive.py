@@ -1,4 +1,4 @@
-"""Store data bases of landmarks as NumPy archives with a JSON header."""
+"""Store data bases of maplets and descriptors as NumPy archives with a JSON header."""
 
 from __future__ import annotations
 

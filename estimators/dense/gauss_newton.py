@@ -73,6 +73,7 @@ class RegistrationOptions(SpecModel):
 
 def reduced_camera(camera: Camera, reduction: int) -> Camera:
     """Return the camera whose pixels are squares of ``reduction`` pixels, without incomplete ones."""
+    # The corner of the first pixel is at (0, 0) at every reduction, so that the principal point is scaled alone.
     return Camera(
         camera.width_px // reduction,
         camera.height_px // reduction,
@@ -155,6 +156,7 @@ def fit_level(
     for count in range(1, level.iterations + 1):
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
+            # Where a derivative is not finite the residual cannot be used either.
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
             jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
@@ -171,6 +173,7 @@ def fit_level(
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
         vector -= prior.information @ prior.offset(pose)
+        # Gauss-Newton for the posterior: the prior adds its information, and a pull back to its mean.
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
         fit = LevelFit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
@@ -205,6 +208,7 @@ def parameter_steps(pose: Pose, pixel_rad: float, size_m: float, motion_px: floa
     range_m = float(np.linalg.norm(pose.translation_m))
     across_m = motion_px * pixel_rad * range_m
     turn_rad = across_m / size_m
+    # Along the boresight the body grows: its outline at size_m moves by size_m / range_m of the translation.
     return np.array([turn_rad, turn_rad, turn_rad, across_m, across_m, across_m * range_m / size_m])
 
 
@@ -248,6 +252,7 @@ def _finite(image: Image) -> Image:
 def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:
     """Mask (H, W) of the pixels on or next to the body in either image."""
     dark = _DARK * max(float(np.abs(target).max()), 1e-30), _DARK * max(float(np.abs(rendered).max()), 1e-30)
+    # Empty sky would only lower the robust sigma, as its residuals are zero.
     lit = (np.abs(target) > dark[0]) | (np.abs(rendered) > dark[1])
     grown = cv2.dilate(lit.astype(np.uint8), np.ones((_MARGIN_PX, _MARGIN_PX), dtype=np.uint8))
     return np.asarray(grown > 0)
@@ -260,7 +265,9 @@ def _normal_equations(
     o, i = target[compared].astype(np.float64), rendered[compared].astype(np.float64)
     gain, weight = _gain(o, i, options.huber_sigma)
     residual = o - gain * i
+    # The variance of residuals is found from the image itself; independent_px of them count as one.
     variance = float((weight * residual) @ residual / weight.sum()) * options.independent_px
+    # Model gain x rendering(pose): its derivatives are gain x Jacobian by the pose, and the rendering by the gain.
     columns = np.stack([gain * column[compared].astype(np.float64) for column in jacobian] + [i], axis=1)
     weighted = columns * (weight / max(variance, 1e-300))[:, None]
     full, right = weighted.T @ columns, weighted.T @ residual
@@ -271,13 +278,14 @@ def _normal_equations(
 
 
 def _gain(o: FloatArray, i: FloatArray, huber_sigma: float) -> tuple[float, FloatArray]:
-    """Factor between two images, and the robust weight of each pixel."""
+    """Factor from the pixels ``i`` to the pixels ``o``, and Huber's weight of each pixel."""
     weight = np.ones_like(o)
     gain = float(i @ o / (i @ i))
     for _ in range(_REWEIGHTINGS):
         residual = np.abs(o - gain * i)
         sigma = _ROBUST_SIGMA * float(np.median(residual))
         weight = 1.0 / np.maximum(1.0, residual / max(huber_sigma * sigma, 1e-300))
+        # Weighted least squares for one factor; with fixed weights it has a closed form.
         gain = float((weight * i) @ o / ((weight * i) @ i))
     return gain, weight
 

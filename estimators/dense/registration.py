@@ -71,6 +71,7 @@ def register(
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
     if shift.failure:
         return Registration(shift, failure=shift.failure)
+    # The prior is that of the frame, not shifted: the shift comes from the same image.
     prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
     fits: list[LevelFit] = []
     for level in options.levels:

@@ -134,6 +134,7 @@ class DescriptorDatabase:
         """Return the ``count`` nearest views, by the root sum of squared angles of camera and Sun directions."""
         cameras = np.stack([view.camera_dir_body for view in self.views])
         suns = np.stack([view.sun_dir_body for view in self.views])
+        # Both angles count alike: descriptors suffer from a change of the illumination as from one of the view.
         apart = _angle(cameras, camera_dir_body) ** 2 + _angle(suns, sun_dir_body) ** 2
         return [self.views[index] for index in np.argsort(apart, kind="stable")[:count]]
 

@@ -87,6 +87,7 @@ def match_features(
         pairs = matcher.knnMatch(observed.astype(np.float32), known.astype(np.float32), k=2)
     else:
         pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(observed, known, k=2)
+    # On a self-similar surface the second nearest is often as near: such matches are ambiguous.
     clear = [first for first, second in pairs if first.distance < ratio_max * second.distance]
     rows = np.array([[match.queryIdx, match.trainIdx] for match in clear], dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1], np.array([match.distance for match in clear], dtype=np.float64)

@@ -126,6 +126,7 @@ class DescriptorNavigator:
             prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
             problem = inliers.problem(camera, options.pixel_sigma)
             half_px = options.patch_px / 2.0
+            # The errors of features whose windows overlap are correlated: they count as fewer.
             shared = window_overlap(inliers.uv_px - half_px, inliers.uv_px + half_px)
             probability = consistency_probability(problem, pose, prior, shared)
             if not probability >= options.prior_probability:  # NaN where the solution is far off
@@ -149,6 +150,7 @@ class DescriptorNavigator:
         row, distance, point = np.concatenate(rows), np.concatenate(distances), np.concatenate(points)
         near = near_prediction(PointMatches(features.uv_px[row], point), camera, frame, options.prior_sigma)
         row, distance, point = row[near], distance[near], point[near]
+        # Sorted by distance, the first of equal rows is the best match of that feature over all views.
         order = np.argsort(distance, kind="stable")
         _, first = np.unique(row[order], return_index=True)
         return PointMatches(features.uv_px[row[order[first]]], point[order[first]])
@@ -159,6 +161,7 @@ def consistency_probability(problem: PoseProblem, consensus: Pose, prior: Gaussi
 
     The difference between solution and prior has the sum of their covariances.
     """
+    # The observations alone must be tested: a solution drawn to the prior would always agree with it.
     alone = solve_map(problem, GaussianPose(prior.T_cam_body, _UNINFORMATIVE * prior.covariance), consensus, shared)
     offset = prior.offset(alone.T_cam_body)
     return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
@@ -171,6 +174,7 @@ def near_prediction(matched: PointMatches, camera: Camera, frame: Frame, sigmas:
     pose = frame.prior_T_cam_body
     problem = matched.problem(camera, 1.0)
     jacobian = minimal_jacobian(problem, pose)
+    # Covariance of the predicted position, plus that of a feature: 1 px in both coordinates.
     covariance = jacobian @ frame.prior_covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(2)
     residuals = problem.residuals_px(pose)
     d2 = np.einsum("ni,ni->n", residuals, np.linalg.solve(covariance, residuals[..., None])[..., 0])
@@ -189,8 +193,10 @@ def find_consensus(
     parameters.confidence = _CONFIDENCE
     parameters.score = cv2.SCORE_METHOD_MAGSAC
     parameters.randomGeneratorState = seed
+    # One thread, so that the same seed gives the same result.
     parameters.isParallel = False
     matrix = camera.matrix
+    # OpenCV counts the first pixel's centre as 0, this project as 0.5.
     matrix[:2, 2] = pixel_to_opencv(matrix[:2, 2])
     found, _, rotation, translation, inliers = cv2.solvePnPRansac(
         matched.points_m, pixel_to_opencv(matched.uv_px), matrix, None, params=parameters

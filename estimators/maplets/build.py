@@ -153,6 +153,7 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
         (S, S), or None where the mesh has none.
     """
     mesh = surface.mesh
+    # To the corners of the box of half the grid's width above and below the plane, plus the size of a facet.
     reach_m = float(np.hypot(np.sqrt(2.0) * plane.half_m, plane.half_m)) + surface.reach_m
     near = np.asarray(surface.tree.query_ball_point(plane.centre_m, reach_m), dtype=np.int64)
     near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
@@ -196,9 +197,11 @@ def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArr
     count = size[:, 0] * size[:, 1]
     facet = np.repeat(np.arange(len(corners)), count)
     offset = np.arange(len(facet)) - np.repeat(np.cumsum(count) - count, count)
+    # All nodes of the bounding boxes of all facets, without a loop: the number within its box gives row and column.
     column = low[facet, 0] + offset % np.maximum(size[facet, 0], 1)
     row = low[facet, 1] + offset // np.maximum(size[facet, 0], 1)
     first, second, third = corners[facet, 0], corners[facet, 1], corners[facet, 2]
+    # Barycentric coordinates are ratios of signed areas, so that either orientation of a facet in the plane will do.
     area = _cross(second - first, third - first)
     point = np.stack([column, row], axis=1).astype(np.float64)
     w1 = _cross(point - first, third - first)
@@ -222,6 +225,7 @@ def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None
     chosen = [farthest if seed is None else int(np.random.default_rng(seed).integers(len(points_m)))]
     distance = np.linalg.norm(points_m - points_m[chosen[0]], axis=1)
     while distance.max() > radius_m:
+        # Each new point only shortens distances, so that one pass over all points is enough for each.
         chosen.append(int(np.argmax(distance)))
         np.minimum(distance, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1), out=distance)
     return chosen
@@ -237,6 +241,7 @@ def relief(heights_m: FloatArray, spacing_m: float) -> float:
     if known.sum() < 4:
         return 0.0
     row, column = np.nonzero(known)
+    # The slopes of a quadratic surface are linear in x and y: what is left is not its mean curvature.
     design = np.stack([np.ones(len(row)), row, column], axis=1)
     slopes = np.stack([dx[known], dy[known]], axis=1)
     rest = slopes - design @ np.linalg.lstsq(design, slopes, rcond=None)[0]
@@ -266,6 +271,7 @@ def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletD
 
 def _plane(surface: Surface, centre_m: FloatArray, options: MapletOptions) -> Plane:
     normal = surface.mean_normal(centre_m, 0.5 * options.width_m)
+    # The axis farthest from the normal, so that their product is not close to zero.
     helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = np.cross(helper, normal)
     first /= np.linalg.norm(first)

@@ -140,6 +140,7 @@ class MapletDatabase:
         """
         nodes = self.nodes_m
         kept = self._own_nodes(nodes)
+        # A square between four kept nodes gives two facets.
         quads = kept[:, :-1, :-1] & kept[:, :-1, 1:] & kept[:, 1:, :-1] & kept[:, 1:, 1:]
         number = np.arange(kept.size).reshape(kept.shape)
         near, far = slice(None, -1), slice(1, None)
@@ -152,6 +153,7 @@ class MapletDatabase:
     def _own_nodes(self, nodes_m: FloatArray) -> NDArray[np.bool_]:
         """Mask (N, S, S) of nodes that no maplet with a nearer centre covers, widened by the overlap."""
         kept = np.isfinite(self.heights_m)
+        # Twice the distance from the centre of a cube to its corner: maplets farther apart have no point in common.
         reach_m = 2.0 * np.sqrt(3.0) * self.half_m
         pairs = cKDTree(self.centres_m).query_pairs(reach_m, output_type="ndarray")
         for mine, other in np.concatenate([pairs, pairs[:, ::-1]]):

@@ -74,10 +74,12 @@ def correlate_window(
     counted = template[usable > 0.0]
     if not counted.size or np.ptp(counted) == 0.0:
         return None
+    # Zero-mean normalised: gain and offset of the observed image, and thus exposure and albedo, do not matter.
     area = _cut(observed, corner, template.shape, reach)
     correlation = cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED, mask=usable)
     correlation[~np.isfinite(correlation)] = -1.0  # no contrast below the template
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(correlation)), correlation.shape))
+    # A maximum at the edge of the search region may belong to a peak outside it.
     if not (0 < row < correlation.shape[0] - 1 and 0 < column < correlation.shape[1] - 1):
         return None
     peak = _polynomial_peak(correlation[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64))
@@ -107,6 +109,7 @@ def _polynomial_peak(around: FloatArray) -> tuple[FloatArray, float, FloatArray]
     offset = np.linalg.solve(curvature, [-gx, -gy])
     if np.abs(offset).max() > _FARTHEST_PX:
         return None
+    # Value at the vertex: c + g . x / 2, as the curvature times x is -g there.
     return offset, float(constant + 0.5 * np.dot([gx, gy], offset)), curvature
 
 
@@ -164,6 +167,7 @@ def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: flo
     dark
         Level below which a pixel is dark; it is left out together with its neighbours.
     """
+    # Dark in either image: a shadow that only one of them has would pull the shift.
     shade = (observed < dark) | (rendered < dark)
     near_shade = cv2.dilate(shade.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
     smooth = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), dtype=np.float32) for image in (observed, rendered)]
@@ -196,7 +200,9 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
     du, dv, rendered, observed = (
         image[window][row, column].astype(np.float64) for image in (pair.du, pair.dv, pair.rendered, pair.observed)
     )
+    # Scaled to about -1/2 to 1/2, as the brightness is to 0 to 1, for the condition of the normal matrix.
     trend = [(axis - axis.mean()) / (np.ptp(axis) + 1.0) for axis in (column, row)]
+    # observed(x) = gain rendered(x - shift) + offset + trend = gain rendered - gain shift . gradient + ...
     design = np.stack([-du, -dv, rendered, np.ones(len(row)), *trend], axis=1)
     weights = np.ones(len(row))
     for _ in range(_REWEIGHTINGS):
@@ -207,11 +213,14 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
         solution = np.asarray(np.linalg.solve(normal, weighted.T @ observed), dtype=np.float64)
         residual = observed - design @ solution
         sigma = _MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
+        # Tukey's biweight: pixels beyond 2.5 sigma, as of shadows that the shape does not resolve, have no weight at
+        # all.
         weights = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2
     # The unknowns of the first two columns are gain times shift.
     gain = float(solution[2])
     if gain <= 0.0:
         return None
+    # Neighbouring residuals are correlated: noise_px2 pixels count as one. The gain converts to the shift.
     covariance = np.asarray(sigma**2 * noise_px2 / gain**2 * np.linalg.inv(normal)[:2, :2], dtype=np.float64)
     shift: FloatArray = solution[:2] / gain
     model = design @ solution

@@ -153,6 +153,7 @@ def match_by_correlation(
 ) -> MapletMatches:
     """Match maplets within the uncertainty (6, 6) of the pose by correlation, to some tenths of a pixel."""
     reach = _reach_px(seen, uncertainty, options)
+    # cv2.matchTemplate takes a mask of the type of the images.
     usable = seen.on_body.astype(np.float32)
 
     def search(index: int, window: tuple[slice, slice]) -> Displacement | None:
@@ -183,6 +184,7 @@ def _reach_px(seen: MapletRendering, uncertainty: FloatArray, options: MatchingO
         return np.ones((n, 2), dtype=np.int64)
     flat = np.tile(np.eye(2), (n, 1, 1))
     jacobian = minimal_jacobian(PoseProblem(seen.anchors_m, seen.windows.uv_px, flat, seen.camera), seen.T_cam_body)
+    # Only the diagonal of J P J^T: the search region is a rectangle along columns and rows.
     variance = np.einsum("nip,pq,niq->ni", jacobian, uncertainty, jacobian)
     reach = np.ceil(options.search_sigma * np.sqrt(variance)) + _PEAK_PX
     return np.asarray(np.minimum(reach, options.search_px), dtype=np.int64)
@@ -204,6 +206,7 @@ def _collect(
         if found is not None and found.correlation >= options.correlation_min:
             kept.append((index, found))
     rows = np.array([index for index, _ in kept], dtype=np.int64)
+    # A maplet that lies too high by h along its normal is displaced in the image by J n h.
     by_height = options.height_sigma_m * np.einsum(
         "nij,nj->ni", seen.point_jacobian[rows], seen.database.axes[seen.windows.maplet[rows], 2]
     )

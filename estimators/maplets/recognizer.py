@@ -97,9 +97,11 @@ def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera
     normals = pose.rotate(database.axes[maplet, 2])
     sight = points / np.linalg.norm(points, axis=1, keepdims=True)
     across = np.zeros((len(maplet), 3, 2))
+    # Metres per pixel at the depth of the point, along the axes of the image; then along the sight onto the plane.
     across[:, 0, 0], across[:, 1, 1] = points[:, 2] / camera.fx_px, points[:, 2] / camera.fy_px
     slope = np.einsum("ni,nij->nj", normals, across) / np.einsum("ni,ni->n", normals, sight)[:, None]
     in_plane = across - sight[:, :, None] * slope[:, None, :]
+    # The covariances of the measurement are calibrated by the factor that the fit has found for them.
     in_image = fit.posterior.scale2 * fit.found.covariances_px2
     height = fit.found.height_sigma_m**2 * normals[:, :, None] * normals[:, None, :]
     in_camera = in_plane @ in_image @ np.swapaxes(in_plane, 1, 2) + height
@@ -170,6 +172,7 @@ class _FitContext:
         with self.clock("recognition"):
             anchors_m = self.scene.database.anchors_m[found.maplet]
             problem = PoseProblem(anchors_m, found.uv_px, inverse_2x2(found.covariances_px2), self.camera)
+            # The original prior in every round: a round's result as the prior of the next would count the image twice.
             prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
             return MapletFit(found, solve_map(problem, prior, pose, found.shared))
 

@@ -68,8 +68,10 @@ def visible_windows(
     to_camera = -anchors_cam_m / np.linalg.norm(anchors_cam_m, axis=1, keepdims=True)
     facing = np.einsum("ni,ni->n", T_cam_body.rotate(database.axes[:, 2]), to_camera) > _LEAST_COS_EMISSION
     seen = np.flatnonzero(facing & camera.contains(uv))
+    # Bins of two steps of the grid, so that each bin on the body holds a vertex.
     step_px = _BIN_STEPS * database.spacing_m / (camera.pixel_angle_rad * np.linalg.norm(T_cam_body.translation_m))
     depth_m = _nearest_depth(T_cam_body.transform(vertices_m), anchors_cam_m[seen], camera, max(1.0, float(step_px)))
+    # The slack admits slanted ground, whose depth varies within a bin; other parts of the body are much nearer.
     seen = seen[anchors_cam_m[seen, 2] <= depth_m + _HIDDEN_STEPS * database.spacing_m]
     half = np.clip(np.rint(_reach_px(database, camera, T_cam_body, seen)), *half_px).astype(np.int64)
     middle = np.floor(uv[seen]).astype(np.int64)
@@ -81,6 +83,7 @@ def _reach_px(database: MapletDatabase, camera: Camera, T_cam_body: Pose, seen: 
     """Half size (M, 2) in px of the projected reference planes, along columns and rows."""
     corner = database.half_m * np.array([[1.0, 1.0], [1.0, -1.0]])
     planes = T_cam_body.rotate(database.axes[seen, :2].reshape(-1, 3)).reshape(-1, 2, 3)
+    # Two corners of the square are enough: the other two lie opposite to them about the centre.
     reach_m = np.abs(np.einsum("ck,nkj->ncj", corner, planes)[..., :2]).max(axis=1)
     depth_m = T_cam_body.transform(database.centres_m[seen])[:, 2:]
     reach: FloatArray = reach_m * np.array([camera.fx_px, camera.fy_px]) / depth_m
@@ -90,6 +93,7 @@ def _reach_px(database: MapletDatabase, camera: Camera, T_cam_body: Pose, seen: 
 def _nearest_depth(points_cam_m: FloatArray, anchors_cam_m: FloatArray, camera: Camera, step_px: float) -> FloatArray:
     """Depth (M,) of the nearest point in the bin of each anchor; bins are large enough to leave no holes."""
     shape = (int(np.ceil(camera.height_px / step_px)) + 2, int(np.ceil(camera.width_px / step_px)) + 2)
+    # A depth map of vertices instead of facets: coarse, but without a search for intersections.
     depth = np.full(shape, np.inf)
     np.minimum.at(depth, _bins(camera.project(points_cam_m), step_px, shape), points_cam_m[:, 2])
     nearest: FloatArray = depth[_bins(camera.project(anchors_cam_m), step_px, shape)]
@@ -117,6 +121,7 @@ def body_mask(
     mask = np.zeros((camera.height_px, camera.width_px), dtype=np.uint8)
     mask[pixel[:, 1], pixel[:, 0]] = 1
     step_px = spacing_m / (camera.pixel_angle_rad * float(np.linalg.norm(T_cam_body.translation_m)))
+    # Where vertices are farther apart than pixels, closing fills the holes between them.
     mask = _square(cv2.MORPH_CLOSE, mask, int(np.ceil(step_px)))
     return _square(cv2.MORPH_ERODE, mask, margin_px) > 0
 

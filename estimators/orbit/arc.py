@@ -110,10 +110,12 @@ class DataArc:
         unknowns = Unknowns(x, tilts[: len(measured.times_s)], np.zeros((0, 3)))
         positions = self.model.propagate(x).states[measured.image_epoch, :3]
         seen = (measured.uv_px - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
+        # The estimated focal length is taken out of the observation: x / z = u / (f (1 + df)).
         rays = np.column_stack([seen / (1.0 + self.layout.focal(x)), np.ones(len(seen))])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         turns = measured.R_body_inertial[measured.image]
         attitudes = self.model.attitudes(unknowns)[measured.image]
+        # Camera to inertial by the transposed attitude, then inertial to body.
         directions = np.einsum("kij,klj,kl->ki", turns, attitudes, rays)
         return LinesOfSight(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
 
@@ -161,6 +163,8 @@ class DataArc:
         """
         measured, known = self.measured, self.layout.knowledge
         rays = self.rays(solution.x, solution.tilts)
+        # Pixels to radians. The attitude error is added in full, although the estimated pan and tilt are applied: the
+        # tolerance is on the safe side.
         sigma = np.hypot(measured.sigma_px * known.camera.pixel_angle_rad, known.attitude_sigma_rad)
         groups = consistent_rays(
             rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _MIN_SECOND_RAYS
@@ -171,6 +175,7 @@ class DataArc:
         split, new = np.unique(measured.point[second], return_inverse=True)
         numbering[self.rows[second]] = len(solution.points) + new
         points = solution.points.copy()
+        # Triangulated again in the next adjustment: their sightings are others now.
         points[self.landmarks] = np.nan
         points = np.vstack([points, np.full((len(split), 3), np.nan)])
         return replace(solution, numbering=numbering, kept=kept, points=points), len(split)

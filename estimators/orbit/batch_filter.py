@@ -50,6 +50,7 @@ class _Fit:
     def chi_square(self) -> float:
         """Return the chi-square per degree of freedom."""
         linear, measured = self.adjusted.linear, self.arc.measured
+        # Unknowns with a prior are as many as its equations, which the cost contains: only the landmarks count.
         free = 2 * len(measured.image) + len(linear.passes.residuals) - 3 * measured.count
         return 2.0 * linear.cost / max(free, 1)
 
@@ -89,6 +90,7 @@ class BatchFilter:
             diagnostics |= _diagnostics(layout, fit)
             if not reason:
                 break
+            # The orbit is kept; numbers, editing and landmarks begin anew, as they were decided with a worse orbit.
             solution = replace(BatchState.initial(data, layout), x=fit.solution.x)
             growth = 1.0 + 0.5 * (growth - 1.0)
         return OrbitEstimate("failed" if reason else "ok", found, reason, diagnostics, time.perf_counter() - began)
@@ -98,6 +100,8 @@ class BatchFilter:
         end, steps = float(data.pictures.times_s[-1]), 0
         splits = 0
         ends = _arc_ends(self.options.first_days * _DAY_S, growth, end)
+        # A growing arc: errors of the a priori orbit grow with time, and over the whole arc the model would not be
+        # linear.
         for until in ends:
             arc = DataArc.until(data, layout, self.options, solution, until)
             if len(arc.rows) < _MIN_SIGHTINGS:
@@ -112,6 +116,7 @@ class BatchFilter:
         solution, adjusted, taken = self._fit_robustly(arc, solution)
         steps += taken
         for _ in range(_MAX_EDITS):
+            # All sightings are tested, so that edited ones can come back.
             kept = self._within_edit_limit(data, layout, solution)
             changed = int((kept != solution.kept).sum())
             solution = replace(solution, kept=kept)
@@ -131,6 +136,7 @@ class BatchFilter:
             solution, adjusted = arc.adjust(solution, robust, limits)
             steps += adjusted.steps
             found = _residual_scale(adjusted)
+            # The scale has decreased by less than 30 %: the weights would hardly change any more.
             if found > 0.7 * scale:
                 break
             scale = found

@@ -33,6 +33,7 @@ def whiten_landmarks(
         C, b = np.zeros((3, 3)), np.zeros(3)
         for d in range(3):
             C[d, d] = damping[j]
+        # Normal equations of the landmark alone; the damping keeps the factor real where rays are parallel.
         for k in range(begin[j], begin[j + 1]):
             for row in range(2):
                 for d in range(3):
@@ -90,6 +91,7 @@ def subtract_landmarks(
     for j in range(len(begin) - 1):
         for k in range(begin[j], begin[j + 1]):
             for m in range(begin[j], begin[j + 1]):
+                # The matrix is symmetric: only the lower triangle is filled.
                 if image[m] > image[k]:
                     continue
                 for r in range(2):
@@ -113,8 +115,8 @@ def consistent_rays(
 ) -> IndexArray:
     """Label (K,) the rays of each landmark: 0 the largest set that meets in one place, 1 the second, -1 the others.
 
-    A set is all rays that pass the midpoint between two of them within ``tolerance`` (K,), an angle, rad. The second
-    set needs ``least`` rays. The rays of landmark j have the rows from ``begin[j]`` to before ``begin[j + 1]``.
+    A set is all rays that pass the midpoint between two of them within ``tolerance`` (K,), small angles, rad. The
+    second set needs ``least`` rays. The rays of landmark j have the rows from ``begin[j]`` to before ``begin[j + 1]``.
     """
     found = np.full(len(origins), -1)
     for j in range(len(begin) - 1):
@@ -145,6 +147,7 @@ def _label_largest_set(
     best, place = 0, np.zeros(3)
     for a in range(first, last):
         for b in range(a + 1, last):
+            # All pairs are tried instead of random ones, so that the result does not depend on a draw.
             if found[a] != -1 or found[b] != -1:
                 continue
             if not _ray_midpoint(origins, directions, a, b, place):
@@ -173,8 +176,10 @@ def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, p
         ao += directions[a, i] * offset
         bo += directions[b, i] * offset
     determinant = aa - ab * ab
+    # The determinant is the squared sine of the angle between the rays.
     if determinant < _MIN_PARALLAX**2:
         return False
+    # Distances along both rays at which they are closest to each other.
     s, t = (ao - ab * bo) / determinant, (ab * ao - bo) / determinant
     for i in range(3):
         place[i] = 0.5 * (origins[a, i] + s * directions[a, i] + origins[b, i] + t * directions[b, i])
@@ -183,7 +188,7 @@ def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, p
 
 @kernel
 def _angle_off_ray(origins: FloatArray, directions: FloatArray, k: int, place: FloatArray) -> float:
-    """Return the angle between a ray and the direction to a place, rad; 10 if the place is behind the camera."""
+    """Return the tangent of the angle between a ray and the direction to a place; 10 if that is behind the camera."""
     along, squares = 0.0, 0.0
     for i in range(3):
         offset = place[i] - origins[k, i]

@@ -124,6 +124,8 @@ class MeasurementModel:
         found[:, :3] = state_derivatives(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
         mounting = layout.part("mounting")
         if mounting.stop > mounting.start:
+            # A rotation w of the mounting is one of T w about the camera, as the tilt T is applied after it: T exp(w) =
+            # exp(T w) T.
             found[:, 3:6, mounting] = known.misalignment_sigma_rad * _tilt_rotations(unknowns.tilts)
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
@@ -139,6 +141,7 @@ class MeasurementModel:
         inertial = np.einsum("kji,kj->ki", R_body_inertial, unknowns.points[measured.point]) - positions[image]
         x, y, z = np.einsum("kij,kj->ik", turns[image], inertial)
         in_front = z > _NEAREST_M
+        # Held, so that the projection stays finite; such sightings have weight 0 in the step and a fixed cost.
         z = np.where(in_front, z, _NEAREST_M)
         across, down = focal * camera.fx_px * x / z, focal * camera.fy_px * y / z
         by_cam = np.zeros((len(z), 2, 3))
@@ -150,6 +153,7 @@ class MeasurementModel:
         # A rotation w on the left moves the camera coordinates p by w x p: d(uv)/dw = p x d(uv)/dp, row by row.
         by_image[:, :, 3:6] = np.cross(np.stack([x, y, z], -1)[:, None], by_cam)
         by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
+        # Body to inertial axes: the transpose of R_body_inertial.
         by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
         seen = measured.uv_px - [camera.cx_px, camera.cy_px]
         return SightingResiduals(seen - np.stack([across, down], -1), by_image, by_point, in_front)
@@ -167,6 +171,7 @@ class MeasurementModel:
         rows = np.searchsorted(self.measured.epochs_s, radio.times_s)
         states = flown.states[rows]
         motion = state_derivatives(layout, x, flown, slice(0, 6))[rows]
+        # The Earth is so far that the range changes by -d . r, with d the direction to it.
         by_range = -np.einsum("i,nip->np", radio.earth_dir, motion[:, :3])
         by_rate = -np.einsum("i,nip->np", radio.earth_dir, motion[:, 3:])
         by_range[:, layout.part("bias")] = layout.bias_sigma_m
@@ -174,6 +179,7 @@ class MeasurementModel:
         rates = radio.range_rate_m_s + states[:, 3:] @ radio.earth_dir
         residuals = np.r_[ranges / radio.range_sigma_m, rates / radio.range_rate_sigma_m_s]
         by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
+        # Passes without a range or a rate hold NaN.
         there = np.isfinite(residuals)
         return TrackingResiduals(residuals[there], by[there])
 

@@ -135,6 +135,7 @@ class ParameterLayout:
         The force model differentiates by the ratios of GM and solar pressure to their values at ``x``, not a priori.
         """
         scale = self.force_sigma.copy()
+        # The ratio to the value at x changes by sigma / (1 + correction) per unit of x.
         scale[:2] /= 1.0 + self._corrections(x)[:2]
         return np.asarray(scale[self.forces])
 
@@ -186,6 +187,7 @@ class ParameterLayout:
         found = np.eye(self.size)
         if self.pieces:
             pushes = self.part("pushes")
+            # The three axes are independent and alike; unknowns are ordered by interval, then axis.
             found[pushes, pushes] = np.kron(np.linalg.inv(self._push_correlation()), np.eye(3))
         return found
 

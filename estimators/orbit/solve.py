@@ -42,6 +42,7 @@ class HuberLoss:
         if not np.isfinite(self.limit):
             return np.full(len(lengths), self.scale**-2)
         edge = self.limit * self.scale
+        # Derivative of the loss over the length: the same step as of the loss itself, by weighted least squares.
         return np.asarray(edge / np.maximum(lengths, edge) / self.scale**2)
 
     def cost(self, lengths: FloatArray) -> float:
@@ -108,6 +109,7 @@ class GaussNewtonResult:
         They are last in the order of elimination, so the last rows of the factor are their square-root information.
         """
         root = np.triu(self.step.factor[-size:, -size:])
+        # With the information R^T R the covariance is R^-1 R^-T.
         inverse = solve_triangular(root, np.eye(size))
         return np.asarray(inverse @ inverse.T)
 
@@ -124,6 +126,8 @@ def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns,
     sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
     lengths = np.linalg.norm(sightings.residuals, axis=1) / model.measured.sigma_px
     known = model.layout.knowledge
+    # A landmark behind the camera costs as much as a residual of 10 000 sigma: steps that put one there are refused as
+    # a rule.
     cost = robust.cost(lengths[sightings.in_front]) + robust.cost(np.full(int((~sightings.in_front).sum()), 1e4))
     cost += 0.5 * float(passes.residuals @ passes.residuals)
     cost += 0.5 * float(unknowns.x @ model.layout.information @ unknowns.x)
@@ -145,6 +149,7 @@ def gauss_newton_step(
     unknowns, n = here.unknowns, model.layout.size
     images = len(measured.times_s)
     weights = np.where(here.sightings.in_front, robust.weights(here.lengths), 0.0)
+    # Whitened rows, so that products of them are normal equations without further weights.
     scale = (np.sqrt(weights) / measured.sigma_px)[:, None]
     residuals = here.sightings.residuals * scale
     by_image, by_point = here.sightings.by_image * scale[..., None], here.sightings.by_point * scale[..., None]
@@ -182,6 +187,7 @@ def gauss_newton_step(
         + by_pass.T @ by_pass
         + model.layout.information
     )
+    # Reduced normal matrix: N - H' C^-1 H, which is H' L^-T times its transpose for each landmark.
     subtract_landmarks(matrix, measured.begin, measured.image, links, common)
 
     reduced = pull.copy()
@@ -196,6 +202,8 @@ def gauss_newton_step(
         ]
     )
     every = np.arange(size)
+    # Marquardt's scaling by the diagonal of the reduced matrix: pan and tilt and shared unknowns differ in their
+    # sigmas.
     matrix[every, every] *= 1.0 + damping
     # The transpose has the column-major order of LAPACK, so that nothing is copied.
     factor, _ = cho_factor(matrix.T, lower=False, overwrite_a=True, check_finite=False)
@@ -207,6 +215,8 @@ def gauss_newton_step(
     np.add.at(by_common, measured.point, np.einsum("krd,kr->kd", links[:, 3:5], tilts[measured.image]))
     whitened_points = pulls - by_common
     points = _solve(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
+    # Half of b^T N^-1 b: the decrease of the quadratic model, from the reduced system and from the eliminated
+    # landmarks.
     promised = 0.5 * float(right @ moved + np.sum(pulls**2))
     return GaussNewtonStep(x, tilts, points, promised, factor)
 
@@ -231,6 +241,7 @@ def adjust(
         little = step.promised < limits.tolerance + limits.share * here.cost
         moved = Unknowns(start.x + step.x, start.tilts + step.tilts, start.points + step.points)
         there = _linearise_or_none(model, prior, moved, robust)
+        # The tolerance lets rounding of a large cost pass.
         if there is None or there.cost > here.cost * (1.0 + 1e-9):
             if little:
                 return GaussNewtonResult(here, step, True, count)
