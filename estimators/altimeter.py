@@ -153,6 +153,7 @@ def _linearised(pose: Pose, reading: RangeReading, mesh: TriangleMesh, height_si
     predicted = boresight_range(mesh, pose)
     if predicted is None:
         return None
+    # An error of height along the normal changes the range by its size over cos i.
     variance_m2 = reading.sigma_m**2 + (height_sigma_m / predicted.cos_incidence) ** 2
     return _Linearised(predicted.gradient, reading.range_m - predicted.range_m, variance_m2)
 
@@ -235,6 +236,7 @@ def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
 
 
 def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
+    # Area vectors of the facets around a vertex, summed: weighted by area.
     total = np.zeros_like(mesh.vertices_m)
     for corner in mesh.faces.T:
         np.add.at(total, corner, mesh.area_vectors_m2)

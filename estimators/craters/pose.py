@@ -163,6 +163,7 @@ def expected_craters(
     # `Pose.perturbed`: x = R p + t moves by w x (R p) + d, so that the derivative by w is -[R p]x.
     by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
     # The uncertainty of the landmarks is independent between craters, unlike that of the pose.
+    # Derivative of the pixel by the landmark in body axes.
     across = by_point @ pose.rotation
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)

@@ -87,6 +87,7 @@ def reduced_camera(camera: Camera, reduction: int) -> Camera:
 def reduced_image(image: Image, reduction: int) -> Image:
     """Average squares of ``reduction`` pixels."""
     height, width = (side // reduction for side in image.shape)
+    # Incomplete squares at the right and lower edges are cut off, as in the reduced camera.
     whole = np.ascontiguousarray(image[: height * reduction, : width * reduction])
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
@@ -154,6 +155,8 @@ def fit_level(
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
     for count in range(1, level.iterations + 1):
+        # Twelve renderings for the differences against one for the residuals: the Jacobian is kept while it is good
+        # enough.
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
             # Where a derivative is not finite the residual cannot be used either.
@@ -284,6 +287,7 @@ def _gain(o: FloatArray, i: FloatArray, huber_sigma: float) -> tuple[float, Floa
     for _ in range(_REWEIGHTINGS):
         residual = np.abs(o - gain * i)
         sigma = _ROBUST_SIGMA * float(np.median(residual))
+        # Huber: 1 up to the limit, beyond it the limit over the residual.
         weight = 1.0 / np.maximum(1.0, residual / max(huber_sigma * sigma, 1e-300))
         # Weighted least squares for one factor; with fixed weights it has a closed form.
         gain = float((weight * i) @ o / ((weight * i) @ i))

@@ -148,6 +148,7 @@ class DescriptorNavigator:
             points.append(view.points_m[known])
             distances.append(distance)
         row, distance, point = np.concatenate(rows), np.concatenate(distances), np.concatenate(points)
+        # Before the best of several is chosen, so that a false match of less distance cannot displace the right one.
         near = near_prediction(PointMatches(features.uv_px[row], point), camera, frame, options.prior_sigma)
         row, distance, point = row[near], distance[near], point[near]
         # Sorted by distance, the first of equal rows is the best match of that feature over all views.

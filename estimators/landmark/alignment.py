@@ -113,6 +113,7 @@ def align_translation(
             observed_px, rendered_px = measure(observed, signal.image, origin_px)
         steps.append(AlignmentStep(T_cam_body, rendered, observed_px, rendered_px))
         T_cam_body = translation_update(T_cam_body, observed_px, rendered_px, view.camera)
+        # Section 3.2.2: the centroid of the rendering varies by less than five pixels from one iteration to the next.
         if len(steps) > 1 and np.linalg.norm(rendered_px - steps[-2].rendered_px) < options.tolerance_px:
             break
     return Alignment(T_cam_body, tuple(steps))
@@ -167,6 +168,7 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
     # The sum of |observed - rendered|^2 over the plane is constant but for -2 times the correlation.
     correlation = cv2.matchTemplate(field, template, cv2.TM_CCORR)
     row, column = (int(i) for i in np.unravel_index(int(correlation.argmax()), correlation.shape))
+    # Index in the correlation minus that of no shift: the place of the template in the padded image.
     dv = row + _peak_offset(correlation[:, column], row) - pad_rows - top
     du = column + _peak_offset(correlation[row], column) - pad_columns - left
     return np.array([du, dv], dtype=np.float64)

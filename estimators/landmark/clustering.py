@@ -97,6 +97,7 @@ def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: Cluste
     most populated cluster grows first.
     """
     tree = cKDTree(points_m)
+    # Four points span a volume: with fewer the dispersion is singular but for its floor.
     dense = [seed for seed in seeds if len(seed) >= _MIN_DISPERSION_POINTS]
     free = np.ones(len(points_m), dtype=bool)
     for seed in dense:
@@ -186,6 +187,7 @@ class _ClusterIndex:
         near = near[self.remaining[near]]
         if not near.size:
             return None
+        # Section 2.3: the covariance on both cluster positions is considered.
         d2 = _squared_distance(self._means[near] - cluster.mean_m, self._covariances[near] + cluster.covariance_m2)
         nearest = int(np.argmin(d2))
         return int(near[nearest]) if d2[nearest] < sigma**2 else None

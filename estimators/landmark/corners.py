@@ -133,6 +133,7 @@ def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDA
     # A local maximum is its own neighbourhood's maximum, which the dilation computes.
     side = 2 * options.separation_px + 1
     neighbourhood = cv2.dilate(response, np.ones((side, side), dtype=np.uint8))
+    # Harris responses of edges are negative: the floor is not below 0.
     floor = max(options.min_relative_strength * float(response.max()), 0.0)
     peak = (response == neighbourhood) & (response > floor)
     # The surroundings of a corner have to be in the image for its self-similarity.

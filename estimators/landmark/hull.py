@@ -70,6 +70,7 @@ def concave_hull(points_m: FloatArray) -> ConcaveHull:
         on_surface = solid.on_surface()
         if on_surface.all():
             return ConcaveHull(kept, solid.surface(), np.setdiff1d(np.arange(len(points_m)), kept))
+        # Dropped and triangulated anew, until all that are left are on the surface.
         kept = kept[on_surface]
 
 
@@ -102,6 +103,7 @@ class _Solid:
         self._faces = self._tetrahedra[:, _FACES]  # (T, 4, 3)
         self._faces[mirrored] = self._faces[mirrored][:, :, ::-1]
         centres, self._radii = circumspheres(corners)
+        # Flat tetrahedra have their circumcentre at infinity: outside.
         self._centre_outside = ~np.isfinite(self._radii)
         bounded = np.flatnonzero(~self._centre_outside)
         # Heights above the planes of the convex hull: a point outside is above at least one of them.
@@ -168,6 +170,7 @@ class _Solid:
         """Remove tetrahedra whose circumcentre lies outside the convex hull, the largest circumsphere first."""
         wanted = np.flatnonzero(self._centre_outside)
         waiting = wanted[np.argsort(-self._radii[wanted], kind="stable")].tolist()
+        # A removal can make earlier candidates removable: repeated until none is.
         progress = True
         while progress:
             progress = False

@@ -96,10 +96,13 @@ def is_occluded(mesh: TriangleMesh, camera_position_body_m: FloatArray, vertices
     hidden = np.zeros(len(vertices), dtype=bool)
     if not len(vertices):
         return hidden
+    # A line of sight that enters a closed mesh does so through a facet that faces the camera: half of the tests
+    # suffice.
     facets = np.flatnonzero(_facing(mesh, camera_position_body_m))
     rays = mesh.vertices_m[vertices] - camera_position_body_m
     which, ray = _near_pairs(mesh.corners_m[facets], camera_position_body_m, rays)
     facet = facets[which]
+    # A facet meets the line of sight to its own corner at that corner, t = 1 but for rounding.
     apart = (mesh.faces[facet] != vertices[ray, None]).all(axis=1)
     facet, ray = facet[apart], ray[apart]
     blocking = _blocks(mesh.corners_m[facet], camera_position_body_m, rays[ray])

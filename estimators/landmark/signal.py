@@ -128,6 +128,7 @@ def extract_signal(
         return Signal(np.zeros_like(rise), level, noise)
     # A percentile, as glints and cosmic rays would scale the whole image down.
     full_scale = float(np.percentile(bright, _FULL_SCALE_PERCENTILE))
+    # The higher of both: noise decides in faint images, haze and quantisation in bright ones.
     floor = max(threshold_sigma * noise, threshold_fraction * full_scale)
     scaled = np.where(rise > floor, rise / np.float32(full_scale), np.float32(0.0))
     return Signal(scaled.astype(np.float32), level, noise)

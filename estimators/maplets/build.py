@@ -128,6 +128,7 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
     order = sorted(range(len(candidates)), key=lambda i: -strength[i])
+    # Strong relief first: maplets with contrast are matched more accurately.
     taken = _separated(candidates.centres_m, order, separation_m)
     taken += _gap_fillers(candidates, taken, surface)
     chosen = candidates.subset(np.array(taken))
@@ -156,6 +157,7 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     # To the corners of the box of half the grid's width above and below the plane, plus the size of a facet.
     reach_m = float(np.hypot(np.sqrt(2.0) * plane.half_m, plane.half_m)) + surface.reach_m
     near = np.asarray(surface.tree.query_ball_point(plane.centre_m, reach_m), dtype=np.int64)
+    # Only facets seen from above: those of the far side and overhangs have no height over the plane.
     near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
     corners = (mesh.corners_m[near] - plane.centre_m) @ plane.axes.T
     near, corners = (part[np.abs(corners[:, :, 2]).max(axis=1) <= plane.half_m] for part in (near, corners))

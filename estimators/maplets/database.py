@@ -156,10 +156,12 @@ class MapletDatabase:
         # Twice the distance from the centre of a cube to its corner: maplets farther apart have no point in common.
         reach_m = 2.0 * np.sqrt(3.0) * self.half_m
         pairs = cKDTree(self.centres_m).query_pairs(reach_m, output_type="ndarray")
+        # Both ways: each of two neighbours gives up the nodes that are nearer to the other.
         for mine, other in np.concatenate([pairs, pairs[:, ::-1]]):
             row, column = np.nonzero(kept[mine])
             points = nodes_m[mine, row, column]
             own, others = (np.linalg.norm(points - self.centres_m[i], axis=1) for i in (mine, other))
+            # Each maplet keeps half of the overlap beyond the plane midway between both centres.
             nearer = np.flatnonzero(others + _OVERLAP * self.spacing_m < own)
             lost = nearer[self.contains(int(other), points[nearer])]
             kept[mine, row[lost], column[lost]] = False

@@ -171,6 +171,7 @@ def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: flo
     shade = (observed < dark) | (rendered < dark)
     near_shade = cv2.dilate(shade.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
     smooth = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), dtype=np.float32) for image in (observed, rendered)]
+    # np.gradient gives the derivative along rows first.
     dv, du = (np.asarray(slope, dtype=np.float32) for slope in np.gradient(smooth[1]))
     return ImagePair(smooth[0], smooth[1], du, dv, on_body & ~near_shade)
 
@@ -218,6 +219,7 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
         weights = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2
     # The unknowns of the first two columns are gain times shift.
     gain = float(solution[2])
+    # A negative gain fits the negative of the rendering: a wrong place.
     if gain <= 0.0:
         return None
     # Neighbouring residuals are correlated: noise_px2 pixels count as one. The gain converts to the shift.

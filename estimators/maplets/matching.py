@@ -214,6 +214,7 @@ def _collect(
     return MapletMatches(
         seen.windows.maplet[rows],
         seen.windows.uv_px[rows] + np.array([found.shift_px for _, found in kept]).reshape(-1, 2),
+        # Errors of measurement, of onboard heights and systematic ones, independent of each other.
         matched + by_height[:, :, None] * by_height[:, None, :] + options.systematic_px**2 * np.eye(2),
         np.array([found.correlation for _, found in kept]),
         window_overlap(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),

@@ -200,6 +200,7 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
         fits.append(fit)
         if len(fits) == 1:
             stages.append(Stage("correlation", pose))
+        # The least-squares match is linearised about the rendered pose: it is repeated until that is the estimated one.
         elif context.motion_px(before, pose) < context.options.tolerance_px:
             break
     stages.append(Stage("recognition", pose))

@@ -115,6 +115,7 @@ def body_mask(
     The outline itself is not used: there the true, rougher surface rises above the smoother onboard shape, so that the
     body appears too large.
     """
+    # Vertices without a test for hidden ones: those of the far side lie within the same outline.
     uv = camera.project(T_cam_body.transform(vertices_m))
     pixel = np.floor(uv[camera.contains(uv)]).astype(np.int64)
     pixel = np.minimum(pixel, [camera.width_px - 1, camera.height_px - 1])

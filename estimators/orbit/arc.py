@@ -90,6 +90,7 @@ class DataArc:
         pictures = data.pictures
         here = solution.kept & (pictures.times_s[pictures.image] <= end_s)
         seen = np.bincount(solution.numbering[here], minlength=len(solution.points))
+        # One line of sight leaves the depth of a free landmark undetermined, so that it says nothing on the orbit.
         here &= seen[solution.numbering] >= _MIN_SIGHTINGS_OF_LANDMARK
         landmarks = np.flatnonzero(seen >= _MIN_SIGHTINGS_OF_LANDMARK)
         compact = np.full(len(solution.points), -1, dtype=np.int64)
@@ -173,6 +174,7 @@ class DataArc:
         kept[self.rows[groups < 0]] = False
         second = np.flatnonzero(groups == 1)
         split, new = np.unique(measured.point[second], return_inverse=True)
+        # New landmarks have rows after all others, so that those of the landmark file keep theirs.
         numbering[self.rows[second]] = len(solution.points) + new
         points = solution.points.copy()
         # Triangulated again in the next adjustment: their sightings are others now.

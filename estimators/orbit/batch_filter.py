@@ -191,6 +191,7 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
     points = np.nan_to_num(solution.points)
     found = model.sightings(Unknowns(solution.x, solution.tilts, points), model.propagate(solution.x))
     residuals, sigma = np.full((len(placed), 2), np.nan), np.ones(len(placed))
+    # Behind the camera there is no residual: NaN, which is edited.
     residuals[rows] = np.where(found.in_front[:, None], found.residuals, np.nan)
     sigma[rows] = measured.sigma_px
     return residuals, sigma
@@ -213,6 +214,7 @@ def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
     used[fit.arc.rows] = True
     listed = data.landmarks.numbers
     numbers = np.full(len(fit.solution.points), -1, dtype=np.int64)
+    # A number that was split stands for two landmarks: the new one takes it from its sightings.
     numbers[: len(listed)] = listed
     numbers[fit.solution.numbering] = data.pictures.landmark
     placed = fit.arc.landmarks

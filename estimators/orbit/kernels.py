@@ -56,6 +56,8 @@ def whiten_landmarks(
         for k in range(begin[j], begin[j + 1]):
             for c in range(7):
                 for d in range(3):
+                    # Row c of H' P for this sighting, solved against L: products of these rows are H' P C^-1 P' H
+                    # without forming C^-1.
                     total = by_image[k, 0, c] * by_point[k, 0, d] + by_image[k, 1, c] * by_point[k, 1, d]
                     for f in range(d):
                         total -= L[d, f] * links[k, c, f]
@@ -90,6 +92,7 @@ def subtract_landmarks(
     first = matrix.shape[0] - common.shape[2]
     for j in range(len(begin) - 1):
         for k in range(begin[j], begin[j + 1]):
+            # A landmark couples each two of its images: components 3 and 4 of the camera are pan and tilt.
             for m in range(begin[j], begin[j + 1]):
                 # The matrix is symmetric: only the lower triangle is filled.
                 if image[m] > image[k]:
@@ -194,6 +197,7 @@ def _angle_off_ray(origins: FloatArray, directions: FloatArray, k: int, place: F
         offset = place[i] - origins[k, i]
         along += directions[k, i] * offset
         squares += offset * offset
+    # Both lines meet also behind a camera, where nothing can be seen.
     if along <= 0.0:
         return 10.0
     return float(np.sqrt(max(squares - along * along, 0.0)) / along)

@@ -144,14 +144,17 @@ class MeasurementModel:
         # Held, so that the projection stays finite; such sightings have weight 0 in the step and a fixed cost.
         z = np.where(in_front, z, _NEAREST_M)
         across, down = focal * camera.fx_px * x / z, focal * camera.fy_px * y / z
+        # u = f x / z, v = f y / z: du/dx = f / z and du/dz = -u / z.
         by_cam = np.zeros((len(z), 2, 3))
         by_cam[:, 0, 0], by_cam[:, 0, 2] = focal * camera.fx_px / z, -across / z
         by_cam[:, 1, 1], by_cam[:, 1, 2] = focal * camera.fy_px / z, -down / z
         by_inertial = by_cam @ turns[image]
         by_image = np.empty((len(z), 2, 7))
+        # The point in the camera is R (landmark - position).
         by_image[:, :, :3] = -by_inertial
         # A rotation w on the left moves the camera coordinates p by w x p: d(uv)/dw = p x d(uv)/dp, row by row.
         by_image[:, :, 3:6] = np.cross(np.stack([x, y, z], -1)[:, None], by_cam)
+        # The focal length has the factor 1 + df, so that the derivative by df is the offset at df = 0.
         by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
         # Body to inertial axes: the transpose of R_body_inertial.
         by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
@@ -178,6 +181,7 @@ class MeasurementModel:
         ranges = radio.range_m - (layout.bias_m(x) - states[:, :3] @ radio.earth_dir)
         rates = radio.range_rate_m_s + states[:, 3:] @ radio.earth_dir
         residuals = np.r_[ranges / radio.range_sigma_m, rates / radio.range_rate_sigma_m_s]
+        # Whitened: in units of their sigmas, as the residuals are.
         by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
         # Passes without a range or a rate hold NaN.
         there = np.isfinite(residuals)
@@ -192,6 +196,7 @@ def _tilt_rotations(tilts: FloatArray) -> FloatArray:
 
 def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> OrbitPartials:
     """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same."""
+    # Line search, splitting and editing need the same orbit again, and its propagation costs most.
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
@@ -228,6 +233,7 @@ def measurements_until(
     pictures, known = data.pictures, data.knowledge
     images = int(np.searchsorted(pictures.times_s, until_s, side="right"))
     rows = np.flatnonzero(kept & (pictures.image < images))
+    # Sorted by landmark, as the kernels eliminate one landmark after another.
     rows = rows[np.argsort(numbering[rows], kind="stable")]
     off_axis = np.linalg.norm(pictures.uv_px[rows] - [known.camera.cx_px, known.camera.cy_px], axis=1)
     radio = data.radiometry if with_radiometry else None

@@ -83,6 +83,7 @@ class ParameterLayout:
         field = HarmonicField(
             known.field.harmonics, known.field.rotation, known.field.light_m_s2, options.gravity_degree
         )
+        # Without sunlight the factor has no effect, and would be an unknown that only its prior determines.
         light = known.light_sigma if options.solar_pressure == "estimated" and np.any(field.light_m_s2) else 0.0
         sigma = np.r_[known.gm_sigma, light, np.full(field.parameters - 2, known.coefficient_sigma)]
         edges: FloatArray = np.zeros(0, dtype=np.float64)
@@ -90,6 +91,8 @@ class ParameterLayout:
             last = [data.wanted_s[-1:], data.pictures.times_s[-1:]]
             end = float(np.concatenate(last).max(initial=1.0))
             step = known.noise_time_s * options.piece_share
+            # From the epoch to the last time for which the orbit is wanted: a prediction has its own accelerations,
+            # known by their correlation with earlier ones.
             edges = np.asarray(step * np.arange(int(np.ceil(end / step)) + 1), dtype=np.float64)
         bias = 0.0 if data.radiometry is None else data.radiometry.range_bias_sigma_m
         return cls(known, field, edges, sigma, bias)

@@ -165,18 +165,21 @@ def gauss_newton_step(
     shared = model.shared(unknowns, here.flown)
     common = shared_links(measured.begin, measured.image, links, shared)
     normal = np.zeros((images, 7, 7))
+    # Normal matrices by the seven parameters of each camera; the shared unknowns follow by the chain rule.
     np.add.at(normal, measured.image, np.swapaxes(by_image, 1, 2) @ by_image)
     pull = np.zeros((images, 7))
     np.add.at(pull, measured.image, np.einsum("krc,kr->kc", by_image, residuals))
 
     size = 2 * images + n
     matrix = np.zeros((size, size))
+    # Blocks of the matrix: pan and tilt are components 3 and 4 of the camera, independent between images.
     carried = normal @ shared
     rows = np.arange(images)
     for r in range(2):
         for s in range(2):
             matrix[2 * rows + r, 2 * rows + s] = normal[:, 3 + r, 3 + s]
     diagonal = np.arange(2 * images)
+    # Prior of pan and tilt: the attitude error of each image.
     matrix[diagonal, diagonal] += 1.0 / known.attitude_sigma_rad**2
     matrix[2 * images :, : 2 * images] = carried[:, 3:5].reshape(2 * images, n).T
     flat = common.reshape(-1, n)
@@ -190,6 +193,7 @@ def gauss_newton_step(
     # Reduced normal matrix: N - H' C^-1 H, which is H' L^-T times its transpose for each landmark.
     subtract_landmarks(matrix, measured.begin, measured.image, links, common)
 
+    # Right-hand side b - H' C^-1 c after the elimination; priors pull back to their means, which are 0 for x and tilts.
     reduced = pull.copy()
     np.subtract.at(reduced, measured.image, np.einsum("kcd,kd->kc", links, pulls[measured.point]))
     right = np.concatenate(
@@ -252,6 +256,7 @@ def adjust(
             # A small decrease predicted with strong damping is no convergence: the damping made it small.
             done = little and damping <= _DAMPING_FIRST
             start, here = moved, there
+            # Back to plain Gauss-Newton as soon as possible, which converges quadratically near the solution.
             damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
             if done:
                 return GaussNewtonResult(here, step, True, count)

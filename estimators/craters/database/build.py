@@ -106,6 +106,7 @@ def _lines_of_sight(
 def _lines_of(
     picture: SequencePicture, landmarks: Landmarks, options: CraterAssociationOptions
 ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
+    # Landmark numbers ascend, and every picture's numbers are among them.
     rows = np.searchsorted(landmarks.number, picture.landmark)
     pose = picture.T_cam_body
     camera_m = np.broadcast_to(pose.camera_position_m, (len(rows), 3))

@@ -99,6 +99,7 @@ def _average_by_number(
     np.add.at(total, place, information)
     np.add.at(weighted, place, np.einsum("nij,nj->ni", information, points))
     np.add.at(normal, place, normals)
+    # Logarithms: errors of a radius are relative.
     np.add.at(log_radius, place, log_radii)
     covariance = np.linalg.inv(total)
     return Landmarks(

@@ -128,6 +128,7 @@ def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int
 def _numbers_of_groups(groups: Sequence[Sequence[int]]) -> IndexArray:
     """Assign numbers to the groups of two and more in the order of their first detection."""
     numbers = np.full(sum(map(len, groups)), NO_NUMBER, dtype=np.int64)
+    # In the order of their first detections, whatever the order in which groups were joined.
     matched = sorted((sorted(group) for group in groups if len(group) > 1), key=lambda group: group[0])
     for number, group in enumerate(matched):
         numbers[group] = number

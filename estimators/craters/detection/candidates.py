@@ -124,7 +124,7 @@ def fit_candidates(
     refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
-    both = support.min(axis=1) > 0.25  # an edge on one side alone is a ridge or a terminator
+    both = support.min(axis=1) > 0.25  # on both halves: edges on one alone are a ridge or a terminator
     rising = profile_correlation(refitted, picture) > _MIN_PROFILE
     keep = sane & both & rising
     return EllipseCandidates(refitted[keep], support[keep].mean(axis=1))
@@ -189,6 +189,7 @@ def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) ->
     for i, listed in enumerate(near):
         rows = np.array(listed, dtype=np.int64)
         far = sampson_distances(edges.uv_px[rows][None], conics[i : i + 1])[0]
+        # The ball about the centre is a coarse preselection; the band is along the rim itself.
         rows = rows[np.abs(far) < band[i]]
         slope = np.concatenate([edges.uv_px[rows], np.ones((len(rows), 1))], axis=1) @ conics[i]
         normal = slope[:, :2] / np.maximum(np.linalg.norm(slope[:, :2], axis=1, keepdims=True), 1e-12)
@@ -225,7 +226,7 @@ def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sec
 
 def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int = 11) -> FloatArray:
     """Correlate the brightness along the Sun's direction with a rise from the shaded to the lit side: (n,)."""
-    # From the shaded wall, towards the Sun, to the lit one; the rim itself is left out, where its shape is uncertain.
+    # From the shaded wall, towards the Sun, to the lit one; the rim itself is left out.
     along = np.linspace(0.8, -0.8, steps)
     aside = np.array([-0.3, 0.0, 0.3])
     sun = picture.sun_px

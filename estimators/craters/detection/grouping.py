@@ -164,6 +164,7 @@ class ArcTable:
         """Measure arcs."""
         sun = picture.sun_px
         side = np.array([-sun[1], sun[0]])
+        # Along the Sun the median, as the ends of an arc bend away from its middle.
         t = [arc.uv_px @ side for arc in arcs]
         p = [float(np.median(arc.uv_px @ sun)) for arc in arcs]
         low, high = np.array([x.min() for x in t]), np.array([x.max() for x in t])

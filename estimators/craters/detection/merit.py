@@ -41,6 +41,7 @@ class GradientField:
         a, b = self.values[v, u], self.values[v, u + 1]
         c, d = self.values[v + 1, u], self.values[v + 1, u + 1]
         fu, fv = f[..., :1], f[..., 1:]
+        # Bilinear: along the columns in both rows, then along the rows.
         upper, lower = a + fu * (b - a), c + fu * (d - c)
         by_u, by_v = (b - a) + fv * (d - c - b + a), lower - upper
         # Where the place was clipped, the field does not change with the coordinate.
@@ -79,6 +80,7 @@ class RimSamples:
         by[..., 3] = np.einsum("nij,kj->nki", turn, np.stack([0 * sin, sin], axis=-1))
         by[..., 4] = np.einsum("nij,nkj->nki", quarter, np.stack([a * cos, b * sin], axis=-1))
         length = np.hypot(b * cos, a * sin)
+        # A unit normal changes only along the tangent, by the angle it turns.
         tangent = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)
         # The normal (b cos t, a sin t) turns by d(angle) = (b cos t d(a sin t) - a sin t d(b cos t)) / length^2.
         spin = np.zeros((n, count, 5))

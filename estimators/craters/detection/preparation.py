@@ -102,8 +102,8 @@ def noise_level(image: FloatImage, ground: Mask) -> float:
     The mask is that of Immerkaer (1996), who averages absolute values; we take their median.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    # Planes and ramps cancel in the mask; white noise is amplified by the root of the sum of its squares, 6. The median
-    # absolute value of a Gaussian is 0.6745 sigma, and a few edges do not change it.
+    # Planes cancel in the mask; white noise is amplified by the root of the sum of its squares, 6. The median absolute
+    # value of a Gaussian is 0.6745 sigma, and a few edges do not change it.
     rough = cv2.filter2D(image, cv2.CV_32F, mask)
     return float(np.median(np.abs(rough[ground])) / 0.6745 / 6.0)
 

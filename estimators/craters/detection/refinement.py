@@ -57,6 +57,8 @@ def gradient_scales(
     locating, pointing = [], []
     for kernel in kernels_px:
         gradient = gradient_of(picture.even, kernel)
+        # Softened by the typical gradient: weak edges count less where the rim is placed, but their direction counts in
+        # full for the confidence.
         middle = float(np.median(gradient.strength[picture.ground]))
         locating.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
         pointing.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
@@ -163,8 +165,8 @@ def from_parameters(rows: FloatArray) -> Ellipses:
 def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:
     """Return the mean cosine (n,) between the gradient and the signed normal, equation (4), of the worse side.
 
-    The paper takes one mean over the points of both sides. Here both have to agree, because a
-    terminator or a ridge lights up one side as well as any rim.
+    The paper takes one mean over the points of both sides. Here both have to agree, because a terminator or a ridge
+    lights up one side as well as any rim.
     """
     values = np.zeros(len(ellipses))
     rows = scales.of(ellipses.radius_px)

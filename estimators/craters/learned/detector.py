@@ -120,6 +120,7 @@ def read_network(path: Path) -> Network:
         stored = read_arrays(path)
         network = Network({name: stored[name].astype(np.float32) for name in NAMES})
         blank = np.zeros((1, SIDE, SIDE, 1), dtype=np.float32), np.zeros((1, SCALARS), dtype=np.float32)
+        # A trial run finds weights whose shapes do not fit together.
         with np.errstate(all="ignore"):
             out = network.forward(*blank)
     except (KeyError, ValueError, IndexError, TypeError, ArithmeticError, MemoryError) as error:
@@ -164,6 +165,7 @@ class CraterLearned:
         keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
         seen, odds = seen[keep], odds[keep]
         rows = suppress_duplicates(seen, odds, 0.6, 1.6)
+        # The logistic function of the log odds.
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
         rims = blend_with_gradient(seen[rows], picture, o.blend_from_px, ClassicOptions())
         return CraterDetections.above(o.confidence_min, rims, sure)

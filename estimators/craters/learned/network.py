@@ -49,6 +49,7 @@ class Network:
         for i in (1, 2, 3):
             kernel = self.weights[f"conv{i}"]
             size = round(np.sqrt(len(kernel) / x.shape[-1]))
+            # Convolution as a matrix product of windows and kernels, then the rectifier.
             x = np.maximum(windows(x, size) @ kernel + self.weights[f"bias{i}"], 0.0)
         flat = np.concatenate([x.reshape(len(x), -1), scalars], axis=1)
         hidden = np.maximum(flat @ self.weights["dense1"] + self.weights["bias4"], 0.0)
@@ -78,7 +79,7 @@ class PatchSource:
 
     @classmethod
     def of(cls, image: FloatImage, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
-        """Build the pyramid up to the level that patches of the largest rims need."""
+        """Build a pyramid of five levels, enough for patches of the largest rims at the default number of levels."""
         return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
 
 

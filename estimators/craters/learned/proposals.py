@@ -44,6 +44,7 @@ def ring_templates(sun_px: FloatArray) -> RingTemplates:
     shape = []
     for radius in RADII_PX:
         for ratio, angles in SHAPES:
+            # Semi-axes of the given ratio whose geometric mean is the radius.
             axes = radius / np.sqrt(ratio), radius * np.sqrt(ratio)
             shape += [(*axes, np.pi * k / angles) for k in range(angles)]
     rows = np.array(shape)

@@ -230,7 +230,7 @@ def _support(
     """Return (v,) the support of each of v hypotheses, the pairs (v, 2) of ``couples``.
 
     It is the sum of the log-odds of all pairs, each crater and each detection once, given the field conditioned on the
-    hypothesis, plus the log-density of the hypothesis under the prior, but for a constant.
+    hypothesis, minus half of the squared distance of its offset in standard deviations of the prior.
     """
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     i = couples[:, 0]

@@ -121,6 +121,7 @@ def rectify_template(
     shift = np.eye(3)
     # Pixel ``half`` is the central one, and its centre is at half + 0.5 in this project's pixels.
     shift[:2, 2] = half + 0.5 - ellipse.centre_px[0]
+    # OpenCV's pixels of the image, to ours, to the second image, to the template, to OpenCV's.
     matrix = np.linalg.inv(_HALF_PIXEL) @ shift @ homography @ _HALF_PIXEL
     side = 2 * half + 1
     return np.asarray(

@@ -82,6 +82,7 @@ class HybridMatcher:
         found = _merge_pairs(certain, others)
         if len(found) == 0:
             return CraterMatches.none(f"neither context nor invariants match a crater, and {correlated.reason}")
+        # Pairs confirmed by their pixels stay, whether they agree with the transform or not.
         pairs = _merge_pairs(certain, self._follow_common_shift(expected, second, near, found))
         if len(pairs) == 0:
             return CraterMatches.none(f"{len(found)} matches of constellations do not agree with each other")
@@ -127,6 +128,7 @@ def _agreeing_offsets(offsets: FloatArray, limit_px: float) -> BoolArray:
 
     Errors of poses move neighbouring craters nearly alike.
     """
+    # The mode of the offsets, not their mean: false pairs are scattered.
     apart = np.linalg.norm(offsets[:, None] - offsets[None], axis=2) < _ROUGH * limit_px
     return np.asarray(apart[int(np.argmax(apart.sum(axis=1)))])
 

@@ -89,6 +89,7 @@ def preliminary_pairs(
     between = landmarks.image[couples]
     # Sorted, so that (i, j) and (j, i) count as one pair of images.
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
+    # How often each pair of images occurs is the number of landmarks that may be the same.
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
     lit = [_lit_points_of(image, ground, options.footprint) for image in images]
     shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])

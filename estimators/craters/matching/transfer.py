@@ -213,6 +213,7 @@ def plane_homographies(located: LocatedCraters, first: Camera, second: Camera, T
 
 def map_ellipses(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolArray]:
     """Map n ellipses by n homographies: those whose images are ellipses, and (n,) which they are."""
+    # With x' = T x the conic becomes T^-T C T^-1; equation (9) as printed, T^T C T, is that for x = T x'.
     inverse = np.linalg.inv(maps)
     conics = np.swapaxes(inverse, 1, 2) @ ellipses.conics() @ inverse  # eq. (9) for x' = T x
     return Ellipses.among(conics)

@@ -83,6 +83,7 @@ class VoteMatcher:
         noise = centre_noise(expected.ellipses, options.association)
         # Heights under different craters are taken as independent; the errors of the poses are common to all.
         noise += options.height_sigma_m**2 * np.einsum("ni,nj->nij", expected.by_height, expected.by_height)
+        # The prior is -error away from the corrected poses, so that each pass uses it once.
         field = ExpectedCraters(expected.ellipses, expected.by_error, covariance, noise, -error)
         area_px2 = float(second.camera.width_px * second.camera.height_px)
         found = associate(field, second.detections.ellipses, area_px2, options.association)

@@ -132,6 +132,7 @@ def minimal_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
 
 def pose_covariance(problem: PoseProblem, pose: Pose) -> FloatArray:
     """Inverse of the normal matrix in the minimal parameters, (6, 6); NaN where it is singular."""
+    # Six parameters: with the seven of the quaternion the normal matrix would be singular.
     normal, _ = problem.normal_equations(minimal_jacobian(problem, pose), problem.residuals_px(pose))
     # Scaled to a unit diagonal: square radians and square metres differ by orders of magnitude.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))

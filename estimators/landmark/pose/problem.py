@@ -60,6 +60,7 @@ class PoseProblem:
 
     def normal_equations(self, jacobian: FloatArray, residuals_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """J^T S^-1 J and J^T S^-1 (D - M) of equation (24), for a Jacobian of shape (N, 2, P)."""
+        # S is block diagonal (18): each landmark is weighted with its own 2 x 2 block.
         weighted = self.information_px2 @ jacobian
         matrix: FloatArray = np.einsum("nip,niq->pq", jacobian, weighted)
         vector: FloatArray = np.einsum("nip,ni->p", weighted, residuals_px)
@@ -102,6 +103,7 @@ def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: 
     -------
     (..., N, 2, A + 3).
     """
+    # The translation moves the point in the camera by itself, so that its columns are those of the point.
     by_point = camera.jacobian(points_cam_m)
     return np.concatenate([by_point @ point_by_attitude, by_point], axis=-1)  # eqs. (21), (22)
 

@@ -227,6 +227,7 @@ def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOp
         if not active.size:
             break
         iterations[active] += 1
+        # Only the rows that still iterate: each has its own damping, and converges as it would alone.
         trial = _trial(problems.rows(active), poses.rows(active), damping[active], options.parameters)
         trial_chi2 = problems.rows(active).chi2(trial)
         before = chi2[active]
@@ -271,6 +272,7 @@ def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, dampi
     """Solve equation (24) for each problem, (B, P); no step where its matrix is singular."""
     matrices, vectors = problems.normal_equations(jacobians, poses)
     diagonal = np.arange(matrices.shape[1])
+    # J^T S^-1 J + lambda diag(J^T S^-1 J).
     matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
     try:
         return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP

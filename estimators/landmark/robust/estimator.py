@@ -79,6 +79,7 @@ class _Solution:
 
     def matched(self) -> MatchedFrame:
         """Return the landmarks with a corner within their 3-sigma region (two degrees of freedom) as matches."""
+        # Among the candidates of a landmark the one at the least weighted distance.
         rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
         near = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
         corner = self.evaluation.candidates[0, rows, likely][near]

@@ -133,6 +133,7 @@ class Mixture:
         density = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(determinant))[..., None]
         # Expectation: the probability that each candidate is the landmark's corner.
         ratio = self.odds_px2 * density
+        # The 1 stands for clutter alone: the landmark's corner was not detected.
         total = 1.0 + ratio.sum(axis=2)
         responsibilities = ratio / total[..., None]
         weight = responsibilities.sum(axis=2)
@@ -140,6 +141,7 @@ class Mixture:
         pull = np.einsum("hnk,hnki->hni", responsibilities, offsets)
         by_rotation = by_point @ point_by_rotation(points - poses.translations_m[:, None])
         jacobian = np.concatenate([by_rotation, by_point], axis=-1)
+        # A landmark without a likely corner has the weight 0 and drops out of the normal equations.
         weighted = information @ jacobian
         # Maximum a posteriori: the prior adds its information, and a pull back to its mean.
         errors = self._prior.errors(poses)

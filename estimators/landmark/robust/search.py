@@ -70,6 +70,7 @@ def best_hypotheses(
     prior = -0.5 * np.square(turns).sum(axis=1) / turn_sigma_rad**2
     scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
     best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
+    # Flat indices of (rotation, shift).
     turn, shift = np.divmod(best, len(du))
     # The image of the origin moves by du pixels where the body moves by du pixels' size along x, at its distance.
     across_m = np.stack([du[shift], dv[shift], np.zeros(len(best))], axis=1) * pixel_m
@@ -104,6 +105,7 @@ def map_scores(
 
 def corner_map(corners_px: FloatArray, camera: Camera, blur_px: float) -> NDArray[np.float32]:
     """Blurred density of corners in the image, (H, W) px^-2."""
+    # Normalised to corners per square pixel: the Gaussian kernel sums to 1.
     counts = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
     column, row = np.clip(np.floor(corners_px), 0, [camera.width_px - 1, camera.height_px - 1]).astype(int).T
     np.add.at(counts, (row, column), 1.0)
