@@ -17,7 +17,7 @@ from campaign.inspection.recompute import Recomputed, StoredComparison, recomput
 from campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from campaign.trial.kept_images import write_image
+from campaign.trial.image_trials import write_image
 from campaign.trial.kind import Record
 from reports.pages.case import CasePage, write_case
 from reports.run.data import read_run

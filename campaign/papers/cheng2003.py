@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from campaign.kinds.crater_detection.examples import detected, stages_of
+from campaign.kinds.crater_detection.show import detected, stages_of
 from campaign.kinds.crater_matching.show import matching_example
 from campaign.papers.gather import FinishedRun
 from campaign.papers.page import Draw, Paper, PaperFigure, Runs

@@ -17,7 +17,7 @@ from campaign.pool.workers import no_replacement
 from campaign.resolved import ResolvedCampaign
 from campaign.store import TABLES
 from campaign.store.folder import Block
-from campaign.trial.in_turn import part_of
+from campaign.trial.image_trials import part_of
 from campaign.trial.kind import Bench, Records, Trials, kind_named
 
 T = TypeVar("T")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
+from campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
 from campaign.kinds.crater_navigation.score import match_counts, told_apart
-from campaign.kinds.crater_navigation.sights import DrawnSights
-from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches

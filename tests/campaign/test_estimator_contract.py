@@ -13,7 +13,7 @@ from tiny_campaign import DATABASE, SCENE
 
 from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
-from campaign.kinds.single_image.check import check
+from campaign.kinds.single_image.score import check
 from campaign.kinds.single_image.trial import SingleImage
 from campaign.products import BuiltAssets
 from estimators.contract import Assets, Estimate, Estimator

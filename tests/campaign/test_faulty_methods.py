@@ -11,7 +11,7 @@ from test_crater_score import circles
 
 from campaign.kinds.crater_matching.trial import check_matches
 from campaign.kinds.sequence.score import check_sequence
-from campaign.kinds.single_image.check import check
+from campaign.kinds.single_image.score import check
 from campaign.pool.guard import Call
 from campaign.trial.crater_score import check_detections
 from campaign.trial.work import GaveUpError, Work

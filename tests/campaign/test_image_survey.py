@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from orbit_worlds import orbit_world
 
-from campaign.kinds.crater_navigation.sights import DrawnSights
+from campaign.kinds.crater_navigation.images import DrawnSights
 from campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
 from reports.schema.tables import TABLES
 from scenarios.craters.pairs import draw_plane_craters

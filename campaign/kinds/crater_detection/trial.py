@@ -17,8 +17,7 @@ from campaign.products import BuiltAssets, MissingProduct
 from campaign.products.databases import with_database_craters, with_database_seed
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
-from campaign.trial.in_turn import InTurn
-from campaign.trial.kept_images import ImageSink, image_sink
+from campaign.trial.image_trials import ImageSink, InTurn, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import GaveUpError, Work

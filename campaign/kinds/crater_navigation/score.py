@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.crater_navigation.taken import NavigationTrial, SearchedImage
+from campaign.kinds.crater_navigation.images import NavigationTrial, SearchedImage
 from estimators.craters.navigation.rounds import NavigationResult, NavigationRound
 from estimators.orbit.contract import OrbitEstimate
 from scenarios.craters.simulated import NO_CRATER

@@ -13,6 +13,13 @@ from typing import Self
 
 import numpy as np
 
+from campaign.kinds.crater_navigation.images import (
+    CraterSights,
+    NavigationTrial,
+    SearchedImage,
+    open_sights,
+    searched_in,
+)
 from campaign.kinds.crater_navigation.score import (
     at_times,
     image_records,
@@ -20,8 +27,6 @@ from campaign.kinds.crater_navigation.score import (
     navigation_summary,
     truth_of_sightings,
 )
-from campaign.kinds.crater_navigation.sights import CraterSights, open_sights
-from campaign.kinds.crater_navigation.taken import NavigationTrial, SearchedImage, searched_in
 from campaign.kinds.orbit_determination.score import check_orbit
 from campaign.kinds.orbit_determination.trial import (
     DeterminedOrbit,

@@ -13,8 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.crater_navigation.sights import Address, DrawnSights, open_sights
-from campaign.kinds.crater_navigation.taken import NavigationTrial
+from campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
 from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
 from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign

@@ -21,7 +21,7 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
-from campaign.trial.nees import nees
+from campaign.trial.pose_score import nees
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth

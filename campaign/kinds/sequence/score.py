@@ -18,7 +18,7 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
-from campaign.trial.nees import nees
+from campaign.trial.pose_score import nees
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
 from scenarios.sequences.trajectory import inertial_from_body

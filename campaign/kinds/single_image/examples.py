@@ -14,7 +14,7 @@ from campaign.inspection.recompute import recompute
 from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from campaign.trial.in_turn import part_of
+from campaign.trial.image_trials import part_of
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks, visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition

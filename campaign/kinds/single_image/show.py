@@ -24,7 +24,7 @@ from campaign.inspection.show import (
 )
 from campaign.kinds.single_image.examples import SecondLook, alignment_of, fit_figures, fit_of, recognised_again
 from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
-from campaign.trial.in_turn import part_of
+from campaign.trial.image_trials import part_of
 from campaign.trial.kind import Record
 from estimators.contract import Estimate
 from estimators.craters.database.landmarks import Landmarks

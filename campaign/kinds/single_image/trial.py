@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from campaign.imaging.observe import observe
 from campaign.imaging.world import TrialImage, World, check_bodies, open_world
-from campaign.kinds.single_image.check import check
+from campaign.kinds.single_image.score import check
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from campaign.products.databases import with_database_craters
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.in_turn import InTurn
-from campaign.trial.kept_images import ImageSink, image_sink
+from campaign.trial.image_trials import ImageSink, InTurn, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, built, check_options, missing
 from campaign.trial.pose_score import consistency, pose_columns, pose_error

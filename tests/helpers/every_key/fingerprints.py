@@ -12,8 +12,7 @@ import numpy as np
 from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
 from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
-from campaign.kinds.crater_navigation.sights import open_sights
-from campaign.kinds.crater_navigation.taken import NavigationTrial
+from campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
 from campaign.kinds.orbit_determination.trial import open_orbit_world
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.kinds.sequence.tracks import ImageTracks
