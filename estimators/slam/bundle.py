@@ -31,7 +31,7 @@ from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 FloatArray = NDArray[np.float64]
 
 _MAX_PLACED = 2
-"""Consecutive frames that may be placed without an adjustment of the window."""
+"""Consecutive frames at most that may be placed without an adjustment of the window."""
 
 
 class BundleSlam(ConfiguredEstimator[BundleOptions]):
@@ -82,6 +82,7 @@ class _Window:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         number = len(self.slam_map.frames)
+        # The paper's option of a dynamic model: the prediction of the propagator replaces the given displacement.
         if self.propagator is not None:
             frame = self.propagator.predict(frame)
         self.slam_map.frames[number] = frame
@@ -98,12 +99,15 @@ class _Window:
         return predict_from_window(self.slam_map, last, frame, self.adjusted) if last >= 0 else None
 
     def _follow(self, number: int) -> FrameEstimate:
+        # The tolerance scales with the distance: the same angle, about the same part of a pixel, at any range.
         depth = self.slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
+        # Step 1 of the paper, motion only.
         if self.gate is None:
             self.slam_map.place(number, rule)
         else:
             self.gate.place(number, self.adjusted, rule, depth)
+        # Kept for the case that the adjustment of the window fails.
         placed_m, guessed = self.slam_map.positions_m[number], set(self.slam_map.guessed)
         views = self._window(number)
         try:
@@ -117,6 +121,8 @@ class _Window:
             return self._place_only(number, placed_m)
         self.placed_alone = 0
         tracks = self.adjusted.tracks.tolist()
+        # A range at the leading view has fixed the scale of this window. The gauge goes on with the distance that it
+        # has in this solution, so that the next window has the same scale.
         if len(self.slam_map.distances(views[-1:], tracks).view):
             self.gauge = reestimate_gauge(self.slam_map, self._gauge(), self.options.gauge_sigma_m)
         points = np.array([self.slam_map.points_m[track] for track in tracks])
@@ -143,10 +149,12 @@ class _Window:
             self._update_gauge(views, seen)
             tracks = self._map(seen)
             problem = self._problem(views, tracks)
+            # Step 2 of the paper, structure only: all views fixed. Step 3, full, follows.
             if self.options.steps == "motion-structure-full":
                 self._adjust(replace(problem, free_views=np.zeros_like(problem.free_views)), views, tracks, rule)
             state = self._adjust(problem, views, tracks, rule)
             adjusted = AdjustedWindow(problem, state, tuple(views), np.array(tracks, dtype=np.int64))
+            # No refusal after the last adjustment: the estimate would have used the refused pixels.
             if self.gate is None or rounds + 1 == MAX_ROUNDS or not self.gate.reject_outliers(adjusted):
                 break
         return adjusted
@@ -154,6 +162,8 @@ class _Window:
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and its landmarks provisionally at the distance of the gauge."""
         slam_map = self.slam_map
+        # The first position is known, section 3.1. A bearing gives no distance: all landmarks start at that of the
+        # gauge, on a sphere about the camera, and are marked as guessed.
         slam_map.positions_m[0] = self.first_m.copy()
         self.gauge = measure_gauge(slam_map, 0)
         if self.gauge.track not in frame.tracks:
@@ -166,13 +176,14 @@ class _Window:
     def _window(self, lead: int) -> list[int]:
         """Choose the trailing views for a new leading one; the leading view is the last of the list."""
         before = self.trailing
-        tracks = (
-            self.slam_map if self.gate is None else self.gate
-        )  # refused pixels count, so that outliers do not shift the window
+        # Refused pixels count, so that outliers do not shift the window.
+        tracks = self.slam_map if self.gate is None else self.gate
+        # The second strategy of section 3.2, which the paper uses; then the first.
         choose = trailing_views(self.slam_map, tracks, before, lead, self.options)
         if self.options.strategy == "offset":
             choose = offset_views(tracks, lead, self.options)
         self.trailing = choose
+        # A new oldest view is a new reference of position and scale: each shift adds to the drift.
         self.shifts += int(choose[0] != before[0])
         return [*choose, lead]
 
@@ -184,6 +195,8 @@ class _Window:
 
     def _map(self, seen: dict[int, list[int]]) -> list[int]:
         """List the tracks seen in two views or more, sorted; new ones are triangulated."""
+        # One bearing leaves the distance undetermined: section 3.2 estimates landmarks that were observed in at least
+        # two views.
         tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
         self.slam_map.triangulate_new(tracks, seen)
         if len(tracks) < self.options.connectivity:
@@ -196,13 +209,15 @@ class _Window:
             camera=self.slam_map.camera,
             R_cam_body=self.slam_map.attitudes(views),
             pixels=self.slam_map.pixels(views, tracks),
+            # Of the seven freedoms of a monocular reconstruction the known attitudes fix three; the fixed oldest view
+            # fixes the translation, and the depth gauge of eq. (5) the scale.
             free_views=np.arange(len(views)) > 0,
             free_points=np.ones(len(tracks), dtype=np.bool_),
             distances=gauge_distances(self.slam_map, self._gauge(), views, tracks),
         )
 
     def _adjust(self, problem: Adjustment, views: list[int], tracks: list[int], rule: StoppingRule) -> State:
-        """Structure-only or full adjustment."""
+        """Minimise the structure-only or the full adjustment from the present estimates, and count the steps."""
         solution = self.slam_map.adjust(problem, views, tracks, rule)
         self.iterations += solution.iterations
         return solution.state

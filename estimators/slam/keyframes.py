@@ -35,6 +35,7 @@ def measure_gauge(slam_map: SlamMap, view: int) -> DepthGauge:
     ranges = slam_map.frames[view].ranges
     if not ranges:
         raise LostError("no range is measured at the first frame: the scale is unobservable")
+    # The track decides between equal errors, so that the choice does not depend on the order of the ranges.
     best = min(ranges, key=lambda item: (item.sigma_m, item.track))
     return DepthGauge(view, best.track, best.range_m, best.sigma_m)
 
@@ -43,7 +44,9 @@ def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], 
     """Return the distances that fix the scale of a window: the leading view's measured ranges, or else the gauge."""
     lead = slam_map.distances(views[-1:], tracks)
     if len(lead.view):
+        # They were numbered within the one leading view; it is the last of the window.
         return replace(lead, view=lead.view + len(views) - 1)
+    # The last row of eq. (5): d - d_hat(l_1, T_1, x).
     return Distances(
         np.array([views.index(gauge.view)], dtype=np.int64),
         np.array([tracks.index(gauge.track)], dtype=np.int64),
@@ -84,10 +87,13 @@ def hand_over_gauge(
     if gauge.view == oldest and held:
         return gauge
     measured = {item.track: item for item in slam_map.frames[oldest].ranges}
+    # A guessed distance must not become the scale.
     known = measured.keys() | (slam_map.points_m.keys() - slam_map.guessed)
     candidates = [
         track
         for track in slam_map.frames[oldest].tracks.tolist()
+        # A landmark of the oldest view and one other would connect the scale with that view alone, unless it is the
+        # leading one.
         if track in known and len(seen[track]) >= 2 and (lead in seen[track] or len(seen[track]) > 2)
     ]
     if not candidates:
@@ -95,6 +101,8 @@ def hand_over_gauge(
     best = min(candidates, key=lambda track: (track not in measured, lead not in seen[track], -len(seen[track]), track))
     if best in measured:
         return DepthGauge(oldest, best, measured[best].range_m, measured[best].sigma_m)
+    # The estimated distance has an error, which biases the scale until the next handover (section 3.2: drift like a
+    # random walk).
     distance = float(np.linalg.norm(slam_map.points_m[best] - slam_map.positions_m[oldest]))
     return DepthGauge(oldest, best, distance, options.gauge_sigma_m)
 
@@ -130,14 +138,18 @@ def trailing_views(
     views = list(trailing)
     if len(views) < options.views - 1:
         return _grown(tracks, views, lead, options)
+    # Shared landmarks are counted with the last trailing view, as in the paper, or with the oldest; the angle of table
+    # 2 is between consecutive views, so with the last one in both cases.
     base = views[-1] if options.connected == "last-two" else views[0]
     if _connected(slam_map, tracks, base, views[-1], lead, options):
         return views
+    # The shift of section 3.2: T1 := T2, T2 := T3, T3 := T4, where T4 was the leading view of the step before.
     return _connected_part(tracks, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
 
 
 def offset_views(tracks: SharedLandmarks, lead: int, options: BundleOptions) -> list[int]:
     """First strategy: a constant offset, counted in frames, between the views; fewer at the beginning."""
+    # The paper's offset is an angle; frames of equal anomaly steps (section 4) make it a number of frames.
     back = [lead - options.offset_frames * step for step in range(1, options.views)]
     views = sorted(view for view in back if view >= 0) or [0]
     return _connected_part(tracks, views, lead, options)
@@ -166,6 +178,7 @@ def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, option
         views = views[1:]
     if views:
         return views
+    # No trailing view is connected: start again from the frame before, which is the best connected one.
     check_connected(tracks.shared(lead - 1, lead), options.connectivity)
     return [lead - 1]
 
@@ -173,4 +186,5 @@ def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, option
 def _angle(slam_map: SlamMap, first: int, second: int) -> float:
     """Angle between two camera positions at the centre of the body, rad."""
     a, b = slam_map.positions_m[first], slam_map.positions_m[second]
+    # The arc tangent is accurate for small angles, where the arc cosine loses half of the digits.
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -61,6 +61,7 @@ def cost(problem: Adjustment, state: State) -> float:
     bearings = bearing_residuals(problem, state)
     distances = distance_residuals(problem, state)
     motions = motion_residuals(problem, state)
+    # Half of equation (2), so that the gradient is J' W r without a factor of 2. W is diagonal: 1 / sigma^2.
     total = np.sum(bearings**2) + np.sum(distances**2)
     total += np.einsum("ki,kij,kj->", motions, problem.motions.information, motions)
     half = 0.5 * float(total)
@@ -85,9 +86,11 @@ class VariableOrdering:
     ----------
     view, kept_point
         (V,), (L,): slots among the kept variables.
-    gone_point
+    eliminated_point
         (L,): slots among the eliminated landmarks.
-    link_kept, link_gone
+    kept, eliminated
+        Number of kept variables and of eliminated landmarks.
+    link_kept, link_eliminated
         (m,), (m,): the kept and the eliminated slot of each 3 x 3 block of the coupling matrix.
     left, right
         (q,), (q,): pairs of coupling blocks with the same eliminated landmark; each adds a block to the reduced matrix.
@@ -156,17 +159,20 @@ class NormalEquations:
         """
         ordering = self.ordering
         inverse = np.asarray(np.linalg.inv(self.eliminated + damping * np.eye(3)), dtype=np.float64)
+        # Schur complement: (B - W V^-1 W') dx = W V^-1 g_e - g_k, with B kept, V eliminated (3 x 3 blocks), W coupling.
         weighted = self.coupling @ inverse[ordering.link_eliminated]
         product = weighted[ordering.left] @ np.swapaxes(self.coupling[ordering.right], 1, 2)
         slots = ordering.link_kept[ordering.left] * ordering.kept + ordering.link_kept[ordering.right]
         matrix = self.kept + damping * np.eye(3 * ordering.kept) - _dense(_scatter(slots, product, ordering.kept**2))
         taken = np.einsum("kij,kj->ki", weighted, self.eliminated_gradient[ordering.link_eliminated])
         right = _scatter(ordering.link_kept, taken, ordering.kept).ravel() - self.kept_gradient
+        # Blocks above and below the diagonal are computed separately, and differ by rounding.
         return 0.5 * (matrix + matrix.T), right, inverse
 
     def back_substituted(self, kept_step: FloatArray, inverse: FloatArray) -> FloatArray:
         """(e, 3) steps of the eliminated landmarks, given (n, 3) those of the kept variables."""
         ordering = self.ordering
+        # Lower row of the normal equations: V de = -g_e - W' dx.
         moved = np.einsum("kji,kj->ki", self.coupling, kept_step[ordering.link_kept])
         right = -self.eliminated_gradient - _scatter(ordering.link_eliminated, moved, ordering.eliminated)
         return np.asarray(np.einsum("kij,kj->ki", inverse, right), dtype=np.float64)
@@ -197,6 +203,7 @@ def normal_equations(problem: Adjustment, state: State, ordering: VariableOrderi
         ordering=ordering,
         kept=kept,
         eliminated=_scatter(slot[eliminated], blocks[eliminated], ordering.eliminated),
+        # The derivative by the view is -A: the block is -A'A.
         coupling=-blocks[linked],
         kept_gradient=kept_gradient.ravel(),
         eliminated_gradient=_scatter(slot[eliminated], gradients[eliminated], ordering.eliminated),
@@ -211,6 +218,7 @@ def _pairs(problem: Adjustment) -> tuple[IndexArray, IndexArray]:
 
 def _pair_terms(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray]:
     """(m, 3, 3) A'A and (m, 3) A'r of every measurement of `_pairs`, A by the landmark."""
+    # First-estimates Jacobians: A at the frozen point, the residual always at the present state.
     where = problem.linearisation_point(state)
     terms = [
         (bearing_jacobians(problem, where), bearing_residuals(problem, state)),

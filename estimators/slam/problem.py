@@ -91,6 +91,7 @@ class QuadraticPrior:
     @classmethod
     def of_first_position(cls, position_m: FloatArray, covariance_m2: FloatArray) -> QuadraticPrior:
         """Return the prior of view 0 by a position (3,) and the covariance (3, 3) of its error."""
+        # The prior is a measurement of the position itself, so that x0 is its minimum and the gradient there is zero.
         information = np.asarray(np.linalg.inv(covariance_m2), dtype=np.float64)
         return cls(np.zeros(1, dtype=np.int64), _none(), position_m[None], information, np.zeros(3))
 
@@ -106,8 +107,12 @@ class Adjustment:
 
     Parameters
     ----------
+    camera
+        Pinhole of all views; the kernels refuse one with distortion.
     R_cam_body
         (V, 3, 3) attitude of each view.
+    pixels, distances, motions
+        Measurements; the depth gauge of equation (5) is one of the distances.
     free_views, free_points
         (V,), (L,): what is solved for; the others are fixed. All points of a prior are free.
     kept_points
@@ -133,6 +138,9 @@ class Adjustment:
         if self.frozen is None:
             return state
         frozen = self.frozen
+        # Variables of one prior must be linearised at one point (first-estimates Jacobians, Huang et al. 2010): with
+        # two points the null space of scale and translation would shrink, and the estimate would gain information that
+        # was not measured.
         return State(
             np.where(np.isnan(frozen.positions_m), state.positions_m, frozen.positions_m),
             np.where(np.isnan(frozen.points_m), state.points_m, frozen.points_m),

@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FrameIndex:
-    """Look-up table of a frame: the row of each track, and (n, 3) unit line of sight of each row, body frame."""
+    """Look-up table of a frame: the row of each track, and (n, 3) unit direction from the camera, body axes."""
 
     frame: TrackFrame
     rows: dict[int, int]
@@ -33,6 +33,7 @@ class _FrameIndex:
     @classmethod
     def of(cls, frame: TrackFrame, camera: Camera) -> _FrameIndex:
         rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
+        # Row vectors times R_cam_body: its transpose takes camera to body axes.
         return cls(frame, rows, camera.unproject(frame.uv_px) @ frame.R_cam_body)
 
 
@@ -89,6 +90,7 @@ class SlamMap:
     def motions(self, views: Sequence[int]) -> Motions:
         """Collect the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
         slots = {view: slot for slot, view in enumerate(views)}
+        # A motion is predicted from frame to frame only: views with a gap between them are not coupled.
         ends = [view for view in views if view - 1 in slots]
         if not ends:
             return Motions()
@@ -108,6 +110,7 @@ class SlamMap:
         """Store the estimates of ``state``."""
         self.positions_m.update(zip(views, state.positions_m, strict=True))
         self.points_m.update(zip(tracks, state.points_m, strict=True))
+        # An adjustment has determined their distances.
         self.guessed.difference_update(tracks)
 
     def adjust(
@@ -121,6 +124,7 @@ class SlamMap:
             If a landmark is behind its camera.
         """
         solution = minimise(problem, self.state(views, tracks), rule)
+        # The solver never steps to an infinite cost, so that the start had one.
         if not np.isfinite(solution.cost):
             raise LostError("a landmark is behind a camera that sees it")
         self.keep(solution.state, views, tracks)
@@ -170,12 +174,20 @@ class SlamMap:
         return np.asarray(index.rays[index.rows[track]], dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
-        """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m."""
+        """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m.
+
+        Raises
+        ------
+        LostError
+            If no distance is known in this view.
+        """
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]
         if known:
             self.last_depth_m = median_distance(np.array(known), self.positions_m[view])
             return self.last_depth_m
+        # A gate may have refused all mapped landmarks of a frame: the last depth is near enough for tolerances and
+        # guesses.
         if self.last_depth_m is not None and self.gated:
             return self.last_depth_m
         if frame.ranges:
@@ -183,9 +195,15 @@ class SlamMap:
         raise LostError("no landmark of known distance is in view: the scale is unobservable")
 
     def place(self, view: int, rule: StoppingRule) -> None:
-        """Motion-only adjustment: estimate a new view's position from its mapped landmarks and its predicted motion."""
+        """Motion-only adjustment: estimate a new view's position from its mapped landmarks and its predicted motion.
+
+        Step 1 of the BA-SLAM steps in section 3.2 of Delpech et al. (2015). The landmarks are fixed, and so is the view
+        before; the predicted motion is a measurement, which the paper uses as the initial position only.
+        """
         tracks = sorted(track for track in self._index(view).rows if track in self.points_m)
+        # Both positions are in body axes, each of its own epoch: the displacement includes the rotation of the body.
         self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
+        # No landmark of known position: the predicted position is all there is.
         if not tracks:
             return
         views = [view - 1, view]
@@ -220,13 +238,18 @@ class SlamMap:
         positions = np.array([self.positions_m[view] for view in views])
         depth = self.median_depth(views[-1]) if depth_m is None else depth_m
         near = positions[-1] + depth * rays[-1]
+        # No prior on the point.
         unknown = np.zeros((1, 3, 3)), np.zeros((1, 3))
         one_point = np.zeros(len(rays), dtype=np.int64)
         (matrix,), (right,) = triangulation_equations(LinesOfSight(positions, rays), one_point, unknown)
+        # Of two lines at an angle a the least eigenvalue is 1 - cos a, about a^2 / 2: 1e-12 is a parallax of 1.4e-6
+        # rad, far below the noise of any pixel.
         if np.linalg.eigvalsh(matrix)[0] < 1e-12:
             return np.asarray(near, dtype=np.float64)
         point = np.linalg.solve(matrix, right)
         depths = np.einsum("ki,ki->k", point - positions, rays)
+        # With a small parallax the noise of the pixels may put the point anywhere along the line, also behind the
+        # camera.
         good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
         return np.asarray(point if good else near, dtype=np.float64)
 
@@ -234,12 +257,14 @@ class SlamMap:
         """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""
         covariance = self.frames[view].motion_covariance_m2
         kept = self._information.get(view)
+        # By identity: a propagator replaces the frame's covariance by a new array.
         if kept is None or kept[0] is not covariance:
             kept = self._information[view] = covariance, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return kept[1]
 
     def _index(self, view: int) -> _FrameIndex:
         kept = self._indices.get(view)
+        # By identity: an outlier gate replaces a frame when it refuses pixels.
         if kept is None or kept.frame is not self.frames[view]:
             kept = self._indices[view] = _FrameIndex.of(self.frames[view], self.camera)
         return kept

@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 RANK_TOLERANCE = 1e-11
+"""Eigenvalues of the reduced matrix below this part of the largest one count as zero."""
 
 
 def residual_squares(problem: Adjustment, state: State) -> FloatArray:
@@ -32,6 +33,7 @@ def residual_squares(problem: Adjustment, state: State) -> FloatArray:
 
 def landmark_information(problem: Adjustment, state: State) -> FloatArray:
     """(L, 3, 3) information of pixels and distances about each landmark with all views fixed, 1/m^2."""
+    # Without frozen values all derivatives are taken at the state; a prior is not a measurement of one landmark alone.
     problem = replace(problem, frozen=None, prior=None)
     at = floats(state.positions_m), floats(state.points_m)
     return np.asarray(kernels.landmark_information(flat(problem), *at), dtype=np.float64)
@@ -40,12 +42,14 @@ def landmark_information(problem: Adjustment, state: State) -> FloatArray:
 def pixel_squares(
     camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
 ) -> FloatArray:
-    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame; NaN behind it.
+    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
+
+    The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind the camera.
 
     Parameters
     ----------
     lines_m, own_m2
-        (n, 3) from the camera to the landmarks, body frame, and (n, 3, 3) covariances of these.
+        (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
     """
     pinhole = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
     seen = floats(frame.R_cam_body), floats(lines_m), floats(frame.uv_px[rows])
@@ -85,7 +89,10 @@ def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Adjustmen
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
     """Count the undetermined directions of the kept variables: a free scale counts as one.
 
-    Levenberg-Marquardt converges with an undetermined scale too, so that its convergence does not show it.
+    With known attitudes, bearings leave four directions undetermined: a common translation, which a fixed view or a
+    prior determines, and the scale, which needs a distance or a predicted motion. Levenberg-Marquardt converges with an
+    undetermined scale too, so that its convergence does not show it. All directions count if a landmark that is
+    eliminated is undetermined.
     """
     known, values, _, found = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
     if not known:  # a landmark is not determined
@@ -93,6 +100,7 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
     matrix = descent.dense(values, found.shape)
     if not len(matrix):
         return 0
+    # Relative to the largest one: all variables are metres, and rounding errors scale with the largest eigenvalue.
     eigenvalues = np.linalg.eigvalsh(matrix)
     return int(np.count_nonzero(eigenvalues < RANK_TOLERANCE * eigenvalues[-1]))
 
@@ -105,6 +113,8 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
+    # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
+    # landmarks.
     known, matrix, _, ordering = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
     if not known or not descent.factorise(matrix, ordering.shape):
         raise LinAlgError("the reduced matrix is not positive definite")
@@ -121,6 +131,7 @@ def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, Float
     numpy.linalg.LinAlgError
         If a landmark that is eliminated is not determined.
     """
+    # No damping: the matrix is used as information, not for a step.
     at = floats(state.positions_m), floats(state.points_m)
     known, values, right, found = descent.reduced_at(flat(problem), *at)
     if not known:

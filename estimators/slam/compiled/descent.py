@@ -1,4 +1,9 @@
-"""Levenberg-Marquardt, equation (4), and the Schur complement that reduces it to the views."""
+"""Levenberg-Marquardt, equation (4), and the Schur complement that reduces it to the views.
+
+By blocks, with B of the kept variables, V of the eliminated landmarks (3 x 3 blocks) and W their coupling, the normal
+equations are ``B dx + W de = -g`` and ``W' dx + V de = -h``. Eliminating de leaves
+``(B - W V^-1 W') dx = W V^-1 h - g``, and then ``de = V^-1 (-h - W' dx)``.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +30,12 @@ def reduced(
 
     The first value is False if a landmark is not determined.
     """
+    # Copies, because rejected steps reduce the same system again with other dampings.
     matrix, right = system.kept.copy(), -system.kept_gradient.ravel()
     add_diagonal(matrix, ordering.shape, damping)
     inverse = np.empty((len(ordering.eliminated), 6))
     for g in range(len(ordering.eliminated)):
+        # The damping of eq. (4) is on the whole diagonal, so that it has to be added before the elimination.
         if not _invert(system.eliminated, ordering.eliminated[g], damping, inverse, g):
             return False, matrix, right, inverse
     _subtract_landmarks(system, ordering, inverse, matrix, right)
@@ -44,6 +51,8 @@ def _subtract_landmarks(
     for g in range(len(ordering.eliminated)):
         begin, end, own = ordering.link_begin[g], ordering.link_begin[g + 1], np.uintp(ordering.eliminated[g])
         px, py, pz = system.eliminated[own, 6], system.eliminated[own, 7], system.eliminated[own, 8]
+        # A coupling block is -A'A, the negative of the stored term. The sign cancels in W V^-1 W' and remains in W V^-1
+        # h, which is therefore subtracted below.
         i0, i1, i2, i3, i4, i5 = six(inverse, g)
         for a in range(begin, end):
             slot = slots[a]
@@ -56,6 +65,8 @@ def _subtract_landmarks(
             right[3 * slot + 2] -= x2 * px + y2 * py + z2 * pz
             width = ordering.shape.width[slot]
             corner = ordering.shape.begin[slot] - 3 * slot
+            # Only the upper triangle is stored. A view with a pixel and a distance to the landmark has two links with
+            # the same slot: both orders of the pair pass the test, and both belong to its diagonal block.
             for b in range(begin, end):
                 if slots[b] >= slot:
                     at = corner + 3 * slots[b]
@@ -84,6 +95,7 @@ def back_substitute(
         x, y, z = -own[6], -own[7], -own[8]
         for a in range(ordering.link_begin[g], ordering.link_begin[g + 1]):
             at = 3 * ordering.link_slot[a]
+            # W is minus the stored term, so -W' dx is added.
             i, j, k = times(six(system.terms, ordering.link[a]), step[at], step[at + 1], step[at + 2])
             x, y, z = x + i, y + j, z + k
         eliminated_step[g, 0], eliminated_step[g, 1], eliminated_step[g, 2] = times(six(inverse, g), x, y, z)
@@ -96,6 +108,7 @@ def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: in
     d, e, f = sums[k, 3] + damping, sums[k, 4], sums[k, 5] + damping
     if not a > 0.0:
         return False
+    # The pivots of LDL' test the sign of the block, and the inverse follows without a square root.
     l1, l2 = b / a, c / a  # LDL'
     d1 = d - l1 * b
     if not d1 > 0.0:
@@ -137,12 +150,15 @@ def minimise(
     if not np.isfinite(value):
         return positions, points, value, 0, False
     ordering = make_ordering(problem)
+    # Negative: not yet set.
     damping = -1.0
     for iteration in range(1, iterations + 1):
         system = linearise(problem, ordering, positions, points, residuals)
         if damping < 0.0:
             damping = _first_damping(system, ordering)
+        # ``residuals`` are those of the state: the search below ends with the accepted one.
         accepted, longest, best = False, 0.0, value
+        # Raise lambda until the cost decreases: 25 factors of 10 make the longest step vanish against any variable.
         for _ in range(25):
             solved, kept_step, eliminated_step = _step(system, ordering, damping)
             if solved:
@@ -157,6 +173,7 @@ def minimise(
                     accepted = True
                     break
             damping *= 10.0
+        # Towards Gauss-Newton, eq. (3), while the quadratic model holds.
         damping *= 0.1
         if not accepted:  # no decrease at any damping: converged if rounding is the cause, with a short last step
             return positions, points, value, iteration, longest <= 1e3 * step_m
@@ -173,6 +190,7 @@ def reduced_at(
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     evaluate_residuals(problem, positions, points, residuals)
     ordering = make_ordering(problem)
+    # Without damping, which would count as information.
     determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points, residuals), ordering, 0.0)
     return determined, matrix, right, ordering
 
@@ -180,8 +198,11 @@ def reduced_at(
 @kernel
 def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     """Return 1e-6 of the mean diagonal of the normal matrix."""
+    # Relative to the matrix, so that the damping does not depend on the unit of length. One lambda for all, eq. (4):
+    # all variables are positions in metres.
     total, shape = 0.0, ordering.shape
     n, e = len(shape.reach), len(ordering.eliminated)
+    # Nothing is free: any damping will do.
     if n + e == 0:
         return 1.0
     for i in range(n):
@@ -197,6 +218,7 @@ def _step(system: FlatEquations, ordering: FlatOrdering, damping: float) -> tupl
     """Solve equation (4) for the steps (3n,) of the kept and (e, 3) of the eliminated variables."""
     eliminated_step = np.empty((len(ordering.eliminated), 3))
     solved, matrix, step, inverse = reduced(system, ordering, damping)
+    # A rejected factorisation is answered by more damping.
     if not solved or not factorise(matrix, ordering.shape):
         return False, step, eliminated_step
     solve(matrix, ordering.shape, step)

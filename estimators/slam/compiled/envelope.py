@@ -19,7 +19,17 @@ IndexArray = NDArray[np.int64]
 
 
 class Envelope(NamedTuple):
-    """(n,) last block column of each block row, (n,) length of each of its three rows, (n + 1,) index of its first."""
+    """Shape of the stored upper triangle of n block rows.
+
+    Parameters
+    ----------
+    reach
+        (n,) last block column of each block row.
+    width
+        (n,) stored length of each of its three rows: 3 (reach - i + 1).
+    begin
+        (n + 1,) index of its first stored value, and of the end.
+    """
 
     reach: IndexArray
     width: IndexArray
@@ -33,8 +43,11 @@ def make_envelope(reach: IndexArray) -> Envelope:
     width, begin = np.empty(n, np.int64), np.zeros(n + 1, np.int64)
     last = 0
     for i in range(n):
+        # Elimination of a row fills the rows that it reaches up to its own reach. With a running maximum the factor
+        # needs no place outside the envelope.
         last = max(last, reach[i], i)
         reach[i] = last
+        # From the diagonal block on; its entries below the diagonal are stored, but not used.
         width[i] = 3 * (last - i + 1)
         begin[i + 1] = begin[i] + 3 * width[i]
     return Envelope(reach, width, begin)
@@ -68,6 +81,7 @@ def add_diagonal(values: FloatArray, shape: Envelope, added: float) -> None:
     """Add a multiple of the identity."""
     for i in range(len(shape.reach)):
         for row in range(3):
+            # A step of width + 1 goes down and right by one: along the diagonal.
             values[shape.begin[i] + row * (shape.width[i] + 1)] += added
 
 
@@ -78,6 +92,8 @@ def factorise(values: FloatArray, shape: Envelope) -> bool:
         begin, width = shape.begin[i], shape.width[i]
         if not _factorise_rows(values, begin, width):
             return False
+        # Right-looking: row i, once final, is subtracted from all later rows that it reaches; each value is read and
+        # written in the order of storage.
         for j in range(i + 1, shape.reach[i] + 1):
             _subtract_multiples(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
     return True
@@ -94,6 +110,7 @@ def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
             for column in range(row, width):
                 own[column] -= part * upper[column]
         pivot = own[row]
+        # Written so that NaN fails too.
         if not pivot > 0.0:
             return False
         root = np.sqrt(pivot)
@@ -118,6 +135,7 @@ def _subtract_multiples(
     first = _part(values, target, count)
     second = _part(values, target + target_width, count)
     third = _part(values, target + 2 * target_width, count)
+    # Entry (a, b) of U'U has the sum of U_ka U_kb over the rows k above: here three of them, and three rows a.
     x0, y0, z0, x1, y1, z1, x2, y2, z2 = x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
     for k in range(count):
         first[k] -= x0 * x[k] + y0 * y[k] + z0 * z[k]
@@ -134,6 +152,7 @@ def _part(values: FloatArray, begin: int, count: int) -> FloatArray:
 @kernel
 def solve(factor: FloatArray, shape: Envelope, right: FloatArray) -> None:
     """Solve U'U x = ``right`` (3n,) in place."""
+    # Forward with U' (its columns are the stored rows), then backward with U.
     n = len(shape.reach)
     for i in range(n):
         width = shape.width[i]
@@ -157,12 +176,14 @@ def solve(factor: FloatArray, shape: Envelope, right: FloatArray) -> None:
 def block_of_inverse(factor: FloatArray, shape: Envelope, i: int) -> FloatArray:
     """(3, 3) diagonal block of the inverse of U'U."""
     block, column = np.empty((3, 3)), np.empty(3 * len(shape.reach))
+    # Three columns of the inverse, of which only the diagonal block is kept: the whole inverse would be dense.
     for axis in range(3):
         for k in range(len(column)):
             column[k] = 1.0 if k == 3 * i + axis else 0.0
         solve(factor, shape, column)
         for row in range(3):
             block[row, axis] = column[3 * i + row]
+    # Symmetric up to rounding: take the mean of both halves.
     for axis in range(3):
         for row in range(axis):
             block[row, axis] = block[axis, row] = 0.5 * (block[row, axis] + block[axis, row])
@@ -192,14 +213,18 @@ def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
     n = len(matrix)
     for i in range(count):
         pivot = matrix[i, i]
+        # NaN fails too.
         if not pivot > 0.0:
             return False
         for j in range(i + 1, n):
+            # Only the upper triangle is used: column i of a symmetric matrix is its row i.
             part = matrix[i, j] / pivot
+            # Uncoupled rows stay exactly as they are: a row of zeros remains one.
             if part != 0.0:
                 right[j] -= part * right[i]
                 for k in range(j, n):
                     matrix[j, k] -= part * matrix[i, k]
+    # The lower triangle was not updated: mirror the upper one.
     for i in range(count, n):
         for j in range(i):
             matrix[i, j] = matrix[j, i]

@@ -48,8 +48,11 @@ def linearise(
     terms = measured_terms(problem, positions, points, residuals)
     sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
     sum_terms(terms, problem.ranged_view, problem.ranged_point, seen, by_view, by_point)
+    # A depends on landmark minus camera position alone: A'A is the same for both ends of a measurement, and the
+    # gradient by the view has the opposite sign.
     _scatter(by_view, ordering.view_slot, -1.0, shape, kept, kept_gradient)
     _scatter(by_point, ordering.point_slot, 1.0, shape, kept, kept_gradient)
+    # Kept landmarks have slots after the views; without them the coupling is all with eliminated landmarks.
     if len(shape.reach) > ordering.views:
         _couple_kept_points(problem, ordering, terms, kept)
     _add_motions(problem, ordering, positions, kept, kept_gradient)
@@ -66,6 +69,7 @@ def measured_terms(
     terms = np.empty((len(problem.seen_view) + len(problem.ranged_view), 9))
     frozen_positions = _merged(problem.frozen_positions_m, positions)
     frozen_points = _merged(problem.frozen_points_m, points)
+    # First-estimates Jacobians: derivatives at the merged point, residuals at the present state.
     rows = _scaled(problem, residuals, frozen_positions, frozen_points)
     _pixel_terms(problem.attitudes, problem.seen_view, rows, terms)
     _distance_terms(problem, (positions, points, frozen_positions, frozen_points), terms)
@@ -75,6 +79,7 @@ def measured_terms(
 @kernel
 def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
     """Return the points of linearisation: the frozen values where there are any, else the present ones."""
+    # No copy without frozen values: the usual case of BA-SLAM.
     if len(frozen) == 0:
         return present
     merged = np.empty_like(present)
@@ -92,9 +97,12 @@ def _scaled(
     rows = np.empty_like(residuals)
     fx, fy, _, _ = problem.pinhole
     sigma_px, at = problem.seen_sigma_px, residuals
+    # The residuals hold the landmarks in camera axes at the present state: they serve for the derivatives too unless
+    # some variable is frozen.
     if len(problem.frozen_points_m) > 0 or len(problem.frozen_positions_m) > 0:
         at = np.empty((3, len(sigma_px)))
         to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, frozen_positions, frozen_points, at)
+    # All divisions of a pixel here, in rows, which vectorise; what remains in `_pixel_terms` are products.
     for k in range(len(sigma_px)):
         x, y, z, sigma = at[0, k], at[1, k], at[2, k], sigma_px[k]
         rows[0, k], rows[1, k], rows[2, k], rows[3, k] = fx / (z * sigma), fy / (z * sigma), x / z, y / z
@@ -108,6 +116,7 @@ def _pixel_terms(R: FloatArray, view: IndexArray, rows: FloatArray, terms: Float
     for k in range(len(view)):
         i = view[k]
         du, dv, p, q, u, v = rows[0, k], rows[1, k], rows[2, k], rows[3, k], rows[4, k], rows[5, k]
+        # d(x/z) by the landmark in body axes is (R_0 - (x/z) R_2) / z, since x = R_0 . line and z = R_2 . line.
         u0, v0 = du * (R[i, 0, 0] - p * R[i, 2, 0]), dv * (R[i, 1, 0] - q * R[i, 2, 0])
         u1, v1 = du * (R[i, 0, 1] - p * R[i, 2, 1]), dv * (R[i, 1, 1] - q * R[i, 2, 1])
         u2, v2 = du * (R[i, 0, 2] - p * R[i, 2, 2]), dv * (R[i, 1, 2] - q * R[i, 2, 2])
@@ -131,6 +140,7 @@ def _distance_terms(
         residual = (np.sqrt(x * x + y * y + z * z) - problem.range_m[own]) / sigma
         x, y, z = line_of_sight(frozen_positions, i, frozen_points, j)
         length = np.sqrt(x * x + y * y + z * z) * sigma
+        # The derivative of a distance by the landmark is the unit line of sight.
         x, y, z = x / length, y / length, z / length
         k = len(problem.seen_view) + own
         terms[k, 0], terms[k, 1], terms[k, 2] = x * x, x * y, x * z
@@ -143,6 +153,7 @@ def sum_terms(
     terms: FloatArray, view: IndexArray, point: IndexArray, first: int, by_view: FloatArray, by_point: FloatArray
 ) -> None:
     """Add the terms of measurements, from row ``first`` on, to the sums of their views and landmarks."""
+    # One pass in the order of the measurements: the order of addition, and so the rounding, is fixed.
     for k in range(len(view)):
         i, j = view[k], point[k]
         for entry in range(9):
@@ -172,6 +183,7 @@ def _couple_kept_points(problem: FlatProblem, ordering: FlatOrdering, terms: Flo
         j = problem.seen_point[k] if k < seen else problem.ranged_point[k - seen]
         a, b = ordering.view_slot[i], ordering.point_slot[j]
         if a >= 0 and b >= 0:
+            # Opposite signs of the two derivatives; a view's slot is before that of any landmark, so a < b.
             add_symmetric(kept, ordering.shape, a, b, terms, k, -1.0)
 
 
@@ -186,12 +198,14 @@ def _add_motions(
             pull = 0.0
             for column in range(3):
                 information = problem.motion_information[k, row, column]
+                # Weighted by the information matrix as it is: no square root of it is needed for J' W J and J' W f.
                 pull += information * motion_residual(problem, k, column, positions)
                 if a >= 0:
                     add_entry(kept, ordering.shape, a, row, a, column, information)
                 if b >= 0:
                     add_entry(kept, ordering.shape, b, row, b, column, information)
                 if a >= 0 and b >= 0:
+                    # The matrix is symmetric, so that the block need not be transposed where b < a.
                     add_entry(kept, ordering.shape, min(a, b), row, max(a, b), column, -information)
             if a >= 0:
                 gradient[a, row] -= pull
@@ -210,6 +224,7 @@ def _add_prior(
 ) -> None:
     """Add the prior to the kept system."""
     slots, shape = prior_slots(problem, ordering.view_slot, ordering.point_slot), ordering.shape
+    # Gradient of (x - x0)' H (x - x0) / 2 + g' (x - x0): H (x - x0) + g.
     pull = prior_pull(problem.prior_information, prior_offset(problem, positions, points), problem.prior_gradient)
     for i in range(len(slots)):
         a = slots[i]
@@ -227,6 +242,7 @@ def _add_prior(
 def residual_squares(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
+    # Fills all rows, even where the cost is infinite because a landmark is behind its camera.
     evaluate_residuals(problem, positions, points, residuals)
     return np.where(residuals[2] > 0.0, residuals[5], np.nan)
 
@@ -236,6 +252,7 @@ def landmark_information(problem: FlatProblem, positions: FloatArray, points: Fl
     """(L, 3, 3) sum of A'A of each landmark over its pixels and distances, 1/m^2."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     evaluate_residuals(problem, positions, points, residuals)
+    # The sums by view are not needed here.
     terms = measured_terms(problem, positions, points, residuals)
     by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
     sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
@@ -262,10 +279,12 @@ def pixel_squares(
     squares = np.empty(len(lines))
     for k in range(len(lines)):
         line_of_sight = lines[k]
+        # For behind-camera landmarks the values have no meaning and are replaced by NaN at the end.
         x = R[0, 0] * line_of_sight[0] + R[0, 1] * line_of_sight[1] + R[0, 2] * line_of_sight[2]
         y = R[1, 0] * line_of_sight[0] + R[1, 1] * line_of_sight[1] + R[1, 2] * line_of_sight[2]
         z = R[2, 0] * line_of_sight[0] + R[2, 1] * line_of_sight[1] + R[2, 2] * line_of_sight[2]
         u, v = uv_px[k, 0] - fx * x / z - cx, uv_px[k, 1] - fy * y / z - cy
+        # Innovation covariance [[a, b], [b, c]] = H P H' + sigma^2 I.
         a = c = sigma_px**2
         b = 0.0
         for i in range(3):
@@ -275,6 +294,7 @@ def pixel_squares(
                 a += by_u * own[k, i, j] * other_u
                 b += by_u * own[k, i, j] * other_v
                 c += by_v * own[k, i, j] * other_v
+        # Inverse of a 2 x 2 matrix in closed form; the floor guards against a determinant of zero by rounding.
         square = (c * u * u - 2.0 * b * u * v + a * v * v) / max(a * c - b * b, 1e-18)
         squares[k] = square if z > 0.0 else np.nan
     return squares

@@ -113,10 +113,14 @@ class FlatOrdering(NamedTuple):
 
     Parameters
     ----------
-    gone
+    view_slot, point_slot
+        (V,), (L,): slots of views and kept landmarks; -1 for fixed views, and for fixed and eliminated landmarks.
+    eliminated
         (e,): the eliminated landmarks.
     views
         Number of free views; the slots of the kept landmarks follow theirs.
+    shape
+        Envelope of the reduced matrix.
     link_begin
         (e + 1,): first link of each eliminated landmark.
     link
@@ -141,6 +145,7 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
     """Assign slots to the variables, list the links of eliminated landmarks, and find the envelope."""
     view_slot, views = _numbered(problem.free_views, 0)
     free, joined = problem.free_points, problem.kept_points.copy()
+    # The prior couples its landmarks, so that they cannot be eliminated as 3 x 3 blocks.
     for j in problem.prior_points:
         joined[j] = True
     point_slot, kept = _numbered(free & joined, views)
@@ -148,11 +153,14 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
     view, point = _ends(problem)
     begin, link, slot = _links(view_slot[view], eliminated_slot[point], eliminated)
     reach = np.arange(kept)
+    # An eliminated landmark couples all views that see it; the Schur complement fills their blocks.
     for g in range(eliminated):
         _couple(reach, slot, begin[g], begin[g + 1])
+    # Kept landmarks are coupled with their views directly.
     if kept > views:
         _couple_pairs(reach, view_slot[view], point_slot[point])
     _couple_pairs(reach, view_slot[problem.motion_start], view_slot[problem.motion_end])
+    # The information matrix of the prior is dense.
     slots = prior_slots(problem, view_slot, point_slot)
     _couple(reach, slots, 0, len(slots))
     return FlatOrdering(
@@ -190,6 +198,7 @@ def _links(
             begin[eliminated_slot[k] + 1] += 1
     for g in range(eliminated):
         begin[g + 1] += begin[g]
+    # Counting sort: stable, so that the links of a landmark are in the order of the measurements.
     place = begin.copy()
     link, slot = np.empty(begin[eliminated], np.int64), np.empty(begin[eliminated], np.int64)
     for k in range(len(view_slot)):
@@ -205,6 +214,7 @@ def _couple(reach: IndexArray, slots: IndexArray, begin: int, end: int) -> None:
     """Extend the envelope to hold the coupling of all slots of a run with each other."""
     if begin == end:
         return
+    # The first slot reaching the last one is enough: `make_envelope` lets all rows between them reach as far.
     first = last = slots[begin]
     for k in range(begin, end):
         first, last = min(first, slots[k]), max(last, slots[k])
@@ -216,6 +226,7 @@ def _couple_pairs(reach: IndexArray, one: IndexArray, other: IndexArray) -> None
     """Extend the envelope to hold the coupling of pairs of slots."""
     for k in range(len(one)):
         first, last = min(one[k], other[k]), max(one[k], other[k])
+        # A slot of -1 at either end: a fixed variable, nothing to couple.
         if first >= 0:
             reach[first] = max(reach[first], last)
 

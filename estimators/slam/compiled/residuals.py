@@ -26,6 +26,7 @@ def evaluate_residuals(problem: FlatProblem, positions: FloatArray, points: Floa
     """
     to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, positions, points, residuals)
     _pixel_residuals(problem.pinhole, problem.seen_px, problem.seen_sigma_px, residuals)
+    # A landmark behind its camera may project to its pixel too: an infinite cost makes the solver reject the step.
     if not _all_positive(residuals[2]):
         return np.inf
     total = 0.0
@@ -42,6 +43,7 @@ def evaluate_residuals(problem: FlatProblem, positions: FloatArray, points: Floa
                 total += (
                     motion_residual(problem, k, i, positions) * information * motion_residual(problem, k, j, positions)
                 )
+    # Half of equation (2), whose gradient is J' W f without a factor of 2.
     half = 0.5 * total
     if len(problem.prior_gradient) > 0:
         half += _prior_cost(problem, positions, points)
@@ -69,6 +71,7 @@ def to_camera_axes(
 @kernel
 def _all_positive(values: FloatArray) -> bool:
     """Return whether all values are positive; NaN is not."""
+    # No early exit: a loop that always runs to its end can be vectorised. NaN is not positive.
     wrong = 0
     for k in range(len(values)):
         wrong += int(not values[k] > 0.0)
@@ -81,6 +84,7 @@ def _pixel_residuals(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatAr
     fx, fy, cx, cy = pinhole
     for k in range(len(sigma_px)):
         x, y, z = residuals[0, k], residuals[1, k], residuals[2, k]
+        # Predicted minus measured: f(x) of equations (3) and (4), where the paper's equation (2) has y - f(x).
         u = fx * x / z + cx - seen_px[k, 0]
         v = fy * y / z + cy - seen_px[k, 1]
         residuals[3, k], residuals[4, k] = u, v
@@ -95,6 +99,7 @@ def _prior_cost(problem: FlatProblem, positions: FloatArray, points: FloatArray)
     pull = prior_pull(problem.prior_information, offset, zero)
     total = 0.0
     for i in range(len(offset)):
+        # The cost may be negative: the constant of the eliminated measurements is left out.
         total += offset[i] * (0.5 * pull[i] + problem.prior_gradient[i])
     return total
 
