@@ -32,8 +32,13 @@ BoolArray = NDArray[np.bool_]
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 
 _KNOWN = 0.1
+"""Relative standard deviation of an inverse distance below which the distance counts as known, for the gate."""
+
 _FEWEST = 3
+"""Landmarks of known distance below which all are gated at once."""
+
 _MAX_REFUSED_SHARE = 0.5
+"""Share of refused pixels above which the filter counts as diverging."""
 
 
 def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
@@ -53,6 +58,7 @@ def gated(state: FilterState, measured: FrameMeasurements, update: Update, optio
     first = fit & known
     if options.gate != "one-point" or known.all() or np.count_nonzero(first) < _FEWEST:
         return fit
+    # A trial update, for the gate alone: the filter itself is updated once, with all pixels that pass.
     moved, _ = update(state, measured.subset(first))
     fit[~known] = _gate(moved, measured.subset(~known), "individual", options.false_alarm)
     return fit
@@ -62,7 +68,9 @@ def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_ala
     innovation = measured.innovation(state)
     size = measured.uv_px.size
     residual = innovation.residual[:size].reshape(-1, 2)
+    # Pixels only: a measured range is not gated, but goes with its pixel.
     covariance = innovation_covariance(state, innovation)[:size, :size] + measured.second_order(state)
+    # NaN: behind the camera.
     fit = np.asarray(np.isfinite(residual).all(axis=1), dtype=np.bool_)
     both = np.repeat(fit, 2)
     fit[fit] = gate_pixels(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
@@ -70,7 +78,7 @@ def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_ala
 
 
 class FilterHealth:
-    """Divergence tests of a filter: its innovation, the share of pixels that the gate refuses, and negative distances.
+    """Divergence tests of a filter: innovation, share of pixels that the gate refuses, sign of the inverse distances.
 
     A gate hides a divergence from the innovation of the pixels that pass it. So a filter that refuses more than half of
     the pixels, over as many frames as innovations are averaged over, counts as diverging too.
@@ -197,6 +205,8 @@ class _Filter:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         if self.started:
+            # (1) prediction, (2) update, (3) state management: the order of section 3.3. Lost landmarks are dropped
+            # before the update, which has no measurement of them.
             self.state = self.state.predicted(frame)
             self._drop_lost(frame)
             self._take_measured(frame)
@@ -205,6 +215,7 @@ class _Filter:
         self._take_new(frame)
         self.state = self.state.with_fixed_linearisation(self.settled_sigma)
         position, covariance, points = self.state.estimate(self.camera)
+        # Without a scale the filter still fits all pixels: only its covariance shows the drift.
         check_scale(covariance, points, position, self.options.uncertainty_max)
         velocity = self.state.velocity_m_s if self.started else None
         self.started = True
@@ -216,9 +227,12 @@ class _Filter:
             return None
         state = self.state.predicted(frame)
         order = np.argsort(state.tracks)
+        # With pixels of zero the residual is minus the prediction. The state is sorted by track because a `Prediction`
+        # is.
         nowhere = replace(frame, tracks=state.tracks[order], uv_px=np.zeros((len(order), 2)), ranges=())
         measured = FrameMeasurements.of(self.camera, state, nowhere)
         innovation = measured.innovation(state)
+        # H P H' without R: the matching adds the noise of the features.
         covariance = innovation.jacobian @ state.covariance @ innovation.jacobian.T
         return Prediction(
             state.tracks[measured.rows], -innovation.residual.reshape(-1, 2), covariance + measured.second_order(state)
@@ -248,6 +262,8 @@ class _Filter:
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
         self.health.test(squared, len(measured.variance), self.state.landmarks[:, 2])
+        # The landmark is more likely wrong than several pixels in a row; `_take_new` initialises it again from this
+        # frame.
         self.state = self.state.without(np.isin(self.state.tracks, self.health.refused_too_often()))
 
     def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
@@ -265,12 +281,16 @@ class _Filter:
             return
         tracks = frame.tracks[fresh]
         guess = self._inverse_guess(frame)
+        # u, v, rho of eq. (8), and the diagonal of eq. (11): R_y twice, R_rho. Attitude and anchor are added by
+        # `augmented`.
         elements = np.column_stack([frame.uv_px[fresh], np.full(len(tracks), guess)])
         noise = np.tile(
             [frame.sigma_px**2, frame.sigma_px**2, (self.options.depth_sigma * guess) ** 2], (len(tracks), 1)
         )
         for item in frame.ranges:
             row = tracks == item.track
+            # rho = 1 / d, so sigma_rho = sigma_d / d^2: the depth gauge of section 3.3, and later ranges of new
+            # landmarks.
             elements[row, 2] = 1.0 / item.range_m
             noise[row, 2] = (item.sigma_m / item.range_m**2) ** 2
         self.state = self.state.augmented(tracks, elements, noise)
@@ -279,6 +299,7 @@ class _Filter:
         """Return the guessed inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
         if len(self.state.tracks):
             lines = self.state.points(self.camera) - self.state.position_m
+            # The mean of inverses, because rho is the variable with a Gaussian error.
             return float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))
         if not frame.ranges:
             raise LostError("no range is measured at the first frame: the scale is unobservable")

@@ -25,6 +25,7 @@ _FIRST_RATE_RAD_S = 0.01
 # Least sigma of an attitude, 1e-5 pixels, for exact ones: a variance of zero would be lost in rounding.
 _LEAST_ATTITUDE_RAD = 1e-9
 
+# Below it the series is exact to rounding (the next term is a^4 / 120), where the closed forms divide 0 by 0.
 _SMALL_RAD = 1e-4
 
 
@@ -58,6 +59,7 @@ def _series(turns_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     squares = (turns_rad**2).sum(axis=-1)[..., None, None]
     if squares.max(initial=0.0) < _SMALL_RAD**2:
         return 1.0 - squares / 6.0, 0.5 - squares / 24.0, 1.0 / 6.0 - squares / 120.0
+    # The floor only keeps small angles, which take the series, from dividing by zero.
     angle = np.sqrt(np.maximum(squares, _SMALL_RAD**2))
     sine = np.sin(angle)
     large = squares >= _SMALL_RAD**2
@@ -105,6 +107,8 @@ class PoseState(FilterState):
         cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame, turn_noise_rad: float
     ) -> PoseState:
         """Return a state without landmarks, at the attitude of the star tracker."""
+        # Measured R = exp(lasting + noise) true R, and true R = exp(turn) measured R at the start: turn = -(lasting +
+        # noise), whence its variance and the negative correlation.
         lasting = frame.attitude_bias_sigma_rad**2 * np.eye(3)
         covariance = np.zeros((cls.CAMERA, cls.CAMERA))
         covariance[_POSITION, _POSITION] = covariance_m2
@@ -162,6 +166,8 @@ class PoseState(FilterState):
         """
         by_camera = np.zeros((*by_line.shape[:2], self.CAMERA))
         by_camera[:, :, _POSITION] = -by_line
+        # In camera axes exp(w) R l = R l - [R l] w, and R' [R l] = [l] R'; w = J d for the error d of the rotation
+        # vector.
         by_camera[:, :, _TURN] = -by_line @ cross_matrix(lines) @ self.attitude.T @ left_jacobian(self.x[_TURN])
         return by_camera
 
@@ -174,9 +180,14 @@ class PoseState(FilterState):
         grown = max(self.frame.attitude_bias_sigma_rad**2 - self.misalignment_rad**2, 0.0)
         if grown == 0.0:
             return position, covariance, points
+        # Two independent errors of which the sum is estimated: the expected part of one is its share of the variance,
+        # and grown (1 - share) remains uncertain.
         share = grown / self.frame.attitude_bias_sigma_rad**2
         to_body, lever = self.attitude.T, cross_matrix(position)
+        # From true body axes to those of the onboard rotation model: minus the lasting error, as left perturbation in
+        # body axes.
         turn = rotation_of(-share * to_body @ self.x[_LASTING])
+        # exp(-w) p = p + [p] w to first order.
         J = np.zeros((3, self.CAMERA))
         J[:, _POSITION] = turn
         J[:, _LASTING] = share * turn @ lever @ to_body
@@ -198,24 +209,31 @@ class PoseState(FilterState):
         x, covariance = self.x.copy(), self.covariance.copy()
         x[_POSITION] += frame.motion_m
         x[_VELOCITY] = self._velocity(frame, x[_POSITION])
+        # F is the identity for landmarks: only the rows and columns of the camera change, at a cost linear in their
+        # number.
         C = slice(self.CAMERA)
         covariance[C] = F @ covariance[C]
         covariance[:, C] = covariance[:, C] @ F.T
         covariance[C, C] += noise
+        # dR/dt = -[rate] R for R_cam_inertial, with the rate in camera axes.
         turned = rotation_of(-self.x[_RATE] * self._seconds(frame)) @ self.R_camera
+        # R_cam_body(new) = dR R_cam_body(old) R_body_inertial(old) R_inertial_body(new).
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
         return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
 
     def with_errors_reset(self) -> Self:
         """Apply the estimated attitude errors to the attitudes and reset them to zero."""
+        # The camera first, then the anchors.
         turns = np.concatenate([self.x[None, _TURN], self.anchor_turns])
         rotations = rotation_of(turns) @ np.concatenate([self.R_camera[None], self.R_cam_body])
         first = np.concatenate([[_TURN.start], self.CAMERA + self.LANDMARK * np.arange(len(self.tracks)) + SIZE])
         rows = first[:, None] + np.arange(3)
         x, covariance = self.x.copy(), self.covariance.copy()
         x[rows] = 0.0
+        # exp(t + d) R = exp(J d) exp(t) R: relative to the new reference the error is J d.
         J = left_jacobian(turns)
         covariance[rows] = J @ covariance[rows]
+        # The columns, by a view of the transpose; the blocks on the diagonal get J on both sides.
         covariance.T[rows] = J @ covariance.T[rows]
         return replace(self, x=x, covariance=covariance, R_camera=rotations[0], R_cam_body=rotations[1:])
 
@@ -223,6 +241,7 @@ class PoseState(FilterState):
         return frame.time_s - self.frame.time_s
 
     def _velocity(self, frame: TrackFrame, position_m: FloatArray) -> FloatArray:
+        # Each position by the rotation of its own epoch.
         before, after = self.frame.R_body_inertial.T @ self.position_m, frame.R_body_inertial.T @ position_m
         return np.asarray((after - before) / self._seconds(frame), dtype=np.float64)
 
@@ -232,16 +251,21 @@ class PoseState(FilterState):
         turn = -self.x[_RATE] * dt
         moves, accelerates = np.zeros((self.CAMERA, 3)), np.zeros((self.CAMERA, 3))
         F = np.eye(self.CAMERA)
+        # The velocity is not integrated: it is the difference of the two positions over the time, and gets its error
+        # from theirs.
         F[_VELOCITY, _VELOCITY] = 0.0
         F[_VELOCITY, _POSITION] = (frame.R_body_inertial - self.frame.R_body_inertial).T / dt
+        # exp(t') = exp(turn) exp(t) exp(-turn): the error is rotated with the camera.
         F[_TURN, _TURN] = rotation_of(turn)
         F[_TURN, _RATE] = -left_jacobian(turn) * dt
+        # The same error of the displacement is in position and velocity.
         moves[_POSITION] = np.eye(3)
         moves[_VELOCITY] = frame.R_body_inertial.T / dt
         accelerates[_TURN] = -left_jacobian(turn)
         accelerates[_RATE] = 2.0 / dt * np.eye(3)  # angular acceleration a: rotation a dt^2 / 2, rate a dt
         noise = moves @ frame.motion_covariance_m2 @ moves.T
         noise += self.turn_noise_rad**2 * accelerates @ accelerates.T
+        # Random walk of the body's rotation: independent increments add their variances.
         grown = max(frame.attitude_bias_sigma_rad**2 - self.frame.attitude_bias_sigma_rad**2, 0.0)
         noise[_LASTING, _LASTING] += grown * np.eye(3)
         return F, noise
@@ -250,8 +274,10 @@ class PoseState(FilterState):
 def _star_tracked(state: PoseState) -> PoseState:
     """Update with the star tracker's attitude of a frame, ``exp(lasting + noise) R_cam_body``."""
     frame = state.frame
+    # Innovation as a rotation vector: log(measured R, less the lasting error, times predicted R').
     found = rotation_of(-state.x[_LASTING]) @ frame.R_cam_body @ state.attitude.T
     jacobian = np.zeros((3, len(state.x)))
+    # To first order for small angles; left perturbations add.
     jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
     variance = np.full(3, _star_tracker_variance(frame))
     return kalman_update(state, Innovation(rotation_vector(found), jacobian, variance))[0]

@@ -24,6 +24,8 @@ SIZE = 6
 
 def landmark_points(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
     """(n, 3) points in the body frame of landmarks (n, 6) with the attitudes (n, 3, 3) of their anchors, m."""
+    # p = T0 + R_cam_body' m(u, v) / rho, with the unit direction m of the pixel; rho is the inverse of the distance,
+    # not of the depth along the boresight.
     rays = np.einsum("kji,kj->ki", R_cam_body, camera.unproject(landmarks[:, :2]))
     return np.asarray(landmarks[:, 3:] + rays / landmarks[:, 2:3], dtype=np.float64)
 
@@ -32,13 +34,17 @@ def landmark_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatA
     """(n, 3, 6) of `landmark_points` by the landmark's elements."""
     rays = camera.unproject(landmarks[:, :2])
     inverse = landmarks[:, 2][:, None, None]
+    # n = ((u - cx) / fx, (v - cy) / fy, 1) and m = n / |n|: dm = (I - m m') dn / |n|, and 1 / |n| is the third
+    # coordinate of m. The lens has no distortion.
     slopes = np.zeros((len(landmarks), 3, 2))
     slopes[:, 0, 0] = rays[:, 2] / camera.fx_px
     slopes[:, 1, 1] = rays[:, 2] / camera.fy_px
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     by_pixel = across @ slopes / inverse
+    # d(1 / rho) = -d rho / rho^2.
     by_inverse = -rays[:, :, None] / inverse**2
     turned = np.swapaxes(R_cam_body, 1, 2) @ np.concatenate([by_pixel, by_inverse], axis=2)
+    # A displacement of the anchor moves the point by as much.
     ones = np.broadcast_to(np.eye(3), (len(landmarks), 3, 3))
     return np.concatenate([turned, ones], axis=2)
 
@@ -46,6 +52,7 @@ def landmark_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatA
 def turn_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
     """(n, 3, 3) of `landmark_points` by a small rotation of the anchor, R_cam_body = exp(rotation) R."""
     rays = camera.unproject(landmarks[:, :2])
+    # R' exp(-[w]) m = R' (m + m x w) to first order: the derivative by w is R' [m].
     across = np.swapaxes(R_cam_body, 1, 2) @ cross_matrix(rays)
     return np.asarray(across / landmarks[:, 2][:, None, None], dtype=np.float64)
 
@@ -119,12 +126,14 @@ class FilterState:
     def linearisation_landmarks(self) -> FloatArray:
         """(n, 6) landmarks at which derivatives are taken."""
         landmarks = self.landmarks.copy()
+        # The pixel is not fixed: only inverse distance and anchor change under a change of scale.
         landmarks[:, 2:] = np.where(np.isnan(self.settled), landmarks[:, 2:], self.settled)
         return landmarks
 
     @property
     def inverse_sigmas(self) -> FloatArray:
         """(n,) relative standard deviations of the inverse distances."""
+        # rho is the third element of each landmark.
         variances = np.diag(self.covariance)[self.CAMERA + 2 :: self.LANDMARK]
         return np.asarray(np.sqrt(variances) / self.landmarks[:, 2], dtype=np.float64)
 
@@ -152,6 +161,7 @@ class FilterState:
     def predicted(self, frame: TrackFrame) -> Self:
         """Propagate the camera to the next frame by its predicted motion; landmarks are fixed."""
         x, covariance = self.x.copy(), self.covariance.copy()
+        # The transition matrix is the identity: the cross-covariances with the landmarks do not change.
         x[:3] += frame.motion_m
         covariance[:3, :3] += frame.motion_covariance_m2
         return replace(self, x=x, covariance=covariance, frame=frame)
@@ -162,6 +172,7 @@ class FilterState:
 
     def without(self, lost: NDArray[np.bool_]) -> Self:
         """Drop the landmarks marked in ``lost`` (n,), with their rows and columns."""
+        # Dropping rows and columns of a covariance marginalises: what the landmark has contributed to the camera stays.
         rows = np.concatenate([np.ones(self.CAMERA, dtype=np.bool_), np.repeat(~lost, self.LANDMARK)])
         return replace(
             self,
@@ -174,6 +185,7 @@ class FilterState:
 
     def with_fixed_linearisation(self, sigma: float) -> Self:
         """Fix the linearisation of landmarks whose inverse distance has a relative error below ``sigma``."""
+        # Once fixed, never changed: a second point of linearisation would make the scale seem observable.
         now = np.isnan(self.settled[:, 0]) & (self.inverse_sigmas < sigma)
         return replace(self, settled=np.where(now[:, None], self.landmarks[:, 2:], self.settled))
 
@@ -191,6 +203,8 @@ class FilterState:
         old, new, anchor = len(self.x), len(tracks), len(self.POSE)
         pose = self.x[list(self.POSE)]
         anchored = np.concatenate([elements, np.broadcast_to(pose, (new, anchor))], axis=1)  # eq. (9)
+        # The new pixel and inverse distance do not depend on the state; the anchor is a copy of the camera's pose, and
+        # so fully correlated with it until the next prediction.
         copy = np.zeros((self.LANDMARK, old))
         copy[np.arange(3, self.LANDMARK), self.POSE] = 1.0
         by_camera = np.tile(copy, (new, 1))

@@ -18,6 +18,7 @@ FloatArray = NDArray[np.float64]
 AnyState = TypeVar("AnyState", bound=FilterState)
 
 _SHORTEST = 1e-3
+"""Part of a Gauss-Newton step below which the line search gives up."""
 
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -70,6 +71,7 @@ class FrameMeasurements:
 
     def subset(self, kept: BoolArray) -> FrameMeasurements:
         """Return the pixels and distances of the landmarks marked in ``kept`` (k,)."""
+        # A refused pixel is on another landmark, so that its range is too.
         near = np.isin(self.range_rows, self.rows[kept])
         return replace(
             self,
@@ -87,6 +89,7 @@ class FrameMeasurements:
 
     def residual(self, state: FilterState) -> FloatArray:
         """(2 k + r,) measured minus predicted; NaN where a landmark is behind the camera."""
+        # At the present estimates: only derivatives are taken at points of linearisation.
         lines = state.points(self.camera) - state.position_m
         pixels = self.uv_px - self.camera.project(lines[self.rows] @ state.attitude.T)
         lengths = np.linalg.norm(lines[self.range_rows], axis=1)
@@ -100,6 +103,7 @@ class FrameMeasurements:
         """
         lines = state.lines(self.camera)
         seen, ranged = lines[self.rows], lines[self.range_rows]
+        # Chain rule: pixel by camera axes, camera by body axes; a line of sight is landmark minus camera.
         by_line = self.camera.jacobian(seen @ state.attitude.T) @ state.attitude
         by_range = (ranged / np.linalg.norm(ranged, axis=1)[:, None])[:, None, :]
         by_landmark = state.landmark_jacobians(self.camera)
@@ -115,6 +119,7 @@ class FrameMeasurements:
         """
         points = state.points(self.camera)[self.rows] - state.position_m
         by_camera = self.camera.jacobian(points @ state.attitude.T) @ state.attitude
+        # Pixel error by the camera's position, scaled by the relative error of the inverse distance.
         own = by_camera @ state.covariance[:3, :3] @ np.swapaxes(by_camera, 1, 2)
         own *= (state.inverse_sigmas[self.rows] ** 2)[:, None, None]
         k = np.arange(len(own))
@@ -136,6 +141,7 @@ def _state_jacobian(
     jacobian = np.zeros((count, height, first + size * len(by_landmark)))
     jacobian[:, :, :first] = by_camera
     columns = first + size * rows[:, None] + np.arange(size)
+    # Indexing with arrays on both sides of a slice moves the slice last: (k, L, r).
     jacobian[np.arange(count)[:, None], :, columns] = np.swapaxes(by_line @ by_landmark[rows], 1, 2)
     return jacobian.reshape(count * height, jacobian.shape[2])
 
@@ -175,6 +181,7 @@ def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, fl
         If the covariance of the innovation is not positive definite.
     """
     factor, crossed = _factorise(state.covariance, innovation)
+    # K r = P H' S^-1 r = W' L^-1 r, and r' S^-1 r = |L^-1 r|^2.
     white = solve_triangular(factor, innovation.residual, lower=True, check_finite=False)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
     moved = replace(state, x=state.x + weighted.T @ white, covariance=state.covariance - weighted.T @ weighted)
@@ -198,15 +205,19 @@ def iterated_update(state: FilterState, measured: FrameMeasurements, rule: Itera
     for _ in range(rule.steps):
         innovation = measured.innovation(place.state)
         factor, crossed = _factorise(covariance, innovation)
+        # z - h(x_i) - H_i (x0 - x_i).
         target = innovation.residual + innovation.jacobian @ (place.state.x - start)
         multipliers = cho_solve((factor, True), target, check_finite=False)
+        # x = x0 + P a with a = H' S^-1 target.
         end = (start + crossed @ multipliers, innovation.jacobian.T @ multipliers)
+        # x and a are linear in the step, so that x = x0 + P a holds for shortened ones too.
         better = _line_search(place, end, start, measured)
         if better is None:
             break
         fallen, place = place.cost - better.cost, better
         if fallen < rule.tolerance:
             break
+    # The covariance is that of x0 updated once, with the derivatives at the minimum.
     factor, crossed = _factorise(covariance, measured.innovation(place.state))
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
     return replace(place.state, covariance=covariance - weighted.T @ weighted).with_errors_reset(), place.cost
@@ -222,6 +233,7 @@ def innovation_covariance(state: FilterState, innovation: Innovation) -> FloatAr
 def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:
     """Return the lower Cholesky factor of S, and P H' (n, m)."""
     crossed = covariance @ innovation.jacobian.T
+    # S = H P H' + R, with diagonal R.
     S = innovation.jacobian @ crossed
     S[np.diag_indices_from(S)] += innovation.variance
     if not np.isfinite(S).all():
@@ -236,6 +248,7 @@ def _evaluate(
     state = template if x is None else replace(template, x=x)
     residual = measured.residual(state)
     cost = float(np.sum(residual**2 / measured.variance) + pull @ (state.x - start))
+    # A negative inverse distance is a landmark behind its anchor, whose direction fits as well.
     sound = np.isfinite(cost) and bool(np.all(state.landmarks[:, 2] > 0.0))
     return _Iterate(state, pull, cost if sound else float("inf"))
 

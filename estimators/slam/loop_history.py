@@ -43,6 +43,7 @@ class GlobalMap:
 
     def add(self, number: int, frame: TrackFrame) -> None:
         """Add a frame, or replace it if its pixels have changed."""
+        # A gate may have refused pixels since the frame was added.
         for landmark in self.track_in_frame.pop(number, {}):
             self.seen[landmark].discard(number)
         self.slam_map.frames[number] = self._renamed(frame)
@@ -74,11 +75,13 @@ class GlobalMap:
         slam_map = self.slam_map
         views = sorted(slam_map.frames)
         ranged = {item.track for frame in slam_map.frames.values() for item in frame.ranges}
+        # As in a window: two bearings, or one and a range, determine a landmark.
         tracks = sorted(track for track, by in self.seen.items() if len(by) >= 2 or track in ranged)
         for track in tracks:
             if track not in slam_map.points_m:
                 slam_map.points_m[track] = slam_map.triangulate(track, sorted(self.seen[track]))
         free = np.ones(len(views), dtype=np.bool_)
+        # A first position without error is fixed, and has no prior.
         free[0] = bool(np.any(self.first_covariance_m2))
         problem = Adjustment(
             camera=slam_map.camera,

@@ -27,6 +27,7 @@ BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 
 _SAME_PLACE_M = 1e-3
+"""Standard deviation, m, to which the two landmarks of a pair are the same point; keeps the covariances invertible."""
 
 
 def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, probability: float) -> list[int]:
@@ -68,6 +69,7 @@ def _grown(seed: int, difference: FloatArray, covariance: FloatArray, gate: floa
         total += float(squares[candidate])
         difference, covariance = _given(candidate, difference, covariance)
         squares = _squares(difference, covariance)
+        # Members are not candidates again. The conditional chi-squares of a chain add up to the joint one.
         squares[members] = np.inf
         candidate = int(np.argmin(squares))
     return members, total
@@ -84,6 +86,8 @@ def _squares(difference: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Condition the differences and their covariance on one pair being a single landmark."""
+    # A Kalman update by the measurement "the difference of this pair is zero": what remains of the other differences is
+    # what the drift common to all does not explain.
     rows = slice(3 * pair, 3 * pair + 3)
     block = covariance[rows, rows] + _SAME_PLACE_M**2 * np.eye(3)
     gain = np.linalg.solve(block, covariance[rows]).T
@@ -135,12 +139,15 @@ class _LoopClosingWindow(WindowSmoother):
         number = len(self.slam_map.positions_m)
         self.raw[number] = self.weighted(frame)
         estimate = super().advance(frame)
+        # Recognised pairs wait until enough of them can be tested together.
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
         if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
             return estimate
         self._update_global_map()
+        # A landmark seen once has no covariance along its line of sight.
         ripe = [pair for pair in sorted(self.pending) if self._is_determined(*pair)]
         known = self.global_map
+        # Landmarks for tracks: earlier closures may have merged some. Two landmarks in one image are two.
         pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_merge(known.of(a), known.of(b))})
         if len(pairs) < self.loops.closure_pairs:
             return estimate
@@ -150,6 +157,7 @@ class _LoopClosingWindow(WindowSmoother):
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Marginalise the oldest view, after adding it to the map of all frames."""
+        # Before the base class deletes the frame, and with the refusals that are final now.
         self.global_map.add(self.views[0], self._believed(self.views[0]))
         del self.raw[self.views[0]]
         super()._marginalise(problem, state, tracks)
@@ -176,6 +184,7 @@ class _LoopClosingWindow(WindowSmoother):
         known = self.global_map
         for view in self.views:
             known.add(view, self._believed(view))
+        # Older frames have their positions of the last closure or of leaving the window: a start for the adjustment.
         known.slam_map.positions_m.update({view: self.slam_map.positions_m[view] for view in known.slam_map.frames})
         for track, point in self.slam_map.points_m.items():
             if track in known.seen and track not in known.members:
@@ -183,17 +192,21 @@ class _LoopClosingWindow(WindowSmoother):
 
     def _merge(self, pairs: list[tuple[int, int]]) -> int:
         """Test the pairs for joint compatibility and merge the compatible ones; return their number."""
+        # These pairs are still unmerged, so that the difference of a pair is the drift between the two visits.
         problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
         first, second = (lookup(tracks, np.array(side, dtype=np.int64)) for side in zip(*pairs, strict=True))
         differences = state.points_m[first] - state.points_m[second]
         joint = landmark_covariance(problem, state, np.concatenate([first, second]))
         half = len(joint) // 2
+        # Of the difference a - b: P_aa + P_bb - P_ab - P_ba.
         covariance = joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
         good = compatible_pairs(differences, covariance, self.loops.recognition)
+        # A few pairs may agree by chance.
         if len(good) < self.loops.closure_pairs:
             good = []
         for new, old in (pairs[k] for k in good):
             new, old = self.global_map.of(new), self.global_map.of(old)
+            # Merges before this one may have brought both into one landmark or one frame.
             if self.global_map.may_merge(new, old):
                 self.global_map.merge(new, old)
                 self.united += 1
@@ -215,9 +228,11 @@ class _LoopClosingWindow(WindowSmoother):
         the new prior.
         """
         known, views = self.global_map, np.array(sorted(self.global_map.slam_map.frames))
+        # The window goes on with the track that is in view, under which the next frames will see the landmark.
         alive = {known.of(track): track for track in self.raw[self.views[-1]].tracks.tolist()}
         numbers = np.array([self._window_number(track, alive) for track in tracks], dtype=np.int64)
         inside = np.isin(views, self.views)
+        # Landmarks seen by an older frame stay only if they are in view; the others have been marginalised for good.
         outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
         stays = np.isin(tracks, sorted(alive)) | ~outer
         rows = (problem.pixels, problem.distances)
@@ -227,13 +242,17 @@ class _LoopClosingWindow(WindowSmoother):
             & self._seen_under_number(numbers[seen.point], views[seen.view], seen.point, tracks)
             for seen in rows
         )
+        # From the measurements themselves, not from the old prior: linearised at the closed loop, and no measurement is
+        # used twice.
         prior = marginalise_outside(problem, state, Retained(inside, stays, sighted, ranged))
         for slot, track in enumerate(tracks):
             self.slam_map.points_m[int(numbers[slot])] = state.points_m[slot]
             members = known.members.get(track, {track})
+            # Other tracks of a landmark must not start a second one in the window.
             self.absorbed |= members - {int(numbers[slot])} if stays[slot] else members
         self.slam_map.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
         self.prior = replace(prior, views=views[prior.views], points=numbers[prior.points])
+        # All first estimates are replaced with the prior that they belong to.
         self.first_positions_m = dict(zip(self.prior.views.tolist(), state.positions_m[prior.views], strict=True))
         self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))
 

@@ -37,8 +37,14 @@ _MAX_GATED_VARIABLES = 1500
 """Size of the reduced system up to which its covariance is computed; beyond, pixels are tested by residuals only."""
 
 _FRAMES_BACK = 5
+"""Previous frames in which the last pixel of an unmapped track is looked for."""
+
 _REFUSALS_IN_A_ROW = 2
+"""Consecutive refusals after which the older pixels of a landmark are doubted instead."""
+
 _DEPTH_RATIO = 3.0
+"""Largest ratio of a landmark's distance to the median one, or of the median one to it."""
+
 _READMIT_SHARE = 0.5
 """Part of the chi-square limit below which a refused pixel is readmitted."""
 
@@ -74,15 +80,19 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
     A fast test: the landmarks' covariances are used only where a pixel fails without them.
     """
     rows = np.flatnonzero(matches.points >= 0)
+    # The camera was placed by these pixels: with few of them a wrong one would displace it until it fits.
     if len(rows) < _LEAST_MAPPED:
         return False
     problem, state = before
     frame = slam_map.frames[matches.view]
     points = matches.points[rows]
     lines_m = state.points_m[points] - slam_map.positions_m[matches.view]
+    # Without the landmarks' covariances the test is too strict, never too lenient: what passes here passes with them.
     squares = pixel_squares(slam_map.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
+    # NaN, a landmark behind the camera, counts as odd.
     odd = np.flatnonzero(~(squares <= limit))
     if len(odd):
+        # The information of pixels and distances alone underestimates what is known of a landmark of the prior.
         if 2 * len(odd) > len(rows) or (problem.prior is not None and np.isin(points[odd], problem.prior.points).any()):
             return False
         own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
@@ -145,9 +155,11 @@ class OutlierGate:
         self.slam_map.place(view, rule)
         matches = self._match_frame(view, before, depth_m)
         if before is not None and all_within_gate(self.slam_map, matches, (before.problem, before.state), self.limit):
+            # No pixel refused in this frame ends all runs.
             self.in_a_row = {}
             return
         self._gate_frame(matches, before)
+        # The refused pixels took part in the first placement.
         if self.refused.get(view):
             self.slam_map.place(view, rule)
 
@@ -157,6 +169,7 @@ class OutlierGate:
         If most pixels fail, or the adjustment has no covariance, the prediction is not reliable and all pixels pass.
         """
         view, frame = matches.view, self.raw_frames[matches.view]
+        # A dense inverse costs the cube of the size.
         if before is not None and 3 * _kept(before.problem) > _MAX_GATED_VARIABLES:
             return
         try:
@@ -164,6 +177,7 @@ class OutlierGate:
             fit = gate_frame(self.slam_map.camera, frame, seen, self.false_alarm, self.limit)
         except np.linalg.LinAlgError:
             return
+        # A majority that fails shows a wrong prediction (a wrong motion, say) rather than as many wrong pixels.
         if 2 * np.count_nonzero(fit) > len(fit):
             self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
             self._reinitialise(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
@@ -181,14 +195,19 @@ class OutlierGate:
         self._readmit(adjusted)
         if self._reject_implausible_depths(adjusted):
             return True
+        # Residuals of an adjustment are smaller than the errors of its pixels, since the pixels took part: the limit
+        # refuses fewer correct ones than its false-alarm probability.
         if squares.max(initial=0.0) <= self.limit:
             return False
         worst = np.zeros(len(adjusted.tracks))
         np.maximum.at(worst, seen.point, squares)
+        # Least squares spreads a gross error over the pixels of its landmark and view: the worst first (Baarda's data
+        # snooping), and with it those of other landmarks with at least half of its residual.
         out = (squares > self.limit) & (squares >= worst[seen.point]) & (squares >= 0.25 * squares.max())
         for slot, point in zip(seen.view[out].tolist(), seen.point[out].tolist(), strict=True):
             track = int(adjusted.tracks[point])
             self._refuse(adjusted.views[slot], [track])
+            # The estimate was drawn by the wrong pixel: triangulate again. A landmark of the prior has to stay.
             if not _in_prior(adjusted.problem, point):
                 self.slam_map.points_m.pop(track, None)
         return True
@@ -197,6 +216,7 @@ class OutlierGate:
         """Refuse the newest pixel of landmarks at an implausible distance: two wrong pixels may have zero residuals."""
         seen, state = adjusted.problem.pixels, adjusted.state
         distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
+        # Two bearings with an error along the epipolar line still meet in a point: only its distance shows the error.
         middle = float(np.sort(distances)[len(distances) // 2])
         odd = np.flatnonzero((distances < middle / _DEPTH_RATIO) | (distances > middle * _DEPTH_RATIO)).tolist()
         odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
@@ -212,6 +232,7 @@ class OutlierGate:
 
         Landmarks of the prior and those with a range are left as they are.
         """
+        # Built anew: a track that was not refused in this frame loses its run.
         self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
         due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _REFUSALS_IN_A_ROW]
         ranged = {item.track for frame in self.raw_frames.values() for item in frame.ranges} if due else set()
@@ -219,6 +240,7 @@ class OutlierGate:
             if track in settled or track in ranged:
                 continue
             for other, frame in self.raw_frames.items():
+                # Believe the newer pixels, which agree on a refusal, instead of the older ones.
                 if other in run:
                     self._set(other, self.refused.get(other, set()) - {track})
                 elif np.any(frame.tracks == track):
@@ -232,6 +254,7 @@ class OutlierGate:
         points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
         unknown = np.flatnonzero(points < 0).tolist()
         last = self._last_seen(view, tracks[unknown].tolist())
+        # Tracks without an accepted pixel in the last frames have no prediction, and are not gated.
         once = [row for row in unknown if int(tracks[row]) in last]
         single_pixels = [(last[int(tracks[row])], int(tracks[row])) for row in once]
         return FrameMatches(view, points, (np.array(once, dtype=np.int64), single_pixels), depth_m)
@@ -247,6 +270,8 @@ class OutlierGate:
         guessed = predict_guessed(common, self.slam_map, matches.once, matches.depth_m, view)
         rows = np.flatnonzero(matches.points >= 0)
         places = (rows, matches.points[rows])
+        # From the predicted position, not from the motion-only adjustment: that one used the pixels that are to be
+        # tested.
         at = self.slam_map.positions_m[view - 1] + self.raw_frames[view].motion_m
         return predict_mapped(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
@@ -266,7 +291,7 @@ class OutlierGate:
         self.slam_map.frames[view] = without_tracks(self.raw_frames[view], refused)
 
     def _readmit(self, adjusted: AdjustedWindow) -> None:
-        """Readmit refused pixels that fit their landmark, which was adjusted without them."""
+        """Readmit refused pixels of the window that fit their landmark, which was adjusted without them."""
         rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
         for slot, view in enumerate(adjusted.views):
             refused = self.refused.get(view, set())
@@ -278,6 +303,8 @@ class OutlierGate:
         frame, (slot, row) = self.raw_frames[view], place
         line = adjusted.state.points_m[row] - adjusted.state.positions_m[slot]
         uv = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
+        # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower limit
+        # also keeps a pixel from being refused and readmitted in turn.
         off = (uv - self.slam_map.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
         return bool(off @ off < _READMIT_SHARE * self.limit)
 

@@ -38,10 +38,13 @@ def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArr
     LinAlgError
         If the normal matrix is singular.
     """
+    # All landmarks stay in the reduced system, so that its inverse has their correlations with the view and with each
+    # other.
     whole = replace(problem, kept_points=np.ones(len(state.points_m), dtype=np.bool_))
     ordering = VariableOrdering.of(whole)
     matrix, _, _ = normal_equations(whole, state, ordering).reduced()
     slots = np.concatenate([[ordering.view[view]], ordering.kept_point[points]])
+    # Rows of the inverse are marginal: those of all other variables are left out.
     rows = (3 * slots[:, None] + np.arange(3)).ravel()
     return np.asarray(np.linalg.inv(matrix)[np.ix_(rows, rows)], dtype=np.float64)
 
@@ -55,6 +58,7 @@ def predict_from_window(
     covariance does not exist.
     """
     if solved is None:
+        # Landmarks relative to a known position: only their distances and the motion are uncertain.
         return predict_pixels(slam_map, view, frame, (), np.zeros((3, 3)))
     state, tracks = solved.state, solved.tracks
     rows = np.flatnonzero(np.isin(tracks, slam_map.frames[view].tracks))
@@ -89,6 +93,7 @@ def predict_pixels(
     own = np.zeros((len(seen), 3, 3))
     points = np.empty((len(seen), 3))
     for row, track in enumerate(seen.tolist()):
+        # Line of sight = landmark - camera.
         by_known[row, :, :3] = -np.eye(3)
         if track in place:
             points[row] = slam_map.points_m[track]
@@ -97,9 +102,11 @@ def predict_pixels(
             ray = slam_map.ray(view, track)
             points[row] = here + depth * ray
             by_known[row, :, :3] = 0.0  # placed relative to the camera that saw it
+            # Uncertain along the line of sight; the pixel's error across it is left out.
             own[row] = (_UNKNOWN_DEPTH * depth) ** 2 * np.outer(ray, ray)
     by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
     rows = (by_line @ by_known).reshape(2 * len(seen), -1)
+    # The new camera is the old one plus the motion, so the motion's error has the sign of the camera's.
     by_motion = -by_line.reshape(2 * len(seen), 3)
     # First order: the joint error of camera and landmarks, and that of the motion, which is independent of it.
     spread = rows @ covariance @ rows.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
@@ -192,6 +199,7 @@ class SharedUncertainty:
         """
         if adjusted is None:
             return cls(motion_covariance_m2.copy(), {}, {})
+        # The motion after the adjustment is independent of it: block-diagonal.
         before, view_slots, point_slots = kept_covariance(*adjusted)
         size = len(before)
         covariance = np.zeros((size + 3, size + 3))
@@ -204,6 +212,7 @@ class SharedUncertainty:
         """(3, m) derivative of the new camera's position, the previous view's plus the motion."""
         rows = np.zeros((3, len(self.covariance)))
         rows[:, -3:] = np.eye(3)
+        # x_new = x_previous + motion; both in body axes, and the rotation of the body is in the motion.
         return rows + self.by_view(view - 1)
 
     def by_view(self, view: int) -> FloatArray:
@@ -226,6 +235,8 @@ class SharedUncertainty:
         for k in np.flatnonzero(kept).tolist():
             column = self.points[int(points[k])]
             rows[k, :, column : column + 3] = np.eye(3)
+        # The back-substitution of the adjustment: given the views, an eliminated landmark has covariance V^-1,
+        # independent of their error.
         information = line_information(problem, state, points[~kept])
         own[~kept] = np.linalg.inv(information.sum(axis=1))
         weights = own[~kept][:, None] @ information
@@ -245,6 +256,7 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
         (part.pixels, bearing_jacobians(part, state)),
         (part.distances, distance_jacobians(part, state)),
     ):
+        # add.at, because a view may have both a pixel and a distance to a landmark.
         np.add.at(information, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
     return information
 
@@ -270,9 +282,11 @@ def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, Inde
     numpy.linalg.LinAlgError
         If they are not determined.
     """
+    # Derivatives at the state, as in `line_information`, so that both describe one linearisation.
     matrix, _, views, points = reduced_system(replace(problem, frozen=None), state)
     if not len(matrix):
         return matrix, views, points
+    # Cholesky refuses a matrix that is not positive definite; an inverse would be returned with negative variances.
     inverse = np.asarray(cho_solve(cho_factor(matrix), np.eye(len(matrix))), dtype=np.float64)
     return 0.5 * (inverse + inverse.T), views, points
 
@@ -291,6 +305,7 @@ def predict_mapped(
     (rows, points), (problem, state, views) = places, before
     by_landmark, own = common.by_landmarks(problem, state, views, points)
     lines = state.points_m[points] - position_m
+    # Line of sight = landmark - camera. An error common to both, such as the drift of all views, cancels here.
     by_shared = by_landmark - common.by_camera(view)
     return PredictedLines(rows, lines, by_shared, common.covariance, own, np.ones(len(rows), dtype=np.bool_))
 
@@ -310,6 +325,7 @@ def predict_guessed(
     points, own = guessed_points(slam_map, single_pixels, depth_m)
     at = slam_map.positions_m[view - 1] + slam_map.frames[view].motion_m
     by_camera = common.by_camera(view)
+    # The landmark moves with the view that saw it: only the displacement since then is uncertain.
     by_shared = np.array([common.by_view(other) - by_camera for other, _ in single_pixels])
     return PredictedLines(
         rows,
@@ -336,7 +352,9 @@ def guessed_points(
             if item.track == track:
                 depths[k], sigmas[k] = item.range_m, item.sigma_m
     rays = np.array([slam_map.ray(other, track) for other, track in single_pixels]).reshape(n, 3)
+    # A pixel's sigma as an angle times the distance, m.
     noise = np.array([slam_map.frames[other].sigma_px for other, _ in single_pixels]) / slam_map.camera.fx_px * depths
+    # Projectors along each line of sight, d d', and across it, I - d d'.
     along = rays[:, :, None] * rays[:, None, :]
     own = (sigmas**2)[:, None, None] * along + (noise**2)[:, None, None] * (np.eye(3) - along)
     anchors = np.array([slam_map.positions_m[other] for other, _ in single_pixels]).reshape(n, 3)

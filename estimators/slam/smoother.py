@@ -26,6 +26,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _WEAK_RATIO = 10.0
+"""Standard deviation of the weak prior of a landmark, in median depths of the newest view."""
 
 
 class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
@@ -123,6 +124,7 @@ class WindowSmoother:
         """
         if self.options.attitude == "known":
             return frame
+        # A rotation across the line of sight moves a pixel by its angle; one about the boresight moves it less.
         shift_px = frame.attitude_noise_rad / self.slam_map.camera.pixel_angle_rad
         return replace(frame, sigma_px=math.hypot(frame.sigma_px, shift_px))
 
@@ -146,6 +148,7 @@ class WindowSmoother:
         """Place the first view, and its landmarks provisionally at the measured distance."""
         self.slam_map.positions_m[0] = self.first_m.copy()
         estimate = self.slam_map.first_estimate(self.first_covariance_m2)
+        # With a covariance of zero the first view is fixed instead: its information would be infinite.
         if self._first_is_free():
             self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
         return estimate
@@ -154,6 +157,7 @@ class WindowSmoother:
         return bool(np.any(self.first_covariance_m2))
 
     def _check_connected(self, number: int) -> None:
+        # Refused pixels count: outliers are not lost tracks.
         shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
         check_connected(shared, self.options.connectivity)
 
@@ -162,6 +166,8 @@ class WindowSmoother:
         seen = self.slam_map.seen_by(self.views)
         ranged = {item.track for view in self.views for item in self.slam_map.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
+        # A single bearing leaves the distance undetermined, unless a range is measured. Pixels of absorbed landmarks
+        # would need the variable that was marginalised.
         determined = {
             track for track, by in seen.items() if track not in self.absorbed and (len(by) >= 2 or track in ranged)
         }
@@ -171,6 +177,7 @@ class WindowSmoother:
 
     def _problem(self, tracks: list[int]) -> Adjustment:
         free_views = np.ones(len(self.views), dtype=np.bool_)
+        # Later oldest views are free: the prior of marginalisation holds them.
         free_views[0] = self.views[0] != 0 or self._first_is_free()
         return Adjustment(
             camera=self.slam_map.camera,
@@ -194,6 +201,8 @@ class WindowSmoother:
         """Return the first estimates of the variables in the prior, where their derivatives are taken."""
         if not self.options.first_estimates:
             return None
+        # The prior of the first position is linear, so that it needs no point of linearisation: only variables of
+        # marginalised measurements are frozen.
         return State(values_or_nan(self.first_positions_m, self.views), values_or_nan(self.first_points_m, tracks))
 
     def _estimate(self, problem: Adjustment, state: State, tracks: list[int]) -> FrameEstimate:
@@ -201,6 +210,7 @@ class WindowSmoother:
             covariance = view_covariance(problem, state, len(self.views) - 1)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the reduced system has not full rank") from error
+        # An unobservable scale shows as a large covariance: predicted motions and rounding keep it finite.
         position = state.positions_m[-1]
         check_scale(covariance, state.points_m, position, self.options.uncertainty_max)
         return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), state.points_m, 0.0)
@@ -212,7 +222,9 @@ class WindowSmoother:
         if problem.prior is not None:
             oldest[problem.prior.points] = True
         newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
+        # Refused pixels count as in view: the landmark may fit again in the next frame.
         lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
+        # What remains of the oldest view's landmarks would enter the prior, which couples them all.
         excess = self._beyond_prior_size(number, oldest & ~lost)
         try:
             local = marginalise_view(problem, state, 0, lost | excess)
@@ -225,6 +237,7 @@ class WindowSmoother:
                 self.prior, lookup(old.tolist(), self.prior.points) < 0, self.slam_map.median_depth(self.views[-1])
             )
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
+        # The estimate at the first entry stays the point of linearisation as long as the variable is in the prior.
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
             self.first_positions_m.setdefault(view, position)
         for track, point in zip(self.prior.points.tolist(), state.points_m[local.points], strict=True):
@@ -247,6 +260,7 @@ class WindowSmoother:
         """
         beyond = staying.copy()
         old = set() if self.prior is None else set(self.prior.points.tolist())
+        # Landmarks of the prior first, then the oldest tracks.
         order = sorted(np.flatnonzero(staying).tolist(), key=lambda j: (number[j] not in old, number[j]))
         beyond[order[: self.options.prior_landmarks]] = False
         return beyond
@@ -259,11 +273,12 @@ class WindowSmoother:
             if self.gate is not None:
                 self.gate.drop_tracks(view, gone)
         for track in gone:
+            # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
 
 
 def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> QuadraticPrior:
-    """Add a weak prior on the lines of sight of ``new`` landmarks: a sigma of ten times their distance.
+    """Add a weak prior on the lines of sight of ``new`` landmarks: a sigma of ten times the median depth ``depth_m``.
 
     The prior may hold a landmark from a single bearing, and the later pixels that would determine its distance may be
     refused; then the normal matrix would be singular. The difference from the first view is constrained, not the
@@ -274,6 +289,8 @@ def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> Q
     weight = 1.0 / (_WEAK_RATIO * depth_m) ** 2
     information, view = prior.information.copy(), np.arange(3)
     for point in (len(prior.views) + np.flatnonzero(new)).tolist():
+        # w |(p - x) - (p0 - x0)|^2 / 2 with p the landmark and x the prior's first view: +w on both diagonal blocks, -w
+        # between them; no gradient, since it is zero at the origin.
         own = 3 * point + view
         information[own, own] += weight
         information[view, view] += weight
