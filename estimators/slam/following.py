@@ -71,6 +71,7 @@ class FrameCheck:
         if tracks & self.gone:
             raise LostError(f"track {min(tracks & self.gone)} was lost and returns under its number")
         self.time_s = frame.time_s
+        # A number that returns could be another landmark: tracks are not used again once lost.
         self.gone |= self.held - tracks
         self.held = tracks
 
@@ -100,7 +101,7 @@ class ConfiguredEstimator(ABC, Generic[OptionsT]):
 
 
 class InnovationTest:
-    """Divergence test on the mean squared normalised innovation of the last frames, of which 1 is expected.
+    """Divergence test: squared normalised innovation (NIS) per degree of freedom over the last frames; 1 is expected.
 
     Parameters
     ----------
@@ -128,6 +129,8 @@ class InnovationTest:
         self.measurements += measurements
         self.recent.append((squared, measurements))
         count = sum(item[1] for item in self.recent)
+        # Not before all frames of the mean are there: few measurements scatter too much. A smoother's count of degrees
+        # of freedom may be 0.
         if len(self.recent) < (self.recent.maxlen or 0) or count <= 0:
             return
         mean = sum(item[0] for item in self.recent) / count
@@ -174,6 +177,7 @@ def check_connected(shared: int, needed: int) -> None:
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
     """Raise LostError if the position's largest sigma exceeds ``limit`` times the median distance to the landmarks."""
+    # An unknown scale is an uncertainty along one direction, whichever it is: the largest eigenvalue.
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     distance = median_distance(points_m, position_m)
     if sigma > limit * distance:
@@ -195,6 +199,7 @@ def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
     if len(table) == 0:
         return np.full(len(wanted), -1, dtype=np.int64)
     place = np.searchsorted(table, wanted)
+    # searchsorted returns len(table) for keys beyond the last.
     found = table[np.minimum(place, len(table) - 1)] == wanted
     return np.where(found, place, -1).astype(np.int64)
 

@@ -22,7 +22,9 @@ FloatArray = NDArray[np.float64]
 
 # A bearing has a sigma of about 3.5e-4 rad (0.67 px): even a hundred of them change this attitude by 1 part in 1e7.
 ATTITUDE_SIGMA_RAD = 1e-8
+# Standard deviation of a position that is known exactly: gtsam's noise models need a positive one.
 _FIXED_SIGMA_M = 1e-6
+# Standard deviation of a rotation that a factor leaves free.
 _FREE_SIGMA_RAD = 1e3
 
 
@@ -70,6 +72,7 @@ class Factors:
 
     def place(self, view: int, position_m: FloatArray, covariance_m2: FloatArray) -> Any:
         """Return the prior factor of a view's position; a covariance of zero fixes it."""
+        # The residual of this factor is in body axes, as the covariance is.
         known = covariance_m2 if np.any(covariance_m2) else np.eye(3) * _FIXED_SIGMA_M**2
         noise = self.gtsam.noiseModel.Gaussian.Covariance(known)
         return self.gtsam.PoseTranslationPrior3D(self.view(view), position_m, noise)
@@ -88,9 +91,12 @@ class Factors:
         self, views: tuple[int, int], R_cam_body: FloatArray, moved_m: FloatArray, covariance_m2: FloatArray
     ) -> Any:
         """Return the factor of a displacement from view to view, body axes; ``R_cam_body`` (2, 3, 3)."""
+        # Pose of the second camera in the first one's axes: T_1^-1 T_2 with T from camera to body.
         between = self.gtsam.Pose3(self.gtsam.Rot3(R_cam_body[0] @ R_cam_body[1].T), R_cam_body[0] @ moved_m)
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.eye(3) * _FREE_SIGMA_RAD**2
+        # gtsam's tangent vectors are [rotation, translation] in the axes of the pose itself: here those of the second
+        # camera.
         covariance[3:, 3:] = R_cam_body[1] @ covariance_m2 @ R_cam_body[1].T
         noise = self.gtsam.noiseModel.Gaussian.Covariance(covariance)
         return self.gtsam.BetweenFactorPose3(self.view(views[0]), self.view(views[1]), between, noise)
@@ -176,6 +182,7 @@ class IncrementalFollower:
         gtsam = self.factors.gtsam
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(self.options.relinearize_m)
+        # Look for variables to linearise anew at every update.
         parameters.relinearizeSkip = 1
         if self.lag is None:
             return gtsam.ISAM2(parameters)
@@ -201,6 +208,8 @@ class IncrementalFollower:
                 if track not in before and track not in ranges:
                     continue
                 views = [view for view in (number - 1, number) if view == number or track in before]
+                # A bearing alone leaves the distance undetermined, which makes the tree's linear system singular: the
+                # first pixel waits for the second.
                 if len(views) == 2:
                     slam_map.points_m[track] = slam_map.triangulate(track, views)
                     slam_map.guessed.discard(track)
@@ -218,8 +227,10 @@ class IncrementalFollower:
         if self.lag is None:
             self.engine.update(graph, values)
         else:
+            # A landmark's time stamp is renewed while it is in view, so that it stays in the tree; its views do not.
             seen = [self.factors.point(t) for t in self.slam_map.frames[number].tracks.tolist() if t in self.mapped]
             self.engine.update(graph, values, dict.fromkeys([self.factors.view(number), *seen], float(number)))
+        # Each update is one Gauss-Newton step of the variables that have moved.
         for _ in range(self.options.rounds - 1):
             self.engine.update()
 
@@ -227,6 +238,7 @@ class IncrementalFollower:
         factors, slam_map, engine = self.factors, self.slam_map, self.engine
         pose = engine.calculateEstimatePose3(factors.view(number))
         local = engine.marginalCovariance(factors.view(number))[3:, 3:]  # camera axes
+        # Camera to body axes.
         turn = pose.rotation().matrix()
         covariance = turn @ local @ turn.T
         tracks = sorted(track for track in slam_map.frames[number].tracks.tolist() if track in self.mapped)

@@ -42,10 +42,14 @@ def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) 
     position_m
         Standard deviation of a measured position.
     """
+    # A double integrator: eq. (6) without the forces, which the propagation of the state has.
     move = np.array([[1.0, duration_s], [0.0, 1.0]])
     push = acceleration_m_s2 * np.array([[0.5 * duration_s**2], [duration_s]])
     seen = np.array([[1.0, 0.0]])
+    # Transposed: the Riccati equation of the filter is the dual of that of the regulator, which scipy solves. The
+    # solution is the covariance before an update.
     predicted = solve_discrete_are(move.T, seen.T, push @ push.T, np.array([[position_m**2]]))
+    # K = P H' / (H P H' + R), the same in each axis.
     variance = float(predicted[0, 0] + position_m**2)
     return SteadyGain(float(predicted[0, 0]) / variance, float(predicted[1, 0]) / variance, variance)
 
@@ -87,6 +91,7 @@ class MotionFilter:
 
     def predicted(self, time_s: float) -> MotionFilter:
         """Propagate to a later epoch."""
+        # The force model measures time in T, so velocities in m per T.
         unit = self.field.time_s
         start = np.concatenate([self.position_m, self.velocity_m_s * unit])[None]
         end = propagate(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
@@ -129,8 +134,12 @@ class Propagator:
         if self.filter is None:
             self.filter = self._first()
             return frame
+        # "Considering the high cost of computing the camera position uncertainty" the gain is constant (section 3.2):
+        # it depends on the interval alone, whatever the covariance of the adjustment.
         self.gain = self.filter.gain(frame.time_s - self.filter.time_s)
         self.filter = self.filter.predicted(frame.time_s)
+        # From the adjusted position of the last frame, from which the map adds it, so that the new position starts at
+        # the filter's.
         moved = frame.R_body_inertial @ self.filter.position_m - self.adjusted_m
         return replace(frame, motion_m=moved, motion_covariance_m2=np.eye(3) * self.gain.innovation_m2)
 
@@ -139,6 +148,7 @@ class Propagator:
         self.adjusted_m = position_m
         if self.filter is None:
             raise LostError("a position is corrected before it is predicted")
+        # The first position and velocity are known: nothing to correct.
         if self.gain is not None:
             self.filter = self.filter.corrected(self.R_body_inertial.T @ position_m, self.gain)
         return self.filter.velocity_m_s

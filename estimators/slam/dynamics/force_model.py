@@ -59,6 +59,8 @@ class ForceModel:
 
     def acceleration(self, positions_m: FloatArray, parameters_m: FloatArray) -> FloatArray:
         """(k, 3) at positions (k, 3) in inertial axes, m per T^2."""
+        # Eq. (6) with the sign of attraction. gm T^2 = L^3 times the ratio to the prior value, and the parameter is L
+        # times that ratio: gm r / r^3 becomes (L^2 / r^3) r times the parameter.
         light = self.radiation_m * (parameters_m[1] / self.length_m)
         return np.asarray(light - self._weight(positions_m) * positions_m * parameters_m[0], dtype=np.float64)
 
@@ -69,8 +71,10 @@ class ForceModel:
         """
         weight = self._weight(positions_m)[:, :, None]
         squares = np.einsum("ki,ki->k", positions_m, positions_m)[:, None, None]
+        # weight is L^2 / r^3; the parameter supplies the third L.
         tidal = weight * (3.0 * positions_m[:, :, None] * positions_m[:, None, :] / squares - np.eye(3))
         by_parameters = np.empty((len(positions_m), 3, 2))
+        # The acceleration is linear in both parameters.
         by_parameters[:, :, 0] = -weight[:, 0] * positions_m
         by_parameters[:, :, 1] = self.radiation_m / self.length_m
         return parameters_m[0] * tidal, by_parameters
@@ -95,6 +99,7 @@ def propagate_with_derivatives(
     """
     start = np.zeros((len(states_m), 6, 9))
     start[:, :, 0] = states_m
+    # Column 0 the state, 1 to 6 the state transition matrix, 7 and 8 the sensitivities, zero at the start.
     start[:, :, 1:7] = np.eye(6)
     end = _integrate(field, start, parameters_m, durations)
     return end[:, :, 0], end[:, :, 1:]
@@ -102,6 +107,7 @@ def propagate_with_derivatives(
 
 def _integrate(field: ForceModel, start: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
     """Integrate by the classical fourth-order Runge-Kutta method, all arcs with the same number of steps."""
+    # One number of steps for all arcs, so that they are integrated as arrays.
     steps = max(1, int(np.ceil(np.max(durations, initial=0.0) / LONGEST_STEP)))
     h = (durations / steps)[:, None, None]
     y = start
@@ -122,6 +128,7 @@ def _rate(field: ForceModel, y: FloatArray, parameters_m: FloatArray) -> FloatAr
     rate[:, 3:, 0] = field.acceleration(positions, parameters_m)
     if y.shape[2] > 1:
         by_position, by_parameters = field.derivatives(positions, parameters_m)
+        # d(Phi)/dt = A Phi, and for the sensitivities A S + da/dp.
         rate[:, 3:, 1:] = by_position @ y[:, :3, 1:]
         rate[:, 3:, -2:] += by_parameters
     return rate

@@ -15,7 +15,10 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _WHITE_SHARE = 0.05
+"""White noise of position and velocity, as part of their sigmas by the unknown acceleration."""
+
 _WHITE_FLOOR = 1e-8
+"""Least white noise, L."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +111,8 @@ class DynamicAdjustment:
 
     def inertial(self, state: DynamicState) -> FloatArray:
         """(V, 6) positions and velocities in inertial axes."""
+        # Landmarks are fixed in the body, orbits are smooth in inertial axes: positions are unknowns in body axes (for
+        # the pixels) and rotated for the arcs.
         positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.vision.positions_m)
         return np.concatenate([positions, state.velocities_m], axis=1)
 
@@ -120,11 +125,14 @@ class DynamicAdjustment:
 
     def arc_jacobians(self, state: DynamicState) -> FloatArray:
         """(k, 6, 14) of `arc_residuals` by positions of start and end (body), their velocities, and the parameters."""
+        # First-estimates Jacobians, as for pixels: derivatives at the frozen point, residuals at the present state.
         where, arcs = self.linearisation_point(state), self.arcs
         start = self.inertial(where)[arcs.start]
         _, moved = propagate_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
         turned = np.swapaxes(self.R_body_inertial, 1, 2)
         rows = np.zeros((len(arcs.start), 6, 14))
+        # End minus propagated start: minus the state transition matrix for the start, the identity for the end;
+        # positions through R_inertial_body of their view.
         rows[:, :, 0:3] = -moved[:, :, 0:3] @ turned[arcs.start]
         rows[:, :3, 3:6] = turned[arcs.end]
         rows[:, :, 6:9] = -moved[:, :, 3:6]
@@ -163,8 +171,10 @@ def arc_information(durations: FloatArray, acceleration_m: float, length_m: floa
     length_m
         L.
     """
+    # An acceleration a over dt displaces by a dt^2 / 2 and changes the velocity by a dt: the covariance is gain gain'.
     gain = acceleration_m * np.stack([0.5 * durations**2, durations], axis=1)
     covariance = gain[:, :, None] * gain[:, None, :]
     white = np.maximum(_WHITE_SHARE * gain, _WHITE_FLOOR * length_m)
     covariance[:, [0, 1], [0, 1]] += white**2
+    # The axes are independent and alike: a 2 x 2 inverse for [position, velocity] serves all three.
     return np.asarray(np.kron(np.linalg.inv(covariance), np.eye(3)), dtype=np.float64)

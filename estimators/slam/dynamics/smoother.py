@@ -55,6 +55,8 @@ class FirstEstimates:
         """Store the variables of ``prior``, numbered as ``state``, by frame in ``views`` and by track in ``tracks``."""
         count = 3 * len(prior.views)
         informed = np.diag(prior.information) > 0.0
+        # The three coordinates of a variable are informed together: the first one stands for them. Rows of zeros are
+        # fixed or unconstrained variables, which need no point of linearisation.
         position, velocity = informed[:count:3], informed[count : 2 * count : 3]
         for slot in prior.views[position].tolist():
             self.positions_m.setdefault(int(views[slot]), state.vision.positions_m[slot])
@@ -96,13 +98,16 @@ class DynamicWindow:
         origin = np.concatenate([sequence.position_m, self.velocities_m[0], self.parameters_m])
         none = np.zeros(0, dtype=np.int64)
         self.prior = DynamicPrior(np.zeros(1, dtype=np.int64), none, origin, _information(blocks), np.zeros(8))
+        # A covariance of zero fixes the variable instead of giving it an infinite information.
         self.free_first = (bool(np.any(blocks[0])), bool(np.any(blocks[1])))
 
     def predict(self, number: int) -> None:
         """Place a new view by propagating the state of the previous one."""
+        # In T, the time unit of the force model.
         arc = self._duration(number)
         start = np.concatenate([self._inertial(number - 1), self.velocities_m[number - 1]])
         end = propagate(self.field, start[None], self.parameters_m, np.array([arc]))[0]
+        # Propagated in inertial axes, kept in body axes of its own epoch.
         self.slam_map.positions_m[number] = self.slam_map.frames[number].R_body_inertial @ end[:3]
         self.velocities_m[number] = end[3:]
 
@@ -168,6 +173,7 @@ class DynamicWindow:
         """Replace the oldest view and the ``lost`` landmarks (L,) by ``prior``, which is numbered as ``state``."""
         views, number = np.array(self.views), np.array(tracks, dtype=np.int64)
         self.first.keep(prior, state, views, number)
+        # Every marginalisation constrains the parameters: their point of linearisation is that of the first one.
         self.first_parameters_m = np.where(
             np.isnan(self.first_parameters_m), state.parameters_m, self.first_parameters_m
         )
@@ -185,6 +191,7 @@ class DynamicWindow:
     def _arcs(self) -> Arcs:
         ends = np.arange(1, len(self.views))
         durations = np.array([self._duration(view) for view in self.views[1:]])
+        # From m/s^2 to m per T^2.
         acceleration = self.forces.noise_m_s2 * self.field.time_s**2
         return Arcs(ends - 1, ends, durations, arc_information(durations, acceleration, self.field.length_m))
 
@@ -203,6 +210,7 @@ def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
     information, at = np.zeros((size, size)), 0
     for block in covariances:
         informed = np.flatnonzero(np.diag(block) > 0.0)
+        # Blocks one by one: position, velocity and parameters are independent at the start.
         information[np.ix_(at + informed, at + informed)] = np.linalg.inv(block[np.ix_(informed, informed)])
         at += len(block)
     return information
@@ -268,6 +276,7 @@ class _Smoother:
         window.slam_map.frames[number] = frame
         window.views.append(number)
         check_connected(window.slam_map.shared(number - 1, number), self.options.connectivity)
+        # The orbit is the motion model of section 3.2: no motion-only adjustment is needed before the full one.
         window.predict(number)
         tracks = window.tracks()
         problem = window.problem(tracks, first_estimates=self.options.first_estimates)
@@ -310,6 +319,7 @@ class _Smoother:
             joint = covariance_of(problem, state, wanted, rows)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the reduced system has not full rank") from error
+        # Zero for parameters that are not estimated.
         self.parameter_sigmas_m = np.sqrt(np.maximum(np.diag(joint)[3:], 0.0))
         vision, covariance = state.vision, joint[:3, :3]
         position = vision.positions_m[-1]
@@ -330,6 +340,8 @@ class _Smoother:
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         window.pass_on(prior, state, tracks, lost)
+        # The prior has no constant term, and measurements have left: the cost of the next frame is compared with that
+        # of what remains, at the same state.
         left = window.tracks()
         rest = window.problem(left, first_estimates=self.options.first_estimates)
         self.before = dynamic_cost(rest, window.state(left)), measurements_beyond_unknowns(rest)

@@ -1,4 +1,4 @@
-"""Solve an adjustment with dynamics: normal equations, Levenberg-Marquardt, covariance, marginalisation.
+"""Solve an adjustment with dynamics: normal equations of eq. (3), Levenberg-Marquardt, covariance, marginalisation.
 
 The reduced system of its vision part is a part of a larger dense system with velocities and force parameters.
 """
@@ -53,6 +53,8 @@ class DynamicOrdering:
     def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
         """Assign rows to the unknowns of ``problem``."""
         ordering = VariableOrdering.of(problem.vision)
+        # Kept views and landmarks first, in the order of the vision part, so that its reduced matrix can be added as
+        # one block.
         after = 3 * ordering.kept
         velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
         after += 3 * int(np.count_nonzero(problem.free_velocities))
@@ -99,6 +101,7 @@ class DynamicEquations:
         matrix, right = self.added.copy(), -self.gradient
         matrix[:joined, :joined] += part
         right[:joined] += part_right
+        # The vision part has its damping already: it had to be added before the landmarks were eliminated.
         below = np.arange(joined, self.rows.count)
         matrix[below, below] += damping
         return matrix, right, inverse
@@ -123,6 +126,7 @@ def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Dyn
     at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
     jacobians = problem.arc_jacobians(state)
     weighted = np.swapaxes(jacobians, 1, 2) @ problem.arcs.information
+    # add.at, because an arc's end is the next one's start, and all share the parameters.
     np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
     np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, problem.arc_residuals(state)))
     prior = problem.prior
@@ -172,6 +176,7 @@ def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: Stop
     for iteration in range(1, rule.iterations + 1):
         if not np.isfinite(value):
             return DynamicSolution(state, value, iteration)
+        # Without a step that decreases the cost the present state is the minimum within rounding.
         trial, step, damping = _descend(problem, dynamic_equations(problem, state, rows), state, value, damping)
         if trial is None:
             return DynamicSolution(state, value, iteration)
@@ -194,6 +199,7 @@ def covariance_of(
     matrix, _, _ = dynamic_equations(problem, state, rows).reduced()
     columns = np.zeros((rows.count + 1, len(wanted)))
     columns[wanted, np.arange(len(wanted))] = 1.0
+    # Solving for unit vectors gives columns of the inverse; the row of -1 stays zero.
     solved = np.zeros_like(columns)
     solved[:-1] = cho_solve(cho_factor(matrix), columns[:-1])
     covariance = solved[wanted]
@@ -211,6 +217,7 @@ def _descend(
     step = 0.0
     for _ in range(25):
         try:
+            # Cholesky as the test for a positive definite matrix: if it fails, the damping is increased.
             matrix, right, inverse = system.reduced(damping)
             solved = cho_solve(cho_factor(matrix), right)
         except (LinAlgError, np.linalg.LinAlgError):
@@ -241,6 +248,8 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     kept = rows.of_prior(views, points)
     remaining = np.zeros(rows.count, dtype=np.bool_)
     remaining[kept[kept >= 0]] = True
+    # All arcs of the view go with it, so that the prior couples position and velocity of the next view and the
+    # parameters.
     information, gradient = eliminate_rows(matrix, -right, ~remaining)
     place = np.append(np.cumsum(remaining) - 1, -1)[kept]  # fixed variables have rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
@@ -256,6 +265,7 @@ def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> D
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:
         joined[problem.prior.points] = True
+    # Landmarks of the old prior are coupled with each other: they are kept for the dense elimination even if they go.
     constrained = constrained_points(vision) | joined
     vision = replace(vision, free_points=vision.free_points & constrained, kept_points=constrained & (joined | ~lost))
     return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))

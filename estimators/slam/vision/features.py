@@ -21,6 +21,7 @@ Image = NDArray[np.float32]
 _BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
 _FULL_SCALE_PERCENTILE = 99.0
 _LEAST_STRENGTH = 1e-6  # of a blob, image scaled to 0..1: about ten times the response to the sensor's noise
+# Of SIFT and of ORB's corners, below OpenCV's defaults of 0.04 and 20: the strongest of more features are chosen here.
 _LEAST_CONTRAST = 0.01
 _FAST_THRESHOLD = 5
 # Least distance from the body's edge in units of the feature's scale: the limb and the terminator move over the ground.
@@ -80,6 +81,7 @@ def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
     found = _DETECTORS[detector](rise / np.float32(np.percentile(rise[body], _FULL_SCALE_PERCENTILE)))
     clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * found.scale_px
     rows = np.flatnonzero(clear)
+    # Stable, so that equal strengths keep the order of detection.
     rows = rows[np.argsort(-found.strength[rows], kind="stable")][:count]
     return ImageFeatures(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
 

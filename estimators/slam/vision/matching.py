@@ -21,11 +21,13 @@ BoolArray = NDArray[np.bool_]
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
+# Mahalanobis distance in 2 dimensions: exp(-9 / 2), about 1 %, of the correct matches lie outside.
 _GATE = 3.0
 _LEAST_AGREEMENT = 3
 _SLACK = 2.0  # factor on the noise in the last search, for nonlinearity
 _MOST_DISTANCE = 3.0  # largest descriptor distance, in medians of those that agree
 
+# Matches: a fundamental matrix has 7 degrees of freedom, so that 7 matches always fit.
 _FUNDAMENTAL_LEAST = 8
 _CONFIDENCE = 0.999
 _MOST_ITERATIONS = 10_000
@@ -44,6 +46,7 @@ def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: fl
     if len(before) == 0 or len(after) < 2:
         return np.empty((0, 2), dtype=np.int64)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING if before.descriptors.dtype == np.uint8 else cv2.NORM_L2)
+    # OpenCV's queryIdx is the row of the first argument, trainIdx that of the second.
     nearest = {back.queryIdx: back.trainIdx for back in matcher.match(after.descriptors, before.descriptors)}
     pairs = matcher.knnMatch(before.descriptors, after.descriptors, k=2)
     clear = [
@@ -81,16 +84,20 @@ def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, r
     """
     if len(before) < 3:
         return np.zeros(len(before), dtype=np.bool_)
+    # With a fifth of correct matches, 300 pairs miss a correct one with a probability of 0.96^300, 5e-6.
     pairs = np.array([rng.choice(len(before), 2, replace=False) for _ in range(_SAMPLES)])
     planes = np.cross(before, after)
+    # t is normal to both r1 x r2, and so along the product of two of them.
     directions = np.cross(planes[pairs[:, 0]], planes[pairs[:, 1]])
     lengths = np.linalg.norm(directions, axis=1)
+    # Pairs in one epipolar plane determine no direction.
     directions = directions[lengths > 0.0] / lengths[lengths > 0.0, None]
     if len(directions) == 0:
         return np.zeros(len(before), dtype=np.bool_)
     counts = [int(np.sum(np.abs(off_plane(before, after, d)) < limit_rad)) for d in directions]
     inlier = np.abs(off_plane(before, after, directions[int(np.argmax(counts))])) < limit_rad
     for _ in range(_REFITS):
+        # Fit to all inliers and select again: two noisy matches alone give a rough direction.
         if inlier.sum() < 2:
             break
         inlier = np.abs(off_plane(before, after, fitted_direction(before[inlier], after[inlier]))) < limit_rad
@@ -100,6 +107,8 @@ def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, r
 def fitted_direction(before: FloatArray, after: FloatArray) -> FloatArray:
     """(3,) direction of motion, up to its sign, with the least squared angles from the epipolar planes."""
     planes = np.cross(before, after)
+    # Least sum of squares of t . (r1 x r2) over unit t: the eigenvector of the smallest eigenvalue (eigh sorts
+    # ascending).
     direction = np.linalg.eigh(planes.T @ planes)[1][:, 0]
     for _ in range(_REFITS):  # weights turn the triple product into the angle from the plane
         weights = 1.0 / np.maximum(np.linalg.norm(np.cross(before, direction), axis=1), 1e-9)
@@ -111,6 +120,7 @@ def fitted_direction(before: FloatArray, after: FloatArray) -> FloatArray:
 def off_plane(before: FloatArray, after: FloatArray, direction: FloatArray) -> FloatArray:
     """(K,) signed angle, rad, of the second rays from their epipolar planes."""
     normals = np.cross(direction, before)
+    # A ray along the motion has no epipolar plane: the floor gives it an angle of about 0.
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return np.asarray(np.arcsin(np.clip(np.einsum("ki,ki->k", normals, after), -1.0, 1.0)), dtype=np.float64)
 
@@ -133,6 +143,7 @@ def guided_rows(
     if len(features) == 0 or len(none) < _LEAST_AGREEMENT:
         return none
     apart = _descriptor_distances(descriptors, features.descriptors)
+    # Innovation covariance S = H P H' + R.
     covariance = prediction.covariance_px2 + sigma_px**2 * np.eye(2 * len(none))
     best = _best(prediction.uv_px, covariance, apart, features.uv_px)
     agree = _consensus(prediction.uv_px, covariance, best, features.uv_px)
@@ -141,7 +152,10 @@ def guided_rows(
     if agree.sum() < _LEAST_AGREEMENT:
         return none
     where, spread = _conditioned(prediction.uv_px, covariance, agree, features.uv_px[best[agree]], sigma_px)
+    # The scale of descriptor distances depends on the detector and the images: take it from matches that are known to
+    # agree.
     limit = _MOST_DISTANCE * np.median(apart[np.flatnonzero(agree), best[agree]])
+    # A second search for all landmarks, in ellipses that are now little larger than the noise.
     rows = _best(where, spread + (_SLACK * sigma_px) ** 2 * np.eye(len(spread)), apart, features.uv_px)
     rows[(rows >= 0) & (apart[np.arange(len(rows)), rows] > limit)] = -1
     return _each_once(rows, apart)
@@ -153,6 +167,7 @@ def _descriptor_distances(ours: Descriptors, theirs: Descriptors) -> FloatArray:
         bits = np.unpackbits(np.bitwise_xor(ours[:, None], theirs), axis=2)
         return np.asarray(bits.sum(axis=2), dtype=np.float64)
     a, b = ours.astype(np.float64), theirs.astype(np.float64)
+    # |a - b|^2 by one matrix product; rounding may make it slightly negative.
     squares = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)), dtype=np.float64)
 
@@ -181,9 +196,11 @@ def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_p
     own = _blocks(covariance)
     agreement = np.zeros((n, n), dtype=np.bool_)
     for one in np.flatnonzero(found).tolist():
+        # Kalman gain S_j1 S_11^-1 of this landmark's innovation alone, for the predictions of all others.
         gain = np.einsum("nik,kj->nij", wide[:, :, one], np.linalg.inv(own[one]))
         left = innovation - gain @ innovation[one]
         spread = own - np.einsum("nij,njk->nik", gain, np.swapaxes(wide[:, :, one], 1, 2))
+        # Its own conditional covariance is zero and has no inverse; its residual is zero too, so it agrees.
         spread[one] = own[one]
         squared = np.einsum("ni,ni->n", left, np.linalg.solve(spread, left[..., None])[..., 0])
         agreement[one] = found & (squared <= _GATE**2)
@@ -214,6 +231,8 @@ def _conditioned(
     """Predicted pixels (n, 2) of all landmarks and their covariance (2 n, 2 n), conditioned on the matched ones."""
     rows = (2 * np.flatnonzero(agree)[:, None] + np.arange(2)).ravel()
     cross = covariance[:, rows].copy()
+    # Predicted is the pixel of the landmark, without the noise of its feature: that noise is not in the covariance of
+    # the prediction with the measurements.
     cross[rows, np.arange(len(rows))] -= sigma_px**2
     gain = np.linalg.solve(covariance[np.ix_(rows, rows)], cross.T).T
     expected = where + (gain @ (seen_px - where[agree]).ravel()).reshape(-1, 2)

@@ -44,18 +44,23 @@ def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -
     ndarray
         (n, 2, 2) derivative of the map there.
     """
+    # Over a few neighbours the ground is nearly a plane and the flow nearly affine.
     count = min(_NEIGHBOURS, len(before_px))
     _, rows = cKDTree(before_px).query(at_px, k=count)
+    # Relative to the point: the constant of the fit is then the predicted pixel itself.
     offset = before_px[rows] - at_px[:, None]
     target = after_px[rows]
     design = np.concatenate([offset, np.ones((*offset.shape[:2], 1))], axis=2)
     weight = np.ones(offset.shape[:2])
     for _ in range(_TRIMS + 1):
         weighted = design * weight[..., None]
+        # The small diagonal makes matches on one line solvable.
         normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-9 * np.eye(3)
         found = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, target))
+        # Trimmed least squares: remaining wrong matches are among the largest misfits.
         misfit = np.linalg.norm(np.einsum("nki,nij->nkj", design, found) - target, axis=2)
         weight = (misfit <= np.quantile(misfit, _KEPT_SHARE, axis=1, keepdims=True)).astype(np.float64)
+    # The design has row vectors, x' M: the derivative is M'.
     return found[:, 2], np.swapaxes(found[:, :2], 1, 2)
 
 
@@ -168,6 +173,7 @@ class PatchTracker:
             return none
         first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
         expected_px, change = local_flow(first, second, self._warps.place_px)
+        # The patch is always that of the first image, so its deformation is the product of all changes since.
         start = AffineWarps(change @ self._warps.linear, expected_px)
         self._warps, correlation = register_patches(step.after.spline, self._patches, start)
         corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)

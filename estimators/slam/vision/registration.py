@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 HALF_PX = 5
 _ITERATIONS = 15
 _MARGIN_PX = 3 * HALF_PX
+"""Margin of the spline about the outermost pixel: room for a patch that is deformed or moves during registration."""
+
 _CONVERGED_PX = 1e-3
 
 
@@ -63,10 +65,12 @@ class Spline:
         left, top = np.clip(low.astype(int) - _MARGIN_PX, 0, [width - 1, height - 1])
         right, bottom = high.astype(int) + _MARGIN_PX
         self._corner_px = np.array([left, top], dtype=np.float64)
+        # The spline filter runs over all pixels of its input: limit it to the area about the points.
         self._coefficients = spline_filter(image[top : bottom + 1, left : right + 1].astype(np.float64), order=3)
 
     def at(self, uv_px: FloatArray) -> FloatArray:
         """(...) values at pixels (..., 2)."""
+        # scipy counts from the centre of the first pixel, as OpenCV does.
         columns, rows = np.moveaxis(pixel_to_opencv(uv_px) - self._corner_px, -1, 0)
         values: FloatArray = map_coordinates(
             self._coefficients, [rows, columns], order=3, mode="nearest", prefilter=False
@@ -84,9 +88,12 @@ def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
     """Cut patches about (n, 2) places."""
     offsets = grid()
     at = places_px[:, None] + offsets
+    # Mean 0 and length 1 remove offset and gain: the misfit of two such patches is 2 minus twice their correlation.
     values, scale = _normalised(image.at(at))
+    # Central differences over two pixels, which also smooth the noise; on the scale of the normalised values.
     slopes = [0.5 * (image.at(at + step) - image.at(at - step)) / scale for step in np.eye(2)]
     x, y = offsets.T
+    # Steepest-descent images, gradient times dW/dp with W(x) = (I + [p1 p2; p3 p4]) x + (p5, p6).
     rows = [slopes[0] * x, slopes[0] * y, slopes[1] * x, slopes[1] * y, *slopes]
     steepest = np.stack(rows, axis=1)
     # Project out gain and offset of the brightness, so that they cause no step of the warp.
@@ -116,11 +123,15 @@ def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -
         turn = np.eye(2) + step[:, :4].reshape(-1, 2, 2)
         good = np.abs(np.linalg.det(turn)) > 0.1  # a nearly singular step has no inverse: skip it
         turn[~good] = np.eye(2)
+        # The step (B, s) is one of the patch, so the warp (A, t) is composed with its inverse, W := W o dW^-1:
+        # A := A B^-1, then t := t - A s.
         linear = linear @ np.linalg.inv(turn)
         shift = np.einsum("nij,nj->ni", linear, np.where(good[:, None], step[:, 4:], 0.0))
         place = place - shift
+        # All patches together: those that have converged take steps of about zero in the meantime.
         if np.abs(shift).max(initial=0.0) < _CONVERGED_PX:
             break
+    # Once more after the last step, for the correlation at the final warp.
     seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
     return AffineWarps(linear, place), np.einsum("np,np->n", seen, patches.values)
 

@@ -35,6 +35,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _LEAST_APART_PX = 3.0
+"""Least distance of a new track from all others: nearer ones would be the same feature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +98,8 @@ class Tracker:
             inliers = self._epipolar_inliers(self._features, current, R_cam_body)
             kept = inliers.kept
             step, direction = ImagePair(self._features, current, current.pairs[kept]), inliers.direction
+            # Guided matches are tested against the prediction, which is stricter than the epipolar line: no direction
+            # is needed.
             if prediction is not None and isinstance(self._point_tracker, FeatureTracker):
                 step, direction = replace(step, pairs=self._guided(self._features, current, prediction)), None
             self._carry(step, direction, R_cam_body)
@@ -158,6 +161,8 @@ class Tracker:
         apart_px = max(self._spec.spacing_px, _LEAST_APART_PX)
         places = list(self._point_tracker.places_px)
         rows: list[int] = []
+        # Features are sorted by strength; the stable sort keeps that order within the preferred ones and within the
+        # others.
         for row in np.argsort(~preferred, kind="stable").tolist():
             if len(places) >= self._spec.tracks:
                 break
@@ -173,6 +178,7 @@ class Tracker:
         self, before_px: FloatArray, after_px: FloatArray, R_cam_body: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Directions (K, 3) in body axes of pixels of the previous frame and of this one."""
+        # Row vectors times R_cam_body: camera to body axes, in which the two rays and the baseline can be compared.
         return self._camera.unproject(before_px) @ self._R_cam_body, self._camera.unproject(after_px) @ R_cam_body
 
     @property
