@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from campaign.runs.resolve import campaign_names, resolve
+from campaign.trial.kind import kind_named
 from scenarios.known import known_on_board, merged
 
 README = Path(__file__).parents[2] / "README.md"
@@ -111,3 +112,11 @@ def test_what_was_known_on_board_is_what_the_scenarios_say(line: str):
         if not shown or one.spec.name in shown
     ]
     assert head + merged(known).line(short=True) == line
+
+
+def test_headline_campaigns_draw_several_data_bases():
+    """Intervals that README prints include the variation between data bases, wherever the kind of trial has several."""
+    named = {name for line in LINES for name in re.findall(r"`([\w-]+)`", line.partition("Known exactly: ")[0])}
+    specs = [resolve(name).spec for name in sorted(named & set(campaign_names()))]
+    databases = {spec.name: spec.databases for spec in specs if kind_named(spec.experiment).databases}
+    assert databases == {"cheng2003-detection": 5, "compare-mismatched": 5, "trade-craters": 5}
