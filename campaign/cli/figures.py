@@ -27,6 +27,7 @@ from reports.papers.page import PaperLine, paper_grid, verdict_tally, write_pape
 from reports.schema.labels import count_of
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
+from scenarios.load.find import display
 
 _IN_PART = 3
 """Exit code: done, without the runs that could not be read."""
@@ -81,7 +82,7 @@ def _run(name: str, wanted: Wanted, variant: str, jobs: int, lanes: int) -> None
     lines, began = NamedLines(console(), name), time.monotonic()
     try:
         campaign, request = wanted.of(name, variant, jobs)
-        lines.message(f"{count_of(request.trials, 'trial')} into {request.out}")
+        lines.message(f"{count_of(request.trials, 'trial')} into {display(request.out)}")
         listening = ProgressListener(console()) if lanes == 1 else nullcontext(lines)
         with sharing_cores(lanes), listening as listener:
             run_campaign(campaign, request, listener)

@@ -17,6 +17,7 @@ from reports.run.data import read_run
 from reports.schema.named_figure import file_stem
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
+from scenarios.load.find import display
 
 
 def inspect_command(arguments: argparse.Namespace) -> int:
@@ -42,7 +43,7 @@ def _look(arguments: argparse.Namespace) -> int:
             raise BoresightError(explain_write_error(error.filename or arguments.rerun, error)) from error
         written.append(arguments.rerun)
     for path in written:
-        console().print(f"look: {path}")
+        console().print(f"look: {display(path)}")
     return 0
 
 
@@ -73,5 +74,5 @@ def _cases(arguments: argparse.Namespace) -> int:
             same = same and not found.comparison.differences
             reason = f" ({found.row['reason']})" if found.row["reason"] else ""
             printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")
-            printer.print(f"  {found.page}")
+            printer.print(f"  {display(found.page)}")
     return 0 if same else 1

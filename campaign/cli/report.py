@@ -16,6 +16,7 @@ from reports.pages.console import console_table
 from reports.run.outcomes import reason_lines
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
+from scenarios.load.find import display
 
 
 def report_command(arguments: argparse.Namespace) -> int:
@@ -35,7 +36,7 @@ def print_report(folder: RunFolder, worst: int) -> None:
     if len(said):
         counted = ", ".join(f"{name} in {n:,}" for name, n in said["estimator"].value_counts().items())
         out.print(f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it")
-    out.print(f"report: {files.html}")
+    out.print(f"report: {display(files.html)}")
 
 
 def _trial_figures(folder: RunFolder, worst: int) -> Iterator[NamedFigure]:

@@ -15,6 +15,7 @@ from campaign.runs.start import start
 from campaign.store import RunFolder
 from reports.schema.labels import count_of
 from scenarios.errors import BoresightError
+from scenarios.load.find import display
 
 
 def run_command(arguments: argparse.Namespace) -> int:
@@ -37,14 +38,14 @@ def run_command(arguments: argparse.Namespace) -> int:
     out = console()
     name, variant = campaign.spec.name, campaign.variant
     where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
-    out.print(f"{name}: {count_of(request.trials, 'trial')} into {request.out}, {where}, {variant}")
+    out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
     if begun.advice:
         out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store):
         with ProgressListener(out) as listener:
             folder = begun.go(listener)
         if arguments.no_report:
-            out.print(f"stored; {shlex.join(['boresight', 'report', str(folder.path)])} writes the report")
+            out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
             # Matplotlib and the reports, 1 s to import, are needed only here.
             from campaign.cli.report import print_report
@@ -79,7 +80,7 @@ def status_command(arguments: argparse.Namespace) -> int:
     done = len(rows[["scenario", "trial"]].drop_duplicates())
     out = console()
     finished = manifest.get("finished") if done >= total else None
-    out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
+    out.print(f"{display(folder.path)}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
     out.print(
         f"started {manifest.get('created') or 'some time'}, " + (f"finished {finished}" if finished else "not finished")
     )
@@ -101,5 +102,5 @@ def _again(manifest: Mapping[str, Any], folder: RunFolder) -> str:
     if words[:2] != ["boresight", "run"]:
         return f"run the campaign again into the same folder, with {trials} trials of each scenario"
     # Of an option that is given twice the last counts.
-    asked = ["--out", str(folder.path), *([] if "--until" in words else ["--trials", trials])]
+    asked = ["--out", display(folder.path), *([] if "--until" in words else ["--trials", trials])]
     return shlex.join([*words, *asked])

@@ -21,6 +21,7 @@ from reports.run.limits import short_line
 from reports.schema.tables import kind_schema
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
+from scenarios.load.find import display
 
 
 def sensitivity_command(arguments: argparse.Namespace) -> int:
@@ -39,7 +40,7 @@ def sensitivity_command(arguments: argparse.Namespace) -> int:
     request = RunRequest(arguments.out or RUNS / name, arguments.trials, jobs, command=arguments.command)
     out = console()
     cells = len(design.campaign.scenarios)
-    out.print(f"{campaign.spec.name}: {cells} scenarios of {request.trials} trials into {request.out}")
+    out.print(f"{campaign.spec.name}: {cells} scenarios of {request.trials} trials into {display(request.out)}")
     with ProgressListener(out) as listener:
         folder = run_campaign(design.campaign, request, listener)
     run = read_run(folder.path)
@@ -55,5 +56,5 @@ def sensitivity_command(arguments: argparse.Namespace) -> int:
     for one in found:
         for key in one.unmoved:
             out.print(f"{key} changes no result of {one.estimator}: is it applied at all?")
-    out.print(f"sensitivity: {page}")
+    out.print(f"sensitivity: {display(page)}")
     return 0

@@ -24,7 +24,7 @@ class RunRequest:
     Parameters
     ----------
     out
-        The run folder.
+        The run folder; kept as an absolute path, because a method may change the working directory.
     trials
         Trials of each scenario.
     jobs
@@ -46,3 +46,6 @@ class RunRequest:
     command: str = ""
     cluster: Cluster | None = None
     limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "out", self.out.absolute())

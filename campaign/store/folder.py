@@ -187,10 +187,10 @@ def _write_bytes(path: Path, content: bytes) -> None:
 
 
 class RunFolder:
-    """A run on the disk. It keeps no state beside its path."""
+    """A run on the disk. It keeps no state beside its path, which is absolute."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path = path.absolute()
 
     @property
     def manifest_path(self) -> Path:

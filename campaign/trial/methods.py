@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import chdir
 from dataclasses import dataclass
 from functools import partial
 from typing import NoReturn, TypeVar
@@ -50,7 +51,8 @@ def built(
         If ``make`` raises one of the kind ``refused``, which ends the run.
     """
     try:
-        return make()
+        with chdir("."):
+            return make()
     except (KeyboardInterrupt, refused):
         raise
     except NoProductError as error:
@@ -92,7 +94,8 @@ def check_options(entries: Sequence[EstimatorSpec], camera: Camera) -> None:
     for entry in entries:
         nothing = _NothingYet(camera)
         try:
-            estimator_class(entry.name).from_options(entry.options, nothing)
+            with chdir("."):
+                estimator_class(entry.name).from_options(entry.options, nothing)
         except KeyboardInterrupt:
             raise
         except BoresightError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Callable
+from contextlib import chdir
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -79,7 +80,8 @@ class Work:
         sound: T | None = None
         captured = CapturedOutput()
         try:
-            with captured.capturing():
+            # A method may change the working directory; that of the run stays.
+            with chdir("."), captured.capturing():
                 sound = self._sound(work, check)
         except GaveUpError as failure:
             row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
