@@ -14,8 +14,13 @@ MOST = 1e15
 """No answer has a larger length, velocity or pixel (SI): beyond it squares and their sums could overflow."""
 
 _LONGEST_REASON = 2000
+_LONGEST_NAME = 200
 _SYMMETRIC = 1e-3
 """Halves of a covariance differ by rounding at most, as a share of its largest number."""
+
+_SEMIDEFINITE = 1e-6
+"""No eigenvalue of a correlation matrix is below minus this: n times the rounding of single precision (7e-7 for n = 6),
+in which a method may compute."""
 
 
 def check_type(answer: object, kind: type) -> None:
@@ -31,12 +36,12 @@ def check_type(answer: object, kind: type) -> None:
 
 
 def check_status(status: object, reason: object) -> None:
-    """Refuse a status that is none, and a failure without a reason."""
+    """Refuse a status that is none, a failure without a reason, and a success with one."""
     if status not in ("ok", "failed"):
         raise ValueError(f"status is {status!r}, not ok or failed")
     check_reason(reason)
-    if status == "failed" and not reason:
-        raise ValueError(f"a {status} estimate gives as its reason {reason!r}")
+    if (status == "failed") != bool(reason):
+        raise ValueError(f"a{'n' * (status == 'ok')} {status} estimate gives as its reason {reason!r}")
 
 
 def check_reason(reason: object) -> None:
@@ -44,6 +49,12 @@ def check_reason(reason: object) -> None:
     if not isinstance(reason, str) or len(reason) > _LONGEST_REASON:
         shown = reason if not isinstance(reason, str) else f"{len(reason)} characters"
         raise ValueError(f"the reason is {shown!r}, not a line of text")
+
+
+def check_name(what: str, name: object) -> None:
+    """Refuse a name that is not one short line of printable text: it goes into tables, pages and the terminal."""
+    if not isinstance(name, str) or not name.isprintable() or not 0 < len(name) <= _LONGEST_NAME:
+        raise ValueError(f"{what} has the name {repr(name)[:_LONGEST_NAME]}, not a short line of printable text")
 
 
 def check_array(what: str, array: object, shape: tuple[int, ...], most: float = MOST) -> None:
@@ -56,11 +67,28 @@ def check_array(what: str, array: object, shape: tuple[int, ...], most: float = 
 
 
 def check_covariance(what: str, array: object, size: int) -> None:
-    """Refuse what is no symmetric array (size, size) of finite numbers."""
+    """Refuse what is no symmetric positive semidefinite array (size, size) of finite numbers, but for rounding."""
     check_array(what, array, (size, size), MOST**2)
     matrix = np.asarray(array, dtype=np.float64)
     if np.abs(matrix - matrix.T).max() > _SYMMETRIC * np.abs(matrix).max():
         raise ValueError(f"{what} is not symmetric")
+    check_semidefinite(what, matrix[None])
+
+
+def check_semidefinite(what: str, matrices: NDArray[np.float64]) -> None:
+    """Refuse symmetric (n, size, size) matrices of which one has a negative variance or eigenvalue, but for rounding.
+
+    Eigenvalues are those of the correlations: units of one covariance may differ by orders of magnitude.
+    """
+    variances = np.diagonal(matrices, axis1=1, axis2=2)
+    if variances.min(initial=0.0) < 0.0:
+        raise ValueError(f"{what} has a negative variance: {variances.min():g}")
+    # What is known perfectly has no variance, and no covariance with anything else.
+    scale = 1.0 / np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    correlations = 0.5 * (matrices + np.swapaxes(matrices, 1, 2)) * scale[:, :, None] * scale[:, None, :]
+    least = np.linalg.eigvalsh(correlations).min(initial=0.0)
+    if least < -_SEMIDEFINITE:
+        raise ValueError(f"{what} is not positive semidefinite: its correlations have the eigenvalue {least:.3g}")
 
 
 def check_several(what: str, answer: object) -> None:
@@ -73,6 +101,8 @@ def check_names(what: str, answer: object) -> None:
     """Refuse what is no mapping by names."""
     if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
         raise ValueError(f"{what} of type {type(answer).__name__} have no names")
+    for name in answer:
+        check_name(what, name)
 
 
 def check_indices(what: str, array: object, shape: tuple[int, ...]) -> None:

@@ -13,6 +13,7 @@ from campaign.pool.captured import CapturedOutput
 from campaign.pool.guard import STOPPED, Call, StoppedError, guarded
 from campaign.trial.kind import Record, Records
 from estimators.contract import NoProductError
+from scenarios.errors import printable
 
 T = TypeVar("T")
 
@@ -96,6 +97,8 @@ class Work:
             found = self._scored(sound, score)
         finally:
             show(sound)
+        for row in found["rows"]:
+            row["reason"] = printable(str(row["reason"]))
         return found | captured.records()
 
     def _sound(self, work: Callable[[], T], check: Callable[[T], None]) -> T:

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from reports.schema.column import names
 from reports.schema.tables import ALL_ROW_COLUMNS, FORMAT_VERSION, TABLES, columns_of, layout
 from scenarios.checksums import refuse_damaged
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, printable
 from scenarios.known import Known, known_on_board
 from scenarios.parquet import read_frame
 from scenarios.reading import held_to, plain_json, unreadable
@@ -224,6 +225,12 @@ def read_run(folder: str | PathLike[str]) -> RunData:
     return RunData(folder, manifest, _with_all_columns(rows), tables)
 
 
+def _printable(texts: pd.Series) -> pd.Series:
+    """Escape control characters: a text of a method or of a damaged file must not steer a terminal."""
+    steering = {text: printable(text) for text in texts.dropna().unique() if not text.isprintable()}
+    return texts.replace(steering) if steering else texts
+
+
 def _with_all_columns(rows: pd.DataFrame) -> pd.DataFrame:
     """Give rows the columns of all kinds of trial: NaN, or '' for texts, where this kind has none."""
     rows = rows.reindex(columns=[*rows, *(name for name in names(ALL_ROW_COLUMNS) if name not in rows)])
@@ -270,5 +277,8 @@ def _read_table(folder: Path, experiment: str) -> pd.DataFrame:
         raise BoresightError(
             f"{folder}: columns {', '.join(missing)} are missing: run the campaign again, into another folder (--out)"
         )
+    for column in columns_of(folder.name, experiment):
+        if column.type == pa.string():
+            table[column.name] = _printable(table[column.name])
     keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
     return table.sort_values(keys, kind="stable").reset_index(drop=True)

@@ -28,6 +28,9 @@ FRAME = Frame(np.zeros((100, 100), np.float32), np.array([0.0, 0.0, -1.0]), HERE
 WORK = Work(Call("scene", 7, "mine"), "estimator", {"range_m": 5.0})
 NAMES = ("u_px", "v_px", "x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 TABLE = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}
+# Metres and radians, and a correlation of 1.01: the eigenvalues of the correlations are 1 +- 1.01.
+INDEFINITE = np.diag([1e-12, 1.0, 1.0, 1.0, 1.0, 1e6])
+INDEFINITE[0, 5] = INDEFINITE[5, 0] = 1.01e-3
 GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TABLE})
 
 
@@ -39,6 +42,7 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
         (replace(GOOD, status=["ok"]), "not ok or failed"),
         (replace(GOOD, reason=7), "the reason is 7"),
         (Estimate("failed", "x" * 10_000), "the reason is '10000 characters'"),
+        (replace(GOOD, reason="all went well"), "an ok estimate gives as its reason 'all went well'"),
         (replace(GOOD, pose=np.eye(4)), "a ndarray is no Pose"),
         (replace(GOOD, pose=None), "an ok estimate has no pose"),
         (replace(GOOD, pose=(HERE,)), "a tuple is no Pose"),
@@ -49,6 +53,15 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
         (replace(GOOD, covariance=np.full((6, 6), 1e300)), "beyond 1e"),
         (replace(GOOD, bound=1j * np.eye(6)), "of finite numbers"),
         (replace(GOOD, covariance=np.triu(np.ones((6, 6)))), "not symmetric"),
+        (replace(GOOD, covariance=np.diag([1, 1, 1, 1, 1, -1e-9])), "a covariance has a negative variance: -1e-09"),
+        (replace(GOOD, covariance=INDEFINITE), "a covariance is not positive semidefinite: .* eigenvalue -0.01"),
+        (replace(GOOD, bound=INDEFINITE), "a bound is not positive semidefinite"),
+        (replace(GOOD, details={"landmarks": {**TABLE, "sxy_m2": np.full(2, 1.01)}}), "landmarks: a covariance is not"),
+        (replace(GOOD, stages=(Stage("\x1b[2Jhalf", HERE),)), r"a stage has the name '\\x1b\[2Jhalf'"),
+        (replace(GOOD, stages=(Stage("", HERE),)), "a stage has the name ''"),
+        (replace(GOOD, diagnostics={"chi2\n": 1.0}), r"diagnostics has the name 'chi2\\n'"),
+        (replace(GOOD, timings_s={"\x07": 1.0}), r"timings_s has the name '\\x07'"),
+        (replace(GOOD, details={"\x1b": {}}), r"details has the name '\\x1b'"),
         (replace(GOOD, stages=iter(())), "stages are a tuple_iterator, not a tuple"),
         (Estimate("failed", "late", pose=np.eye(4)), "a ndarray is no Pose"),
         (replace(GOOD, details={"mine": {"a": np.array([None])}}), "mine: a is no array of numbers or texts"),
@@ -96,6 +109,11 @@ def sequence():
         (SequenceEstimate("ok", (replace(STEP, position_m=np.full(3, 1e200)),)), "position_m has a number beyond"),
         (SequenceEstimate("ok", (replace(STEP, position_m=np.zeros(4)),)), r"is not \(3,\)"),
         (SequenceEstimate("ok", (replace(STEP, covariance_m2=np.full((3, 3), np.nan)),)), "of finite numbers"),
+        (SequenceEstimate("ok", (replace(STEP, covariance_m2=INDEFINITE[::5, ::5]),)), "covariance_m2 of shape"),
+        (SequenceEstimate("ok", (replace(STEP, covariance_m2=INDEFINITE[3:, 3:] - 2.0),)), "a negative variance: -1"),
+        (SequenceEstimate("ok", (replace(STEP, covariance_m2=np.eye(3)[::-1]),)), "eigenvalue -1"),
+        (SequenceEstimate("ok", (STEP,), "done"), "an ok estimate gives as its reason 'done'"),
+        (SequenceEstimate("ok", (STEP,), diagnostics={"\x1b": 1.0}), "diagnostics has the name"),
         (SequenceEstimate("ok", (replace(STEP, seconds=None),)), "seconds is NoneType"),
         (SequenceEstimate("ok", (replace(STEP, seconds=-1.0),)), "seconds is -1, not a number from 0"),
         (SequenceEstimate("ok", (STEP,), diagnostics={"gm_m3_s2": 1e300}), r"gm_m3_s2 is 1e\+300"),
@@ -115,8 +133,9 @@ def test_rubbish_for_craters():
         with pytest.raises(ValueError, match=r"is no|beyond"):
             check_detections(answer)
     images = [CraterImage(number, FRAME, CAMERA, CraterDetections(rims, np.ones(2))) for number in (0, 1)]
-    for answer in (None, CraterMatches(np.zeros((1, 2)), np.ones(1)), CraterMatches([[0, 0]], np.ones(1))):
-        with pytest.raises(ValueError, match=r"is no|whole numbers|not an array"):
+    both = CraterMatches(np.zeros((1, 2), np.int64), np.ones(1), "rejected")
+    for answer in (None, CraterMatches(np.zeros((1, 2)), np.ones(1)), CraterMatches([[0, 0]], np.ones(1)), both):
+        with pytest.raises(ValueError, match=r"is no|whole numbers|not an array|1 matches, and a reason why there are"):
             check_matches(answer, *images)
 
 
@@ -132,6 +151,7 @@ def _never(answer: object) -> dict[str, list[dict[str, object]]]:
         (GeneratorExit(), "the estimator raised GeneratorExit"),
         (asyncio.CancelledError("late"), "the estimator raised asyncio.exceptions.CancelledError: late"),
         (MemoryError(), "the estimator raised MemoryError"),
+        (ValueError("\x1b[2J"), r"the estimator raised ValueError: \x1b[2J"),
         (KeyError("a\nb"), "the estimator raised KeyError: 'a\\nb'"),
         (ValueError("in <thing at 0x7f00a1>"), "the estimator raised ValueError: in <thing at 0x...>"),
     ],
@@ -180,10 +200,10 @@ def test_a_witness_is_shown_what_keeps_the_contract_alone():
 
 def test_a_method_may_give_up():
     def work():
-        raise GaveUpError("too dark")
+        raise GaveUpError("too\x1b[2J dark")
 
     records = WORK.judged(work, lambda answer: None, _never)
-    assert records["rows"] == [{"range_m": 5.0, "status": "failed", "reason": "too dark", "n_landmarks": 0}]
+    assert records["rows"] == [{"range_m": 5.0, "status": "failed", "reason": r"too\x1b[2J dark", "n_landmarks": 0}]
     assert "tracebacks" not in records
 
 

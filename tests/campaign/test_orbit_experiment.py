@@ -87,6 +87,8 @@ def test_rubbish_of_an_estimator_is_refused(drawn):
         OrbitEstimate("ok", replace(orbit, points_body_m=np.full_like(orbit.points_body_m, np.nan))),
         OrbitEstimate("ok", replace(orbit, covariance=-orbit.covariance)),
         OrbitEstimate("ok", replace(orbit, covariance=np.triu(np.ones((6, 6))))),
+        OrbitEstimate("ok", replace(orbit, position_covariances_m2=np.triu(orbit.position_covariances_m2 + 1.0))),
+        OrbitEstimate("ok", orbit, "solved"),
         OrbitEstimate("ok", replace(orbit, positions_m=orbit.positions_m[:2])),
         OrbitEstimate("ok", orbit, diagnostics={"x": float("inf")}),
     ):

@@ -231,7 +231,8 @@ def check_matches(matches: CraterMatches | None, first: CraterImage, second: Cra
     Raises
     ------
     ValueError
-        If they are none, name a detection that there is not, or one twice, or there are none and no reason.
+        If they are none, name a detection that there is not, or one twice, or there are none and no reason, or some
+        and a reason.
     """
     if not isinstance(matches, CraterMatches):
         raise ValueError(f"a {type(matches).__name__} is no CraterMatches")  # noqa: TRY004  all rubbish is a ValueError
@@ -245,8 +246,8 @@ def check_matches(matches: CraterMatches | None, first: CraterImage, second: Cra
         raise ValueError(f"matches name a detection that there is not: the images have {sizes}")
     if any(len(np.unique(column)) < k for column in pairs.T):
         raise ValueError("matches name a detection twice")
-    if k == 0 and not matches.reason:
-        raise ValueError("there are no matches, and no reason why")
+    if (k == 0) != bool(matches.reason):
+        raise ValueError(f"there are {k or 'no'} matches, and {'a' if k else 'no'} reason why there are none")
 
 
 def _circumstances(view: View) -> Record:

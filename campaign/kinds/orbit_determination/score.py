@@ -72,10 +72,9 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
         ("state", orbit.state, (_STATE,), MOST),
         ("positions_m", orbit.positions_m, (wanted, 3), MOST),
         ("velocities_m_s", orbit.velocities_m_s, (wanted, 3), MOST),
-        ("position_covariances_m2", orbit.position_covariances_m2, (wanted, 3, 3), MOST**2),
+        ("position_covariances_m2", orbit.position_covariances_m2, (wanted, _AXES, _AXES), MOST**2),
     ):
         check_array(name, array, shape, most)
-    check_covariance("covariance", orbit.covariance, _STATE)
     check_indices("numbers", orbit.numbers, (landmarks,))
     check_array("points_body_m", orbit.points_body_m, (landmarks, 3))
     if orbit.used.shape != (sightings,) or orbit.used.dtype != np.bool_:
@@ -88,9 +87,8 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
 
 def _check_invertible(orbit: Orbit) -> None:
     """Refuse covariances by which an error cannot be weighed."""
-    for covariance in (orbit.covariance, *orbit.position_covariances_m2):
-        if np.diag(covariance).min() < 0.0:
-            raise ValueError("a covariance has a negative variance")
+    for covariance, size in [(orbit.covariance, _STATE), *((one, _AXES) for one in orbit.position_covariances_m2)]:
+        check_covariance("a covariance", covariance, size)
         if nees(np.ones(len(covariance)), covariance) is None:
             raise ValueError("a covariance is not positive definite")
 

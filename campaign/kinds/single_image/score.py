@@ -11,10 +11,11 @@ from campaign.trial.checks import (
     check_array,
     check_covariance,
     check_indices,
+    check_name,
     check_names,
     check_numbers,
-    check_reason,
     check_seconds,
+    check_semidefinite,
     check_several,
     check_status,
     check_type,
@@ -47,7 +48,7 @@ def check(estimate: Estimate) -> None:
     check_several("stages", estimate.stages)
     for stage in estimate.stages:
         check_type(stage, Stage)
-        check_reason(stage.name)
+        check_name("a stage", stage.name)
         _check_pose(stage.T_cam_body, f"the pose after {stage.name}")
     check_numbers(estimate.diagnostics, "diagnostics", texts=True)
     if isinstance(estimate.diagnostics.get("n_landmarks"), str):
@@ -103,7 +104,9 @@ def _check_landmarks(table: Table) -> None:
         most = _MOST_PX if name.endswith("_px") else MOST**2
         check_array(f"details: landmarks: {name}", table[name], (n,), most)
     xx, xy, xz, yy, yz, zz = (np.asarray(table[name], dtype=np.float64) for name in LANDMARK_NUMBERS[5:])
+    covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    check_semidefinite("details: landmarks: a covariance", covariances)
     try:
-        np.linalg.inv(np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3))
+        np.linalg.inv(covariances)
     except np.linalg.LinAlgError:
         raise ValueError("details: landmarks: a covariance is singular") from None
