@@ -28,38 +28,40 @@ def refuse_damaged(run: Path, table: str | None = None) -> None:
     Raises
     ------
     BoresightError
-        If a file differs from its checksum; the message names the first.
+        If a file differs from its checksum, or has none; the message names the first.
     """
     found = list(damaged(run, table))
     if found:
         more = f" and {len(found) - 1} more" if len(found) > 1 else ""
         raise BoresightError(
-            f"{run / found[0]}{more}: damaged, or half of a start that was interrupted: not what its checksum says; run"
-            " the campaign again into the same folder, which makes its trials anew"
+            f"{run / found[0]}{more}: damaged, missing, or half of a start that was interrupted: not what its checksum"
+            " says; run the campaign again into the same folder, which makes its trials anew"
         )
 
 
 def damaged(run: Path, table: str | None = None) -> Iterator[str]:
-    """Yield the files of a run that differ from their checksums; unfinished blocks have none yet.
+    """Yield the files of a run that differ from their checksums; blocks without rows are unfinished and not checked.
 
     Parameters
     ----------
     run
-        The run folder. Files without checksums (runs of earlier versions) are not checked.
+        The run folder.
     table
         Check only the files of this subfolder.
     """
-    for path in sorted((run / FOLDER).glob("*.sha256")):
-        # Rows are written last: without them the block is unfinished.
-        if (run / ROWS / path.with_suffix(".parquet").name).exists():
-            yield from damaged_of(run, path, table)
+    for rows in sorted((run / ROWS).glob("*.parquet")):
+        yield from damaged_of(run, run / FOLDER / f"{rows.stem}.sha256", table)
 
 
 def damaged_of(run: Path, checksums: Path, table: str | None = None) -> Iterator[str]:
-    """Yield the files that differ from their line in one checksum file; the checksum file itself if it is damaged."""
-    text = _text(checksums)
+    """Yield the files of a block that differ from their line in its checksum file.
+
+    Yield the checksum file itself if it is missing or damaged, or does not list every file of the block.
+    """
+    text, block = _text(checksums), f"{checksums.stem}.parquet"
     lines = list(_LINE.finditer(text))
-    if not lines or sum(len(line[0]) for line in lines) != len(text):
+    stored = {f"{folder.name}/{block}" for folder in run.iterdir() if (folder / block).is_file()}
+    if sum(len(line[0]) for line in lines) != len(text) or not stored <= {line["name"] for line in lines}:
         yield f"{FOLDER}/{checksums.name}"
         return
     for line in lines:

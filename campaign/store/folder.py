@@ -254,9 +254,8 @@ class RunFolder:
         return BlockState.WHOLE if trials[: len(wanted)] == wanted else BlockState.SHORT
 
     def _damaged(self, block: Block) -> Iterator[str]:
-        """Yield the files of a block that are not what was stored; runs of earlier versions have no checksums."""
-        path = self.path / checksums.FOLDER / block.checksums_name
-        return checksums.damaged_of(self.path, path) if path.exists() else iter(())
+        """Yield the files of a block that are not what was stored."""
+        return checksums.damaged_of(self.path, self.path / checksums.FOLDER / block.checksums_name)
 
     def table(self, name: str) -> pd.DataFrame:
         """Read one stored table whole; an empty frame with its columns where nothing is stored.

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from stored_runs import seal
 
 from campaign.cli import main
 from campaign.papers.gather import gather_runs, newest_finished, run_folders
@@ -44,7 +45,7 @@ def cut(name: str, checked: bool) -> Callable[[Path], None]:
         block = next((run / name).glob("*.parquet"))
         block.write_bytes(block.read_bytes()[: block.stat().st_size // 2])
         if not checked:
-            shutil.rmtree(run / "checksums")
+            seal(run)
 
     return damage
 
@@ -52,7 +53,7 @@ def cut(name: str, checked: bool) -> Callable[[Path], None]:
 def older_columns(run: Path) -> None:
     for block in (run / "rows").glob("*.parquet"):
         pd.read_parquet(block).drop(columns="prior_position_error_m").to_parquet(block)
-    shutil.rmtree(run / "checksums")
+    seal(run)
 
 
 def half_manifest(run: Path) -> None:
@@ -73,6 +74,7 @@ DAMAGES = {
     "no rows": (lambda run: shutil.rmtree(run / "rows"), ["no finished trial is stored; continue the run"], False),
     "half the rows": (cut("rows", checked=True), ["/rows/scene-00000", ".parquet: damaged", "run the campaign"], True),
     "half the rows, unchecked": (cut("rows", checked=False), ["rows: not readable as a stored table", AGAIN], True),
+    "no checksums": (lambda run: shutil.rmtree(run / "checksums"), [".sha256: damaged, missing", AGAIN], True),
     "half a table": (cut("stages", checked=True), ["/stages/scene-00000", ".parquet: damaged", "again"], False),
     "half a table, unchecked": (
         cut("stages", checked=False), ["stages: not readable as a stored table", AGAIN], False,

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from browser import needs_chromium, opened
 from scipy.spatial.transform import Rotation
-from stored_runs import RunBuilder
+from stored_runs import RunBuilder, seal
 from tiny_campaign import CAMPAIGN, compute, write_campaign
 
 from campaign.cli import main
@@ -83,7 +83,7 @@ def test_one_changed_bit_is_told(copied, capsys):
     values[row] = float(np.nextafter(values[row], np.inf))
     at = table.column_names.index("range_m")
     pq.write_table(table.set_column(at, table.schema.field("range_m"), [values]), path)
-    shutil.rmtree(copied / "checksums")
+    seal(copied)
     trial = table["trial"][row].as_py()
     assert main(["inspect", str(copied), "--trial", str(trial), "--estimator", "landmark-harris"]) == 1
     assert "NOT the same as stored: rows.range_m in 1 of 1 rows" in capsys.readouterr().out
@@ -158,7 +158,7 @@ def test_a_half_written_table_is_told(copied, capsys):
         path.write_bytes(path.read_bytes()[:100])
     assert f"{copied / 'stages'}" in (said := refused(capsys, copied, "--worst", 1))
     assert "damaged" in said
-    shutil.rmtree(copied / "checksums")
+    seal(copied)
     assert f"{copied / 'stages'}: not readable as a stored table" in refused(capsys, copied, "--worst", 1)
 
 

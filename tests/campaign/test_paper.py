@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from stored_runs import seal
 from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
@@ -226,6 +227,7 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
         (folder / "manifest.json").write_text(json.dumps(manifest))
         stored = pd.DataFrame({"scenario": "s", "estimator": "e", "status": "ok", "trial": range(rows)})
         stored.to_parquet(folder / "rows" / "s-0.parquet")
+        seal(folder)
 
     store("old", "2024-01-01T00:00:00+00:00", 3, 3)
     store("new", "2024-02-01T00:00:00+00:00", 3, 3)

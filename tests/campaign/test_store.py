@@ -133,14 +133,20 @@ def test_checksums_are_those_of_another_program(stored):
     assert checked.stdout.count(b": OK") == 2
 
 
-def test_a_run_of_an_earlier_version_has_no_checksums_and_is_read(stored):
+@pytest.mark.parametrize("table", ["rows", "timings", None])
+def test_a_block_without_all_of_its_checksums_is_damaged(stored, table):
     folder, block = stored
-    (folder.path / "checksums" / block.checksums_name).unlink()
-    assert folder.state(block, 1) is BlockState.WHOLE
-    assert len(folder.table("timings")) == 10
-    path = folder.path / "rows" / block.file_name
-    path.write_bytes(path.read_bytes()[:-20])
+    sums = folder.path / "checksums" / block.checksums_name
+    if table is None:
+        sums.unlink()
+    else:
+        lines = sums.read_text().splitlines(keepends=True)
+        sums.write_text("".join(line for line in lines if f"{table}/" not in line))
+        (folder.path / table / block.file_name).write_bytes((folder.path / "rows" / block.file_name).read_bytes())
     assert folder.state(block, 1) is BlockState.DAMAGED
+    for read in (lambda: folder.table("rows"), lambda: folder.table("timings")):
+        with pytest.raises(BoresightError, match=r"checksums/a-0000000.sha256: damaged, missing.* run the campaign"):
+            read()
 
 
 def test_half_of_a_block_that_was_never_finished_is_no_damage(stored):

@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from reports.schema.tables import FORMAT_VERSION, columns_of
+from scenarios.checksums import checksum_text
 
 KIND_OF = {
     "epochs": "sequence",
@@ -30,6 +31,17 @@ def pose_error(vector, attitude_deg):
         "attitude_error_deg": float(attitude_deg),
         **{f"position_error_{axis}_m": float(x) for axis, x in zip("xyz", vector, strict=True)},
     }
+
+
+def seal(run: Path) -> Path:
+    """Write the checksums of the tables as they are now; return the run folder."""
+    (run / "checksums").mkdir(exist_ok=True)
+    for sums in (run / "checksums").glob("*.sha256"):
+        sums.unlink()
+    for block in (run / "rows").glob("*.parquet"):
+        files = {str(path.relative_to(run)): path.read_bytes() for path in sorted(run.glob(f"*/{block.name}"))}
+        (run / "checksums" / f"{block.stem}.sha256").write_text(checksum_text(files))
+    return run
 
 
 @dataclass
@@ -87,4 +99,4 @@ class RunBuilder:
         whole["campaign"] = {"experiment": kind, **whole.get("campaign", {})}
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / "manifest.json").write_text(json.dumps(whole), encoding="utf-8")
-        return self.folder
+        return seal(self.folder)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from stored_runs import RunBuilder, pose_error
+from stored_runs import RunBuilder, pose_error, seal
 
 from reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
 from reports.kinds import report_grids
@@ -144,7 +144,7 @@ def test_an_unfinished_grid_has_a_report(builder, square):
     file = builder.folder / "rows" / "block-0.parquet"
     rows = pd.read_parquet(file)
     rows[rows["scenario"] != "rock-3"].to_parquet(file)
-    assert len(design_grids(read_run(builder.folder))[0].rows) == 3
+    assert len(design_grids(read_run(seal(builder.folder)))[0].rows) == 3
     assert write_report(builder.folder).html.exists()
 
 

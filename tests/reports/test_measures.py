@@ -3,6 +3,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from stored_runs import seal
 
 from reports.run.data import read_run
 from reports.schema.records import FAILURES_AT_PRIOR, find
@@ -124,6 +125,7 @@ def test_order_of_the_stored_parts_does_not_matter(full_run):
     before = measure_run(read_run(folder))
     part = folder / "rows" / "block-0.parquet"
     _split_reversed(part)
+    seal(folder)
     assert measure_run(read_run(folder)) == before
 
 
@@ -142,7 +144,7 @@ def _split_reversed(part):
         (lambda run: (run / "manifest.json").write_text('{"name": "x", "format": 3}'), "seed: Field required"),
         (lambda run: (run / "rows" / "block-0.parquet").unlink(), "no finished trial"),
         (
-            lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish"),
+            lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish") and seal(run),
             "rows: not readable as a stored table",
         ),
     ],
@@ -161,6 +163,7 @@ def test_missing_columns_are_named(builder):
     folder = builder.write()
     file = folder / "rows" / "block-0.parquet"
     pd.read_parquet(file).drop(columns="position_error_m").to_parquet(file)
+    seal(folder)
     with pytest.raises(BoresightError, match="rows: columns position_error_m are missing: run the campaign again"):
         read_run(folder)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from stored_runs import ESTIMATOR, SCENARIO, pose_error, seal
 
 from reports.figures import draw_landmark_counts
 from reports.figures.provenance import with_trial_counts
@@ -157,8 +158,23 @@ def test_notes_on_poses_stand_where_there_are_poses(builder, full_run):
     rows = pd.read_parquet(file)
     nothing = [name for name in rows if "_error" in name]
     rows[rows["estimator"] == "prior"].assign(**dict.fromkeys(nothing, np.nan)).to_parquet(file)
-    notes = read_content(builder.folder).notes
+    notes = read_content(seal(builder.folder)).notes
     assert not any(about in note or absent in note for note in notes)
+
+
+def test_a_control_character_of_a_stored_text_reaches_no_file_of_a_report(builder):
+    steering = "\x1b[2Jsteering"
+    for trial in range(3):
+        builder.trial(trial, ([3, 4, 0], 1), ([1, 1, 0], 1) if trial else None, reason="" if trial else steering)
+        key = {"trial": trial, "scenario": SCENARIO, "estimator": ESTIMATOR}
+        builder.add("stages", **key, stage=steering, **pose_error([1, 1, 0], 1))
+        builder.add("diagnostics", **key, name=steering, value=1.0)
+        builder.add("timings", **key, stage=steering, seconds=1.0)
+    folder = write_report(builder.write()).markdown.parent
+    texts = [path.read_text() for path in folder.rglob("*") if path.suffix in (".md", ".html", ".csv", ".json")]
+    assert len(texts) > 3
+    assert not any("\x1b" in text for text in texts)
+    assert sum(r"\x1b[2Jsteering" in text for text in texts) >= 3
 
 
 def test_a_run_in_which_everything_failed_is_still_reported(builder):
