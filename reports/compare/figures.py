@@ -23,7 +23,7 @@ from reports.compare.tables import SubjectConsistency, differing_level, subject_
 from reports.compare.trials import ESTIMATOR
 from reports.figures.comparison import CoverageCurve, SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
 from reports.figures.pose import draw_cumulative_errors
-from reports.figures.style import GREY, SERIES_COLOURS, colour_of
+from reports.figures.style import PlotStyle, plot_styles
 from reports.run.data import TRIAL_KEY
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure, file_stem
@@ -61,7 +61,7 @@ def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
 
 
 def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, SubjectConsistency]) -> NamedFigure:
-    own = subject_colours(found)
+    own = subject_styles(found)
     kind = next(iter(claims.values())).kind
     drawn = [
         CoverageCurve(
@@ -90,7 +90,7 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
         panels[ATTITUDE] = "attitude error, deg"
-    own = subject_colours(found)
+    own = subject_styles(found)
     title = figure_title(found, "Cumulative error", group)
     return NamedFigure(
         file_stem("cumulative", group) if group else "cumulative",
@@ -128,7 +128,7 @@ def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
 
 def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
     """Draw errors against conditions."""
-    own = subject_colours(found)
+    own = subject_styles(found)
     subjects = subjects_by_group(found)[group]
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
@@ -156,12 +156,12 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
 
 def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
-    own = subject_colours(found)
+    own = subject_styles(found)
     bases = _reference_differences(found)
     standings = [
         SubjectSummary(
             found.label(one.names),
-            own[one.names],
+            own[one.names].colour,
             one.solved,
             one.counted if found.metric.is_error else one.solved,
             None if one.estimator == CONTROL else one.success,
@@ -196,13 +196,11 @@ def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[
     return references
 
 
-def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
-    """Return the colour of each subject: that of its estimator, or its own where estimators are pooled."""
+def subject_styles(found: RunComparison) -> dict[tuple[str, ...], PlotStyle]:
+    """Return the style of each subject: that of its estimator, or its own where estimators are pooled."""
     keys = [one.estimator or found.label(one.names) for one in found.subjects]
-    named = [key for key in dict.fromkeys(keys) if key != CONTROL]
-    pooled = any(not one.estimator for one in found.subjects)
-    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] if pooled else colour_of(key) for i, key in enumerate(named)}
-    return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
+    drawn = plot_styles(keys)
+    return {one.names: drawn[key] for one, key in zip(found.subjects, keys, strict=True)}
 
 
 def credit_lines(found: RunComparison) -> list[str]:

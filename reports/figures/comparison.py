@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +14,7 @@ from scipy.stats import binom, chi2
 
 from reports.figures.axes import mark_decades
 from reports.figures.scenario_grids import Points
-from reports.figures.style import GREY, LINE_STYLES, FloatArray, add_credits, grid_figure, new_figure, styled
+from reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, grid_figure, new_figure, styled
 from reports.statistics.measured import Measured
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
@@ -157,8 +156,8 @@ class CoverageCurve:
 
     Parameters
     ----------
-    label, colour
-        Label and colour of the curve.
+    label, style
+        Label and style of the curve.
     squares, degrees
         (n,) squared errors normalised by the covariance, and their degrees of freedom.
     independent
@@ -166,7 +165,7 @@ class CoverageCurve:
     """
 
     label: str
-    colour: str
+    style: PlotStyle
     squares: FloatArray
     degrees: FloatArray
     independent: int
@@ -190,10 +189,10 @@ def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Seq
     low, high = (binom.ppf(tail, fewest, _POINTS) / fewest for tail in (0.025, 0.975))
     axes.fill_between(_POINTS, low, high, color=GREY, alpha=0.2, linewidth=0)
     axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
-    for i, curve in enumerate(curves):
+    for curve in curves:
         reached = np.sort(chi2.cdf(curve.squares, curve.degrees))
         share = np.searchsorted(reached, _POINTS, side="right") / len(reached)
-        axes.plot(_POINTS, share, color=curve.colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=curve.label)
+        axes.plot(_POINTS, share, color=curve.style.colour, linestyle=curve.style.line, label=curve.label)
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))
     axes.set_aspect("equal", adjustable="box")
     figure.legend(loc="outside lower center", ncols=1, fontsize=7.5)
@@ -204,7 +203,7 @@ def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Seq
 
 @styled
 def draw_binned_errors(
-    panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()
+    panels: Panels, styles: Mapping[str, PlotStyle], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw errors and success rates in bins of a condition, with their intervals.
 
@@ -213,8 +212,8 @@ def draw_binned_errors(
     panels
         Curves of every pair of error and condition. A label that ends in % has a linear ordinate, any other a
         logarithmic one.
-    colours
-        Label of each curve to its colour, in the order of the legend.
+    styles
+        Label of each curve to its style, in the order of the legend.
     title
         Printed above the panels.
     credit_lines
@@ -223,28 +222,26 @@ def draw_binned_errors(
     errors, conditions = (list(dict.fromkeys(key[i] for key in panels)) for i in (0, 1))
     size = {"width_in": max(4.5, 0.4 + 2.35 * len(conditions)), "height_in": 1.1 + 1.75 * len(errors)}
     figure, places = grid_figure(len(errors), len(conditions), **size)
-    lines = list(colours)
     for row, error in zip(places, errors, strict=True):
         for axes, condition in zip(row, conditions, strict=True):
             for label, points in panels[error, condition].items():
-                _draw_points(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
+                _draw_points(axes, points, styles[label])
         _share_ordinate(list(row), error)
     for axes, condition in zip(places[-1], conditions, strict=True):
         axes.set_xlabel(condition)
-    styles: list[dict[str, Any]] = [
-        {"color": colours[label], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]} for i, label in enumerate(lines)
+    handles = [
+        Line2D([], [], marker="o", markersize=3, color=one.colour, linestyle=one.line) for one in styles.values()
     ]
-    handles = [Line2D([], [], marker="o", markersize=3, **style) for style in styles]
-    figure.legend(handles, lines, loc="outside lower center", ncols=min(4, len(lines)))
+    figure.legend(handles, list(styles), loc="outside lower center", ncols=min(4, len(styles)))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw_points(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
+def _draw_points(axes: Axes, points: Points, style: PlotStyle) -> None:
     axes.errorbar(
-        points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=colour, linestyle=style, marker="o",
-        markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,
+        points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=style.colour, linestyle=style.line,
+        marker="o", markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,
     )  # fmt: skip
 
 

@@ -20,7 +20,6 @@ from reports.figures.style import (
     ORANGE,
     VERMILION,
     FloatArray,
-    colour_of,
     grid_figure,
     hide_axes,
     new_figure,
@@ -145,8 +144,8 @@ def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) ->
     """Draw the ROC curve of each detector: share of craters found over share of false alarms."""
     figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
     (place,) = axes
-    for label, curve in curves.items():
-        colour = colour_of(label)
+    for (label, curve), drawn in zip(curves.items(), plot_styles(curves).values(), strict=True):
+        colour = drawn.colour
         for values, name, style in ((curve.detectable, "detectable", "-"), (curve.clean, "clean", LINE_STYLES[1])):
             place.plot(curve.false, values, color=colour, linewidth=1.3, linestyle=style, label=f"{label}: {name}")
             if curve.chosen >= 0:
@@ -176,12 +175,15 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
     """
     figure, axes = new_figure(len(panels), width_in=3.7 * len(panels), height_in=3.4)
     for place, (what, detectors) in zip(axes, panels.items(), strict=True):
+        drawn = plot_styles(detectors)
         for k, (label, bins) in enumerate(detectors.items()):
             x = np.arange(len(bins)) + 0.12 * (k - 0.5 * (len(detectors) - 1))
             rate, low, high = (np.array([b[i] for b in bins], dtype=np.float64) for i in (1, 2, 3))
             spread = np.stack([rate - low, high - rate])
-            colour = colour_of(label)
-            place.errorbar(x, rate, np.maximum(spread, 0.0), marker="o", markersize=3.5, color=colour, label=label)
+            place.errorbar(
+                x, rate, np.maximum(spread, 0.0), marker="o", markersize=3.5, color=drawn[label].colour,
+                linestyle=drawn[label].line, label=label,
+            )  # fmt: skip
             place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))
     axes[0].set_ylabel("detectable craters found, %")

@@ -166,7 +166,8 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
         low, high = percentile_band(own["position_error_m"], own["time_days"])
         axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
         axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle="--", linewidth=0.9)
+        axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle=":", linewidth=0.9)
+    axes.plot([], [], color=GREY, linestyle=":", linewidth=0.9, label="thin, dotted: RMS by the covariance")
     arc = errors[~errors["predicted"].astype(bool)]
     axes.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
     axes.set(xlabel="time after the epoch, days", ylabel="position error, m", yscale="log")

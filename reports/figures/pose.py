@@ -17,10 +17,9 @@ from reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
-    LINE_STYLES,
     ORANGE,
-    SERIES_COLOURS,
     FloatArray,
+    PlotStyle,
     add_credits,
     beyond_text,
     grid_figure,
@@ -73,7 +72,7 @@ def draw_method_errors(
     figure, rows = grid_figure(
         len(groups), 2, height_in=0.5 + sum(_row_height_in(len(methods)) for methods in groups.values())
     )
-    labels = list(dict.fromkeys(label for methods in groups.values() for label in methods))
+    drawn = plot_styles(label for methods in groups.values() for label in methods)
     for column, (name, label, frequency) in enumerate(_METHOD_PANELS):
         samples = {
             row: {method: np.asarray(errors[name].dropna(), dtype=np.float64) for method, errors in methods.items()}
@@ -81,7 +80,7 @@ def draw_method_errors(
         }
         edges = _common_edges([sample for methods in samples.values() for sample in methods.values()])
         for axes, (row, methods) in zip(rows[:, column], samples.items(), strict=True):
-            _draw_methods(axes, methods, labels, edges)
+            _draw_methods(axes, methods, drawn, edges)
             axes.set(xlabel=label, ylabel=frequency, title=row)
         top = max(axes.get_ylim()[1] for axes in rows[:, column])
         for axes in rows[:, column]:
@@ -102,14 +101,11 @@ def _common_edges(samples: Sequence[FloatArray]) -> FloatArray:
     return shared_edges([np.array([1.2 * float(np.median(ends))])] if ends else [], bins=60)
 
 
-def _draw_methods(axes: Axes, methods: Mapping[str, FloatArray], labels: Sequence[str], edges: FloatArray) -> None:
+def _draw_methods(
+    axes: Axes, methods: Mapping[str, FloatArray], drawn: Mapping[str, PlotStyle], edges: FloatArray
+) -> None:
     for method, sample in methods.items():
-        index = labels.index(method)
-        line = {
-            "color": SERIES_COLOURS[index % len(SERIES_COLOURS)],
-            "linestyle": LINE_STYLES[index % len(LINE_STYLES)],
-            "linewidth": 1.5,
-        }
+        line = {"color": drawn[method].colour, "linestyle": drawn[method].line, "linewidth": 1.5}
         share = 100.0 * np.count_nonzero(sample > edges[-1]) / max(len(sample), 1)
         median = f"{np.median(sample):.3g}" if len(sample) else "none"
         beyond = f" ({share:.0f} %)" if share >= _SHARE_TOLD else ""
@@ -221,7 +217,7 @@ def draw_cumulative_errors(
     title: str,
     credit_lines: Sequence[str] = (),
     panels: Mapping[str, str] = MappingProxyType({column: label for column, label, _, _ in _PANELS}),
-    colours: Mapping[str, str] | None = None,
+    styles: Mapping[str, PlotStyle] | None = None,
 ) -> Figure:
     """Draw the share of all trials whose error is below the abscissa; failures lower the curve.
 
@@ -235,26 +231,26 @@ def draw_cumulative_errors(
         Credits of real images.
     panels
         Columns of the errors to the labels of their axes.
-    colours
-        Colours of the curves by their labels; by default those of the estimators of these names.
+    styles
+        Styles of the curves by their labels; by default those of the estimators of these names.
     """
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
     lines = -(-len(estimators) // 2) if below else 0
-    drawn = plot_styles(estimators)
+    drawn = styles or plot_styles(estimators)
     figure, places = new_figure(len(panels), 3.75 * max(len(panels), 1.5), 3.4 + _LINE_IN * lines)
     for axes, (column, label) in zip(places, panels.items(), strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
         limit = float(shared_edges(list(samples.values()))[-1])
-        for i, (name, sample) in enumerate(samples.items()):
+        for name, sample in samples.items():
             n = estimators[name][1]
             shown, share = _thinned(sample[sample <= limit], n)
             axes.step(
                 np.concatenate([[0.0], shown, [limit]]),
                 np.append(share, share[-1]),
                 where="post",
-                color=drawn[name].colour if colours is None else colours[name],
-                linestyle=drawn[name].line if colours is None else LINE_STYLES[i % len(LINE_STYLES)],
+                color=drawn[name].colour,
+                linestyle=drawn[name].line,
                 linewidth=1.6,
                 label=f"{name} ({len(sample)} of {n} ok)",
             )

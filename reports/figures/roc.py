@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import (
-    GREY,
-    LINE_STYLES,
-    SERIES_COLOURS,
-    FloatArray,
-    add_credits,
-    new_figure,
-    styled,
-)
+from reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, new_figure, plot_styles, styled
 
 MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""
-
-_LineStyle = str | tuple[int, tuple[int, ...]]
-# The numbers of line styles and colours have no common divisor, so that consecutive curves differ in both.
-_STYLES = [
-    (LINE_STYLES[i % len(LINE_STYLES)], SERIES_COLOURS[i % len(SERIES_COLOURS)])
-    for i in range(len(LINE_STYLES) * len(SERIES_COLOURS))
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,24 +38,22 @@ def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines:
         Credits of real images.
     """
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
-    names = dict.fromkeys(curve.name for curves in panels.values() for curve in curves)
-    styles = dict(zip(names, itertools.cycle(_STYLES), strict=False))
+    drawn = plot_styles(curve.name for curves in panels.values() for curve in curves)
     for place, (definition, curves) in zip(axes, panels.items(), strict=True):
-        _draw_panel(place, curves, styles)
+        _draw_panel(place, curves, drawn)
         place.set_title(f"bad: {definition}")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw_panel(axes: Axes, curves: Sequence[RocCurve], styles: Mapping[str, tuple[_LineStyle, str]]) -> None:
+def _draw_panel(axes: Axes, curves: Sequence[RocCurve], drawn: Mapping[str, PlotStyle]) -> None:
     """Draw the curves of a panel; a score has the same style in all panels."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
     for curve in curves:
-        style, colour = styles[curve.name]
         label = f"{curve.name}: AUC {curve.area:.2f}"
         x, y = curve.false_positives, curve.true_positives
-        axes.plot(x, y, color=colour, linestyle=style, linewidth=1.4, label=label)
+        axes.plot(x, y, color=drawn[curve.name].colour, linestyle=drawn[curve.name].line, linewidth=1.4, label=label)
     axes.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
     axes.set_box_aspect(1)
     axes.legend(loc="lower right")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import io
-import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -21,8 +23,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Parameters = ParamSpec("Parameters")
 
-# Okabe and Ito's palette, for colour-blind readers. Line styles differ as well, for print in grey.
-GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
+# Okabe and Ito's palette, for colour-blind readers, and two colours more. These are at least as far from the others, in
+# CIELAB and for protanopia and deuteranopia too, as the others are from each other. Line styles differ for grey print.
+GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY, BROWN, VIOLET = (
     "#5f6368",
     "#e69f00",
     "#0072b2",
@@ -30,11 +33,13 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
     "#d55e00",
     "#cc79a7",
     "#56b4e9",
+    "#7f3b08",
+    "#5522cc",
 )
 LineStyle = str | tuple[int, tuple[int, ...]]
 LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
-SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
+SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, BROWN, VIOLET)
 _PARAMETERS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that files are the same on every machine
     "font.size": 9.0,
@@ -52,9 +57,9 @@ _PARAMETERS: dict[Any, Any] = {
     "savefig.facecolor": "white",
 }
 
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">", "p", "h")
 
-# Six colours serve more than six methods: those that are often in one figure differ. Controls are grey.
+# The colour that a method has unless another method of the figure has it. Controls are grey.
 _COLOURS: Mapping[str, str] = MappingProxyType(
     {
         "prior": GREY,
@@ -66,8 +71,9 @@ _COLOURS: Mapping[str, str] = MappingProxyType(
         "lmaps": GREEN,
         "landmark-altimeter": VERMILION,
         "landmark-sift": VERMILION,
-        "landmark-orb": PURPLE,
-        "crater-pose": SKY,
+        "landmark-orb": BROWN,
+        "crater-pose": VIOLET,
+        "centroid": VIOLET,
         "dead-reckoning": GREY,
         "ba-slam": BLUE,
         "ekf-slam": ORANGE,
@@ -75,8 +81,8 @@ _COLOURS: Mapping[str, str] = MappingProxyType(
         "consistent-ekf-slam": PURPLE,
         "fixed-lag": GREEN,
         "batch": SKY,
-        "dynamic-smoother": VERMILION,
-        "loop-smoother": PURPLE,
+        "dynamic-smoother": BROWN,
+        "loop-smoother": VIOLET,
         "gtsam-fixed-lag": ORANGE,
         "gtsam-isam2": VERMILION,
         "crater-classic": BLUE,
@@ -100,29 +106,53 @@ class PlotStyle:
     marker: str
 
 
+_OF_REPORT: ContextVar[Mapping[str, PlotStyle]] = ContextVar("styles of a report", default=MappingProxyType({}))
+
+
+@contextmanager
+def report_styles(labels: Iterable[str]) -> Iterator[None]:
+    """Give the estimators of a report the same style in all figures drawn meanwhile, whichever of them each shows."""
+    token = _OF_REPORT.set(plot_styles(labels))
+    try:
+        yield
+    finally:
+        _OF_REPORT.reset(token)
+
+
 def plot_styles(labels: Iterable[str]) -> dict[str, PlotStyle]:
     """Choose the styles of the estimators of a figure, by label.
 
-    The colour is that of the method whose name the label is or begins with (``ba-slam-5`` is a ``ba-slam``). Unknown
-    labels have a colour that depends on the label alone. Consecutive labels and labels of the same colour differ in
-    line style, for print in grey. Up to ten labels have different markers.
+    Colours differ, as long as there are enough; labels of the same colour differ in line style. Consecutive labels
+    differ in line style too, for print in grey, and up to twelve labels in marker. A label has its style of the report
+    or else the colour of the method whose name it is or begins with (``ba-slam-5`` is a ``ba-slam``), unless an earlier
+    label of the figure has that colour.
     """
+    every, of_report = list(dict.fromkeys(labels)), _OF_REPORT.get()
+    colours: dict[str, str] = {}
+    for label in every:
+        wanted = of_report[label].colour if label in of_report else _own_colour(label)
+        if wanted is not None and wanted not in colours.values():
+            colours[label] = wanted
     found: dict[str, PlotStyle] = {}
-    for place, label in enumerate(dict.fromkeys(labels)):
-        colour = colour_of(label)
-        taken = {style.line for style in found.values() if style.colour == colour}
-        lines = LINE_STYLES[place % len(LINE_STYLES) :] + LINE_STYLES[: place % len(LINE_STYLES)]
-        line = next((line for line in lines if line not in taken), lines[0])
-        found[label] = PlotStyle(colour, line, MARKERS[place % len(MARKERS)])
+    for place, label in enumerate(every):
+        if label not in colours:
+            used = Counter(colours.values())
+            colours[label] = min(SERIES_COLOURS, key=lambda colour: used[colour])
+        style = of_report.get(label)
+        line, marker = LINE_STYLES[place % len(LINE_STYLES)], MARKERS[place % len(MARKERS)]
+        if style is not None:
+            line, marker = style.line, style.marker
+        taken = {one.line for one in found.values() if one.colour == colours[label]}
+        found[label] = PlotStyle(
+            colours[label], next((one for one in (line, *LINE_STYLES) if one not in taken), line), marker
+        )
     return found
 
 
-def colour_of(label: str) -> str:
-    """Return the colour of a label, the same in all figures."""
+def _own_colour(label: str) -> str | None:
+    """Return the colour of the method whose name a label is or begins with; None for other labels."""
     known = [name for name in _COLOURS if label == name or label.startswith(f"{name}-")]
-    if known:
-        return _COLOURS[max(known, key=len)]
-    return SERIES_COLOURS[zlib.crc32(label.encode()) % len(SERIES_COLOURS)]
+    return _COLOURS[max(known, key=len)] if known else None
 
 
 def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports.figures.provenance import add_provenance, with_trial_counts
-from reports.figures.style import save_figure
+from reports.figures.style import report_styles, save_figure
 from reports.kinds import Content, draw_figures, report_grids
 from reports.pages.content import read_content
 from reports.pages.distributions import distributions
@@ -137,7 +137,8 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
         ) from error
     try:
-        names = _write_all(content, work, further)
+        with report_styles(map(str, content.run.manifest.estimators)):
+            names = _write_all(content, work, further)
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
             (work / name).replace(folder / name)

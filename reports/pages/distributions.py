@@ -37,11 +37,11 @@ class SolvedErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distribution:
-    """A drawing: title, markup, and the label and colour of each curve."""
+    """A drawing: title, markup, and for each curve its label and a piece of its line."""
 
     title: str
     svg: Markup
-    legend: tuple[tuple[str, str], ...]
+    legend: tuple[tuple[str, Markup], ...]
 
 
 def distributions(run: RunData) -> Iterator[Distribution]:
@@ -54,7 +54,7 @@ def distributions(run: RunData) -> Iterator[Distribution]:
             if len(values):
                 found[label] = SolvedErrors(values, len(rows))
         if found and max(float(errors.values[-1]) for errors in found.values()) > 0.0:
-            legend = tuple((label, look.colour) for label, look in plot_styles(found).items())
+            legend = tuple((label, _sample(look)) for label, look in plot_styles(found).items())
             yield Distribution(f"Position error, {scenario}", distribution_svg(found, "m"), legend)
 
 
@@ -145,7 +145,16 @@ def _curve(across: _LogAbscissa, errors: SolvedErrors, look: PlotStyle) -> Marku
         path.append(f"L{across.x(float(value)):.1f} {_y(before):.1f}V{_y(float(share)):.1f}")
         before = float(share)
     path.append(f"H{_RIGHT}")
+    return _path("".join(path), look)
+
+
+def _path(data: str, look: PlotStyle) -> Markup:
     dash = _DASHES.get(str(look.line), "7 2 2 2 2 2")
     return Markup('<path d="{}" fill="none" stroke="{}" stroke-width="2" stroke-dasharray="{}"/>').format(
-        "".join(path), look.colour, dash
+        data, look.colour, dash
     )
+
+
+def _sample(look: PlotStyle) -> Markup:
+    """Draw a piece of a line for the legend, long enough for twice its longest dashes."""
+    return Markup('<svg viewBox="0 0 36 8" aria-hidden="true">{}</svg>').format(_path("M0 4H36", look))

@@ -8,6 +8,7 @@ from scipy.stats import bootstrap, chi2
 from reports.compare.conditions import SUCCESS, binned_errors, frames_by_condition, prepare_frames, trials_by_condition
 from reports.compare.metrics import Metric
 from reports.figures.comparison import CoverageCurve, draw_coverage
+from reports.figures.style import plot_styles
 
 POSITION = Metric("position_error_m")
 
@@ -104,7 +105,7 @@ def test_frames_are_thinned_and_trials_stay_what_is_independent():
 def test_coverage_curves_of_true_claims_stay_in_the_band(scale, inside):
     degrees = np.full(300, 3.0)
     squares = scale * np.random.default_rng(5).chisquare(3, 300)
-    figure = draw_coverage([CoverageCurve("one", "#0072b2", squares, degrees, 300)], "T")
+    figure = draw_coverage([CoverageCurve("one", plot_styles(["one"])["one"], squares, degrees, 300)], "T")
     (axes,) = figure.axes
     claimed, share = axes.lines[-1].get_data()
     np.testing.assert_allclose(share[100], np.mean(squares <= chi2.ppf(0.5, 3)))

@@ -3,53 +3,84 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from campaign.runs.resolve import CATALOG
+from estimators.craters.registry import crater_detector_names, crater_matcher_names
+from estimators.orbit.registry import orbit_estimator_names
+from estimators.registry import estimator_names
+from estimators.slam.registry import sequence_estimator_names
 from reports.figures.axes import mark_decades, scale_ordinate
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, colour_of, new_figure, plot_styles
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, plot_styles, report_styles
+from scenarios.load import load_campaign
+
+REGISTERED = sorted(
+    {
+        *estimator_names(),
+        *sequence_estimator_names(),
+        *orbit_estimator_names(),
+        *crater_detector_names(),
+        *crater_matcher_names(),
+    }
+)
 
 
-@pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
-def test_the_colour_does_not_depend_on_what_else_is_shown(others):
-    assert plot_styles([*others, "ba-slam"])["ba-slam"].colour == colour_of("ba-slam")
+def _assert_distinct(labels, found):
+    """Fail if two labels have one colour before the palette is used up, or one colour and line style at all."""
+    assert list(found) == list(labels)
+    pairs = Counter((style.colour, style.line) for style in found.values())
+    assert max(pairs.values()) == 1, pairs
+    assert len({style.colour for style in found.values()}) >= min(len(found), len(SERIES_COLOURS))
+    assert len({style.marker for style in found.values()}) == len(found)
 
 
-@pytest.mark.parametrize(("label", "method"), [("ba-slam-5", "ba-slam"), ("fixed-lag-noisy", "fixed-lag")])
-def test_a_variant_has_the_colour_of_its_method(label, method):
-    assert colour_of(label) == colour_of(method)
+def test_the_methods_of_a_comparison_differ():
+    labels = [entry.label for entry in load_campaign("compare-mismatched", CATALOG).spec.estimators]
+    assert len(labels) == 8
+    _assert_distinct(labels, plot_styles(labels))
 
 
-def test_the_longest_name_counts():
-    assert colour_of("batch-filter-tight") == colour_of("batch-filter") != colour_of("batch")
-
-
-@pytest.mark.parametrize("label", ["prior", "dead-reckoning"])
-def test_controls_are_grey_and_nothing_else_is(label):
-    assert colour_of(label) == GREY
-    assert colour_of("somebody's method") in SERIES_COLOURS
-
-
-def test_no_two_of_a_figure_look_alike():
-    labels = ["prior", "ba-slam", "ba-slam-3", "ba-slam-5", "landmark-harris", "fixed-lag", "lmaps", "mine", "yours"]
-    found = plot_styles(labels)
-    assert list(found) == labels
-    for one, other in itertools.combinations(found.values(), 2):
-        assert one.colour != other.colour or one.line != other.line
-        assert one.marker != other.marker
+@given(st.lists(st.sampled_from(REGISTERED), min_size=1, max_size=12, unique=True))
+def test_any_twelve_methods_differ(labels):
+    _assert_distinct(labels, plot_styles(labels))
 
 
 @pytest.mark.parametrize(
-    "family",
+    "labels",
     [
-        ("prior", "landmark-harris", "whole-image", "landmark-ransac", "photometric", "lmaps", "landmark-sift"),
-        ("dead-reckoning", "ba-slam", "ekf-slam", "fixed-lag", "batch", "consistent-ekf-slam", "iterated-ekf-slam"),
-        ("correlation", "context", "invariants", "hybrid", "vote"),
-        ("crater-classic", "crater-learned"),
+        ["ba-slam", "ba-slam-3", "ba-slam-5", "ba-slam-10"],
+        [f"method {i}" for i in range(12)],
+        ["prior", "landmark-harris", "mine", "yours", "landmark-harris-10"],
     ],
 )
-def test_methods_that_stand_together_differ_in_colour(family):
-    assert len({colour_of(name) for name in family}) == len(family)
+def test_variants_and_methods_of_others_differ(labels):
+    _assert_distinct(labels, plot_styles(labels))
+
+
+def test_a_method_has_one_style_in_all_figures_of_a_report():
+    every = ["dead-reckoning", "ba-slam-3", "ba-slam-5", "mine", "ekf-slam", "yours"]
+    with report_styles(every):
+        whole = plot_styles(every)
+        for kept in itertools.combinations(every, 3):
+            assert plot_styles(kept) == {label: whole[label] for label in kept}
+    assert plot_styles(["ba-slam-5"])["ba-slam-5"].colour == plot_styles(["ba-slam"])["ba-slam"].colour
+
+
+@pytest.mark.parametrize(
+    ("label", "method"),
+    [("ba-slam-5", "ba-slam"), ("fixed-lag-noisy", "fixed-lag"), ("batch-filter-tight", "batch-filter")],
+)
+def test_a_variant_alone_has_the_colour_of_its_method(label, method):
+    assert plot_styles([label])[label].colour == plot_styles([method])[method].colour
+
+
+def test_controls_are_grey_and_nothing_else_is():
+    for name in REGISTERED:
+        assert (plot_styles([name])[name].colour == GREY) == (name in ("prior", "dead-reckoning"))
 
 
 def test_a_footer_tells_the_run_and_moves_nothing_else():

@@ -1,3 +1,5 @@
+import html
+import json
 import re
 import shutil
 from html.parser import HTMLParser
@@ -108,6 +110,18 @@ def test_page_is_self_contained_and_accessible(report):
     assert not re.search(r"url\(|@import|https?:", css)
     assert page.all("html")[0]["lang"] == "en"
     assert all(th["scope"] == "col" for th in page.all("th"))
+
+
+def test_the_legend_of_a_distribution_shows_colours_and_dashes_of_its_curves(report):
+    drawing = report.html.read_text(encoding="utf-8").split('<svg class="distribution"')[1].split("</p>")[0]
+    curves, legend = drawing.split('<p class="legend">')
+    labels = [
+        one["label"] for one in json.loads(html.unescape(curves.split("<desc>")[1].split("</desc>")[0]))["curves"]
+    ]
+    look = re.compile(r'<path d="[^"]*" fill="none" (stroke="#\w{6}" stroke-width="2" stroke-dasharray="[^"]*")/>')
+    assert len(set(look.findall(curves))) == len(labels) == 2
+    assert look.findall(legend) == look.findall(curves)
+    assert re.findall(r"</svg>([^<]+)</span>", legend) == labels
 
 
 def test_page_says_what_was_run_and_escapes_it(full_run):
