@@ -58,7 +58,7 @@ def test_a_known_error_is_scored_as_what_it_is(drawn):
         assert epoch["landmark_rmse_m"] == pytest.approx(3.0)
     assert epochs[0]["n_settled"] == 0
     assert epochs[0]["settled_landmark_rmse_m"] is None
-    told = summary(epochs)
+    told = summary(shifted(truth, sequence), sequence, truth, epochs)
     assert told["error_after_1_m"] == pytest.approx(3.0)
     assert told["error_after_2_m"] is None
     assert told["landmark_rmse_m"] == pytest.approx(3.0)
@@ -92,7 +92,8 @@ def test_new_landmarks_are_left_out_of_the_settled_error(drawn):
         new = ~np.isin(seen.tracks, older)
         spoilt.append(replace(frame, points_m=frame.points_m + new[:, None] * np.array([0.0, 8.0, 0.0])))
         older = seen.tracks
-    told = summary(score_epochs(SequenceEstimate("ok", spoilt), sequence, truth))
+    estimate = SequenceEstimate("ok", spoilt)
+    told = summary(estimate, sequence, truth, score_epochs(estimate, sequence, truth))
     assert told["settled_landmark_rmse_m"] == 0.0
     total = sum(len(frame.tracks) for frame in sequence.frames)
     new = len(truth.points_m)
@@ -175,6 +176,33 @@ def test_what_goes_wrong_becomes_a_row_and_the_campaign_goes_on():
     assert stopped["reason"] == "the scale became unobservable"
     assert stopped["error_after_1_m"] is None
     assert sum(epoch["estimator"] == "b" for epoch in found["epochs"]) == 20
+
+
+def test_what_is_summed_up_over_frames_is_of_runs_that_ended():
+    """Of three runs one fails at its second frame, with a landmark error of 0.2 m where the others have 3 and 5 m."""
+    drawn = {trial: draw_sequence(SPEC, CAMERA, GROUND, 7, trial) for trial in range(3)}
+    whole = {trial: shifted(*drawn[trial], error) for trial, error in ((0, 3.0), (1, 0.2), (2, 5.0))}
+    stopped = SequenceEstimate("failed", whole[1].frames[:2], "scale", {"gm_m3_s2": 1.0})
+    assert parameter_errors(stopped, drawn[1][0]) == {}
+    rows, times = [], []
+    for trial, estimate in enumerate((whole[0], stopped, whole[2])):
+        found = SequenceTrials("x", SPEC, CAMERA, GROUND, {"a": Returns(estimate)}, 7).run(range(trial, trial + 1))
+        rows += found["rows"]
+        times += found["timings"]
+    table = pd.DataFrame(rows)
+    assert table["landmark_rmse_m"].mean() == pytest.approx(4.0)
+    over_frames = ("landmark_rmse_m", "settled_landmark_rmse_m", "final_landmark_rmse_m", "mean_position_nees")
+    assert table[[*over_frames]].count().tolist() == [2, 2, 2, 2]
+    assert [time["trial"] for time in times] == [0, 2]
+
+
+def test_an_error_that_was_reached_before_a_failure_counts():
+    spec = SequenceSpec.model_validate({"sphere_radius_m": 190, "orbit": {"revolutions": 2.0, "step_deg": 6}})
+    truth, sequence = draw_sequence(spec, CAMERA, GROUND, 7, 0)
+    estimate = SequenceEstimate("failed", shifted(truth, sequence).frames[:90], "scale")
+    told = summary(estimate, sequence, truth, score_epochs(estimate, sequence, truth))
+    assert (told["error_after_1_m"], told["error_after_2_m"]) == (pytest.approx(3.0), None)
+    assert told["landmark_rmse_m"] is None
 
 
 def test_an_unknown_estimator_is_named():

@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="sequence",
-    version=4,
+    version=5,
     block_trials=5,
     method_version=SequenceTrials.method_version,
     prepare=SequenceTrials.prepare,

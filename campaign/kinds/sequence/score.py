@@ -172,13 +172,23 @@ def final_landmark_rmse(estimate: SequenceEstimate, sequence: TrackSequence, tru
     return _root_mean(np.array([square for track, square in squares.items() if times_seen[track] > 1]))
 
 
-def summary(epochs: Sequence[Epoch]) -> dict[str, float | None]:
-    """Sum up a trial: errors after whole revolutions, RMS of its landmarks, mean NEES of its positions."""
-    return {
-        **{f"error_after_{n}_m": _after(epochs, n) for n in REVOLUTIONS},
+def summary(
+    estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth, epochs: Sequence[Epoch]
+) -> dict[str, float | None]:
+    """Sum up a trial: errors after whole revolutions, RMS errors of its landmarks, mean NEES of its positions.
+
+    What is summed up over frames is None for an estimate that failed: it has the first frames alone, whose errors are
+    smaller. Its frames stay in the table ``epochs``.
+    """
+    over_frames = {
         "landmark_rmse_m": _over_frames(epochs, "landmark_rmse_m", "n_landmarks"),
         "settled_landmark_rmse_m": _over_frames(epochs, "settled_landmark_rmse_m", "n_settled"),
+        "final_landmark_rmse_m": final_landmark_rmse(estimate, sequence, truth),
         "mean_position_nees": _mean([epoch["nees"] for epoch in epochs]),
+    }
+    return {
+        **{f"error_after_{n}_m": _after(epochs, n) for n in REVOLUTIONS},
+        **{name: value if estimate.status == "ok" else None for name, value in over_frames.items()},
     }
 
 
@@ -212,8 +222,11 @@ def parameter_errors(estimate: SequenceEstimate, truth: SequenceTruth) -> dict[s
     """Score parameters of the motion that an estimator reports among its diagnostics.
 
     ``gm_m3_s2`` with ``gm_sigma_m3_s2``, or ``radiation_m_s2`` with ``radiation_sigma_m_s2``, give the size of the
-    relative error in per cent, and the squared error over the variance (``nees``, 1 is expected).
+    relative error in per cent, and the squared error over the variance (``nees``, 1 is expected). An estimate that
+    failed has none.
     """
+    if estimate.status != "ok":
+        return {}
     true = {
         "gm": ("m3_s2", truth.gm_m3_s2),
         "radiation": ("m_s2", float(np.linalg.norm(truth.trajectory.radiation_m_s2))),

@@ -12,7 +12,6 @@ import numpy as np
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.kinds.sequence.score import (
     check_sequence,
-    final_landmark_rmse,
     parameter_errors,
     score_epochs,
     summary,
@@ -199,15 +198,15 @@ def _scored(
     epochs = score_epochs(estimate, sequence, truth)
     row: Record = {
         **circumstances,
-        **summary(epochs),
-        "final_landmark_rmse_m": final_landmark_rmse(estimate, sequence, truth),
+        **summary(estimate, sequence, truth, epochs),
         "status": estimate.status,
         "reason": estimate.reason,
         "n_landmarks": epochs[-1]["n_landmarks"] if epochs else 0,
     }
     if estimate.status == "ok":
         row["position_error_m"] = epochs[-1]["position_error_m"]
-    seconds = [frame.seconds for frame in estimate.frames]
+    # As in the summary: the first frames of an estimate that failed are the quick ones of a window that is filling.
+    seconds = [frame.seconds for frame in estimate.frames if estimate.status == "ok"]
     return {
         "rows": [row],
         "epochs": epochs,

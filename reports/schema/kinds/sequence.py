@@ -27,14 +27,14 @@ _ENDS: Columns = (
         error=True,
     ),
     measured("error_after_2_m", "the same of revolution 2", "position error after 2 revolutions", error=True),
-    *_landmark_errors("root mean square over all frames of a sequence and"),
+    *_landmark_errors("of a sequence that ended: root mean square over all frames and"),
     measured(
-        "final_landmark_rmse_m", "over landmarks seen twice or more, each when it was seen last",
+        "final_landmark_rmse_m", "of the same: over landmarks seen twice or more, each when it was seen last",
         "landmark RMSE as seen last", error=True,
     ),
     measured(
-        "mean_position_nees", "mean over the frames of nees in epochs", "mean NEES of the position (3 expected)",
-        error=True,
+        "mean_position_nees", "of the same: mean over the frames of nees in epochs",
+        "mean NEES of the position (3 expected)", error=True,
     ),
 )  # fmt: skip
 SEQUENCE_COLUMNS = names(_ENDS)
