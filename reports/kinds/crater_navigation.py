@@ -12,6 +12,7 @@ from reports.figures.orbit import draw_crater_counts, draw_landmark_spans
 from reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
 from reports.run.clusters import clusters_of
 from reports.run.data import TRIAL_KEY, RunData, select
+from reports.run.limits import limited_title
 from reports.schema.grid import Grid, value_of_ended
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import Record, find
@@ -104,7 +105,8 @@ def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
         cells = [value_of_ended(find(records, **key, measure=name), interval=False) for name in heads]
         rows.append((scenario, estimator, *cells))
     columns = ("scenario", "estimator", *heads.values())
-    return Grid("From images to the data base", columns, tuple(rows), frozenset({0, 1}), _NOTE)
+    title = limited_title("From images to the data base", run)
+    return Grid(title, columns, tuple(rows), frozenset({0, 1}), _NOTE)
 
 
 def navigation_figures(run: RunData) -> Iterator[NamedFigure]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from reports.run.data import RunData
 from reports.schema.grid import Grid
@@ -19,21 +20,50 @@ _FEW = 4
 _INTERVAL = re.compile(r"\[\S+, \S+\]")
 
 
+_CRATERS = (
+    ("craters",),
+    ("crater_pairs", "craters"),
+    ("orbit", "imaging", "craters"),
+    ("orbit", "sightings", "craters"),
+)
+"""Keys of the craters that all trials of a scenario share; the first that a scenario has counts."""
+
+
 def single_draws(run: RunData) -> str:
-    """Name what was drawn only once in a run: its intervals leave out that variation; '' where nothing was."""
-    if run.databases > 1:
-        return ""
-    worlds = {str(spec["craters"]) for spec in run.manifest.scenarios.values() if spec.get("craters")}
-    world = "one world of craters" if len(worlds) == 1 else "one world of craters each" if worlds else ""
-    return " and ".join(filter(None, (world, "one data base" if run.manifest.products else "")))
+    """Name what a run has only one of: its intervals leave out that variation; '' where there is nothing."""
+    specs = run.manifest.scenarios.values()
+    shapes = [_value(spec, ("orbit", "knowledge", "shape_degree")) for spec in specs]
+    found = [_one_of("a priori shape", shapes)]
+    if run.databases <= 1:
+        craters = [next(filter(None, (_value(spec, keys) for keys in _CRATERS)), None) for spec in specs]
+        found = [_one_of("world of craters", craters), "one data base" if run.manifest.products else "", *found]
+    return " and ".join(filter(None, found))
+
+
+def _value(spec: Mapping[str, Any], keys: Sequence[str]) -> object:
+    """Return the value at nested keys of a scenario; None if a key is missing."""
+    found: object = spec
+    for key in keys:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
+
+
+def _one_of(what: str, values: Iterable[object]) -> str:
+    """Name a thing of the scenarios that have it: one for all, or one each."""
+    different = {str(value) for value in values if value is not None}
+    return "" if not different else f"one {what}" if len(different) == 1 else f"one {what} each"
+
+
+def limited_title(title: str, run: RunData) -> str:
+    """Add to a title what a run has only one of."""
+    return ", of ".join(filter(None, (title, single_draws(run))))
 
 
 def with_single_draws(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
     """Add what intervals are conditional on to the title of every table that has some."""
-    once = single_draws(run)
     for grid in grids:
-        told = once and any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
-        yield replace(grid, title=f"{grid.title}, of {once}") if told else grid
+        told = any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
+        yield replace(grid, title=limited_title(grid.title, run)) if told else grid
 
 
 def database_line(run: RunData) -> str:

@@ -1,8 +1,8 @@
-"""Objects common to all trials of an orbit scenario: body, craters, forces and onboard models."""
+"""Objects common to many trials of an orbit scenario: body, craters, forces and onboard models."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,15 +50,18 @@ class Asteroid:
 
     @classmethod
     def of(cls, mesh: TriangleMesh, spec: OrbitSpec, seed: int) -> Asteroid:
-        """Centre a shape and draw its craters."""
+        """Centre a shape and draw its craters, those of number 0."""
         centre = centre_of_mass(mesh)
         centred = TriangleMesh(mesh.vertices_m - centre, mesh.faces)
-        harmonics = shape_gravity(centred, spec)
-        # Trial 0: all trials of a campaign have the same craters.
-        rng = generator(seed, Stream.ORBIT_CRATERS, 0)
-        points, normals = MeshGround(centred).sample(spec.sightings.craters, rng)
+        bare = cls(centred, centre, shape_gravity(centred, spec), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+        return bare.with_craters(spec, seed, 0)
+
+    def with_craters(self, spec: OrbitSpec, seed: int, number: int) -> Asteroid:
+        """Return the same body with another draw of its craters; all trials of one ``number`` share them."""
+        rng = generator(seed, Stream.ORBIT_CRATERS, number)
+        points, normals = MeshGround(self.mesh).sample(spec.sightings.craters, rng)
         prominence = np.exp(_PROMINENCE * rng.normal(size=len(points)))
-        return cls(centred, centre, harmonics, points, normals, prominence)
+        return replace(self, points_m=points, normals=normals, prominence=prominence)
 
     @cached_property
     def horizons(self) -> Horizons:
@@ -82,7 +85,7 @@ class OnboardShape:
 
 @dataclass(frozen=True, eq=False)
 class OrbitWorld:
-    """Camera, true body and onboard model of a scenario, the same in all trials."""
+    """Camera, true body and onboard model of a scenario, the same in all trials with one draw of the craters."""
 
     spec: OrbitSpec
     camera: Camera

@@ -136,8 +136,8 @@ class CampaignSpec(SpecModel):
         ge=1,
         le=1000,
         description="Data bases of each estimator, drawn afresh with the errors of the shape on board and, where there"
-        " are craters, with another world of them, which is all that detection of craters has; trial t has data base"
-        " t modulo their number",
+        " are craters, with another world of them, which is all that detection of craters and orbit determination have;"
+        " trial t has data base t modulo their number",
     )
     report: str | None = Field(None, description="Key of the published values to set beside the results")
 

@@ -113,7 +113,7 @@ class _Raises:
 
 def test_trials_give_records_of_the_documented_columns_whatever_an_estimator_does(world):
     trials = OrbitTrials("small", world, {"filter": BatchFilter(), "raises": _Raises()}, 5)
-    records = trials.run(range(1))
+    records = trials.trial(0)
     for table, lines in records.items():
         wanted = {column.name for column in TABLES[table]}
         assert all(set(line) <= wanted for line in lines), table
@@ -124,7 +124,26 @@ def test_trials_give_records_of_the_documented_columns_whatever_an_estimator_doe
     assert records["orbits"][0]["arc_rms_m"] < 20.0
     assert len(records["orbit_errors"]) > 5
     assert {line["used"] for line in records["residuals"]} == {True, False}
-    assert trials.run(range(1))["orbits"] == records["orbits"]
+    assert trials.trial(0)["orbits"] == records["orbits"]
+
+
+def test_draws_of_the_craters_take_turns_and_the_first_is_that_of_a_campaign_with_one(tmp_path):
+    """One body and one a priori shape: nothing else differs between the draws."""
+    alone, several = (
+        OrbitTrials.open(campaign, campaign.scenarios[0], None)
+        for campaign in (_resolved(tmp_path, SMALL), _resolved(tmp_path, SMALL, databases=3))
+    )
+    worlds = [several.of(trial).world for trial in range(4)]
+    assert [several.of(trial).database for trial in range(4)] == [0, 1, 2, 0]
+    assert [len(alone.parts), alone.of(1).database] == [1, None]
+    assert len({world.asteroid.points_m.tobytes() for world in worlds}) == 3
+    assert len({world.asteroid.prominence.tobytes() for world in worlds}) == 3
+    assert all(world.onboard is alone.of(0).world.onboard for world in worlds)
+    assert all(world.asteroid.harmonics is alone.of(0).world.asteroid.harmonics for world in worlds)
+    first = [trials.of(0).trial(0) for trials in (alone, several)]
+    assert [records["rows"][0].pop("database") for records in first] == [None, 0]
+    assert first[0]["rows"] == first[1]["rows"]
+    assert first[0]["orbits"] == first[1]["orbits"]
 
 
 SCENARIO = """
@@ -133,6 +152,10 @@ camera: {width_px: 512, height_px: 400, fov_deg: 5}
 orbit:
   arc: {semi_major_axis_m: 200}
 """
+SMALL = SCENARIO.replace("200}", "6000, days: 0.5}") + (
+    "  asteroid: {gm_m3_s2: 50}\n  sightings: {images: 40, craters: 200}\n"
+    "  knowledge: {position_m: 10, shape_degree: 4}\n"
+)
 CAMPAIGN = """
 name: c
 experiment: orbit-determination
@@ -140,12 +163,13 @@ scenarios: [s.yaml]
 estimators: [{ESTIMATOR}]
 trials: 1
 seed: 1
+databases: {DATABASES}
 """
 
 
-def _resolved(folder: Path, scenario: str, estimator: str = "batch-filter"):
+def _resolved(folder: Path, scenario: str, estimator: str = "batch-filter", databases: int = 1):
     (folder / "s.yaml").write_text(scenario)
-    (folder / "c.yaml").write_text(CAMPAIGN.replace("{ESTIMATOR}", estimator))
+    (folder / "c.yaml").write_text(CAMPAIGN.replace("{ESTIMATOR}", estimator).replace("{DATABASES}", str(databases)))
     return resolve(str(folder / "c.yaml"))
 
 

@@ -12,7 +12,7 @@ from reports.kinds import brief_grids, report_grids
 from reports.pages.build import write_report
 from reports.pages.content import read_content
 from reports.run.data import read_run
-from reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line
+from reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line, single_draws
 from reports.schema.grid import Grid
 from reports.tables import reference_grid
 
@@ -108,3 +108,32 @@ def test_numbers_beyond_all_bounds_are_told_like_others(builder):
     builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
     huge = {"pose_error": {"position_cam_m": {"normal": [1e300] * 3}}, "onboard": {"sun_error_deg": {"normal": 1e300}}}
     assert "Not known exactly: Sun, pose." in short_line(read_run(builder.write(scenarios={SCENARIO: IDEAL | huge})))
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        ([{}], ""),
+        ([{"craters": {"seed": 1}}] * 2, "one world of craters"),
+        ([{"craters": {"seed": 1}}, {"craters": {"seed": 2}}], "one world of craters each"),
+        ([{"crater_pairs": {"craters": {"seed": 1}}}], "one world of craters"),
+        ([{"crater_pairs": {"craters": None}}], ""),
+        (
+            [{"orbit": {"sightings": {"craters": 9}, "knowledge": {"shape_degree": degree}}} for degree in (8, 34)],
+            "one world of craters and one a priori shape each",
+        ),
+        (
+            [
+                {
+                    "craters": {"seed": 1},
+                    "orbit": {"imaging": {"craters": {"seed": 2}}, "knowledge": {"shape_degree": 34}},
+                }
+            ],
+            "one world of craters and one a priori shape",
+        ),
+    ],
+)
+def test_what_a_run_has_only_one_of_is_named(builder, sections, said):
+    builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
+    scenarios = {SCENARIO if not i else f"{i}": IDEAL | section for i, section in enumerate(sections)}
+    assert single_draws(read_run(builder.write(scenarios=scenarios))) == said

@@ -6,29 +6,37 @@ from scipy.stats import chi2
 from stored_runs import SCENARIO, RunBuilder, pose_error
 from terminal_text import terminal_lines
 
+from reports.kinds import report_grids
 from reports.kinds.orbit_determination import ORBIT
 from reports.pages.build import write_report
+from reports.pages.content import read_content
 from reports.schema.grid import of_ended
 from reports.schema.records import find
 from reports.statistics.consistency import AT_EPOCH, BAND, CONSISTENCY, INSIDE
+from reports.statistics.measured import RMS, measure
 
 ERRORS = (1.0, 2.0, 3.0, 10.0)
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run")
+    return write_report(_stored(tmp_path_factory.mktemp("run")))
+
+
+def _stored(folder, *, draws=None, errors=ERRORS, trials=5):
+    """Store a run; ``draws``: of the craters, trial by trial in turn."""
     run = RunBuilder(folder)
     nothing = dict.fromkeys(pose_error(np.zeros(3), 0.0), np.nan)
-    for trial in range(5):
+    for trial in range(trials):
         key = {"trial": trial, "scenario": SCENARIO, "estimator": "batch-filter"}
-        good = trial < len(ERRORS)
+        good = trial < len(errors)
         prior = {f"prior_{name}": value for name, value in nothing.items()}
         status, reason = ("ok", "") if good else ("failed", "rejected: too large")
-        run.add("rows", **key, status=status, reason=reason, image="", n_landmarks=9, **prior, **nothing)
+        run.add("rows", **key, status=status, reason=reason, image="", n_landmarks=9, **prior, **nothing,
+                database=np.nan if draws is None else trial % draws)  # fmt: skip
         if not good:
             continue
-        error = ERRORS[trial]
+        error = errors[trial]
         names = ("epoch_error_m", "arc_median_m", "arc_rms_m", "predicted_error_m")
         shares = ("residual_rms_px", "wrong_left_share", "right_edited_share", "gm_error", "solar_pressure_error")
         numbers = dict.fromkeys(names, error) | dict.fromkeys(("epoch_nees", "arc_nees"), 1.0)
@@ -37,7 +45,24 @@ def report(tmp_path_factory):
             at = {"time_days": float(day), "predicted": day == 3}
             run.add("orbit_errors", **key, **at, position_error_m=error, position_sigma_m=2.0)
         run.add("residuals", **key, time_days=0.5, u_px=0.1, v_px=-0.2, used=True)
-    return write_report(run.write(name="orbits"))
+    scenario = {"name": SCENARIO, "orbit": {"sightings": {"craters": 1600}, "knowledge": {"shape_degree": 34}}}
+    return run.write(name="orbits", scenarios={SCENARIO: scenario})
+
+
+@pytest.mark.parametrize("draws", [None, 5])
+def test_intervals_are_over_the_draws_of_the_craters_and_tables_say_what_there_is_one_of(tmp_path, draws):
+    """Trials of one draw that agree exactly count once: the interval is that of one trial for each draw."""
+    errors = np.array([1.0, 2.0, 3.0, 5.0, 8.0] * 3)
+    content = read_content(_stored(tmp_path, draws=draws, errors=errors, trials=15))
+    key = {"scenario": SCENARIO, "estimator": "batch-filter", "stage": ORBIT}
+    found = find(content.records, **key, measure="arc_rms_m", statistic=RMS.name)
+    of_draws, of_trials = (measure(errors[:n], np.arange(n).astype(str), (RMS,))[0] for n in (5, 15))
+    assert (of_draws.high - of_draws.low) / (of_trials.high - of_trials.low) > 1.5
+    wanted = of_trials if draws is None else of_draws
+    assert (found.value, found.low, found.high) == pytest.approx((wanted.value, wanted.low, wanted.high))
+    once = "one a priori shape" if draws else "one world of craters and one a priori shape"
+    assert any(grid.title == f"Orbit determination, of {once}" for grid in report_grids(content))
+    assert any("were drawn 5 times" in note for note in content.notes) is (draws == 5)
 
 
 def test_medians_and_percentiles_are_over_the_trials_that_converged(report):

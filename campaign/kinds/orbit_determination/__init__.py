@@ -5,9 +5,10 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="orbit-determination",
-    version=2,
+    version=3,
     block_trials=2,
     method_version=OrbitTrials.method_version,
     prepare=OrbitTrials.prepare,
     open=OrbitTrials.open,
+    databases=True,
 )

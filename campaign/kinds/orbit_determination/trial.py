@@ -19,6 +19,7 @@ from campaign.kinds.orbit_determination.score import (
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
+from campaign.trial.image_trials import InTurn
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
@@ -50,7 +51,8 @@ class DeterminedOrbit:
 class OrbitTrials:
     """Trials of one scenario with a set of labelled estimators of orbits; all see the same data.
 
-    ``witness`` is shown the `DeterminedOrbit` of every trial and estimator; or None.
+    ``witness`` is shown the `DeterminedOrbit` of every trial and estimator; or None. ``database`` is the number of the
+    draw of craters; None where there is one.
     """
 
     name: str
@@ -58,6 +60,7 @@ class OrbitTrials:
     estimators: Mapping[str, OrbitEstimator | Unbuilt]
     seed: int
     witness: Witness | None = None
+    database: int | None = None
 
     @classmethod
     def method_version(cls, name: str) -> int:
@@ -73,26 +76,35 @@ class OrbitTrials:
         return missing(scenario, estimators)
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> OrbitTrials:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[OrbitTrials]:
         """Lay the craters, work the gravity out and build the estimators."""
         del bench
-        world = open_orbit_world(scenario, campaign.seed)
-        return cls(scenario.spec.name, world, _estimators(campaign, scenario), campaign.seed)
+        estimators, count = _estimators(campaign, scenario), campaign.spec.databases
+        worlds = [open_orbit_world(scenario, campaign.seed, number) for number in range(count)]
+        return InTurn(
+            tuple(
+                cls(scenario.spec.name, world, estimators, campaign.seed, database=number if count > 1 else None)
+                for number, world in enumerate(worlds)
+            )
+        )
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one estimator, shown to a witness."""
         return replace(self, estimators={label: self.estimators[label]}, witness=witness)
 
-    def run(self, trials: range) -> Records:
-        """Run trials, in the order of trials and estimators."""
-        return each_trial(trials, self.name, self._run)
+    def trial(self, trial: int) -> Records:
+        """Run one trial, in the order of estimators."""
+        return each_trial((trial,), self.name, self._run)
+
+    def flush(self) -> None:
+        """Keep nothing: no image is rendered."""
 
     def _run(self, trial: int) -> dict[str, Records]:
         """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has data."""
         try:
             truth, data = draw_orbit(self.world, self.seed, trial)
         except OrbitLostError as error:
-            row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
+            row = {**self._row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.estimators}
         return {
             label: self._judged(Call(self.name, trial, label), estimator, truth, data)
@@ -101,7 +113,7 @@ class OrbitTrials:
 
     def _judged(self, call: Call, estimator: OrbitEstimator | Unbuilt, truth: OrbitTruth, data: OrbitData) -> Records:
         """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
-        row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
+        row = {**self._row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
 
         def score(estimate: OrbitEstimate) -> Records:
             timings: Records = {"timings": [{"stage": "orbit", "seconds": float(estimate.seconds)}]}
@@ -114,6 +126,9 @@ class OrbitTrials:
         return Work(call, "estimator", row).judged(
             lambda: able(estimator).determine(data), lambda estimate: check_orbit(estimate, data), score, show
         )
+
+    def _row(self) -> Record:
+        return {**empty_row(), "database": self.database}
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
@@ -129,12 +144,14 @@ def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
     return section
 
 
-def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
-    """Make the orbit section of a scenario real; scenarios of one body share it."""
+def open_orbit_world(scenario: LoadedScenario, seed: int, number: int = 0) -> OrbitWorld:
+    """Make the orbit section of a scenario real, with a draw of the craters; scenarios of one body share it."""
     section = _section(scenario)
-    asteroid = _asteroid(_Body(scenario), _body_part(section), seed)
-    believed = _believed(asteroid, section.knowledge.shape_degree, _body_part(section))
-    return OrbitWorld(section, scenario.spec.camera.camera().pinhole, asteroid, believed)
+    part = _body_part(section)
+    asteroid = _asteroid(_Body(scenario), part, seed)
+    believed = _believed(asteroid, section.knowledge.shape_degree, part)
+    cratered = _other_craters(asteroid, part, seed, number) if number else asteroid
+    return OrbitWorld(section, scenario.spec.camera.camera().pinhole, cratered, believed)
 
 
 def scored_orbit(
@@ -191,6 +208,11 @@ def _body_part(section: OrbitSpec) -> OrbitSpec:
 def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
     mesh = load_body(body.scenario.spec.body, body.scenario.search_dirs).mesh
     return Asteroid.of(mesh, spec, seed)
+
+
+@lru_cache(maxsize=16)
+def _other_craters(asteroid: Asteroid, spec: OrbitSpec, seed: int, number: int) -> Asteroid:
+    return asteroid.with_craters(spec, seed, number)
 
 
 @lru_cache(maxsize=16)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from reports.schema.column import Column, Columns, KindSchema, flag, measured, names, number
-from reports.schema.common import KEY, POSE_ERROR, VIEW
+from reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW
 
 
 def _of_arc(name: str, meaning: str, label: str = "") -> Column:
@@ -36,7 +36,7 @@ METRICS = ("position_error_m", *names(_ARC))
 _BY_NAME = {column.name: column for column in (*_ARC, *_EDITING)}
 
 SCHEMA = KindSchema(
-    row=ROW,
+    row=(*DATABASE, *ROW),
     tables={
         "orbits": (
             *KEY,
@@ -73,4 +73,9 @@ SCHEMA = KindSchema(
         ),
     },
     metrics=METRICS,
+    databases_note=(
+        "Positions and prominence of the craters were drawn {n} times; trials have them in turn. Intervals take that"
+        " draw for what is independent (Student's t over the draws), so that they include the variation between them."
+        " The body and its a priori shape are the same in all trials."
+    ),
 )
