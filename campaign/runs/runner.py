@@ -14,7 +14,7 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs import manifest as manifests
 from campaign.runs.request import RunRequest
 from campaign.runs.requirements import remember
-from campaign.runs.worker import Losses, renew_after, run_block
+from campaign.runs.worker import Losses, run_block
 from campaign.store import RunFolder, RunLock
 from campaign.store.folder import Block, BlockState, blocks
 from campaign.trial.kind import Bench, Records, kind_named
@@ -144,7 +144,7 @@ def _computed(
         run_block,
         ((campaign, block, bench, {}) for block in todo),
         apart=request.limit_s is not None,
-        renew_after=renew_after(kind_named(campaign.spec.experiment).block_trials),
+        renew_after=kind_named(campaign.spec.experiment).process_blocks,
         after_death=Losses(listener.message).after,
     )
     yield from zip(todo, results, strict=True)

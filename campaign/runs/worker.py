@@ -22,8 +22,6 @@ from campaign.trial.kind import Bench, Records, Trials, kind_named
 
 T = TypeVar("T")
 
-_TRIALS_OF_A_PROCESS = 1000
-
 Tell = Callable[[str], None]
 
 _TRIES = 3
@@ -86,14 +84,6 @@ def _without(arguments: Arguments, call: Call, trace: str) -> Arguments:
         raise TypeError(f"{arguments!r} are not the arguments of a block")
     loss = Loss(over_time(bench.limit_s) if trace else ENDED, trace)
     return campaign, block, bench, {**known, call: loss}
-
-
-def renew_after(block_trials: int) -> int:
-    """Return after how many blocks a worker makes room for a fresh one, so that nothing leaks for ever.
-
-    Mitsuba has been reported to fail after some thousands of renderings in one process.
-    """
-    return max(1, _TRIALS_OF_A_PROCESS // block_trials)
 
 
 def run_block(

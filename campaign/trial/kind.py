@@ -98,6 +98,9 @@ class Kind:
         Makes the trials of a scenario ready in a worker.
     databases
         Whether trials may have several data bases, or worlds of craters, in turn.
+    process_trials
+        How many trials a worker process runs before it is replaced, which bounds what libraries leak. Mitsuba has been
+        reported to fail after some thousands of renderings in one process.
     """
 
     name: str
@@ -107,6 +110,12 @@ class Kind:
     prepare: Callable[[ResolvedCampaign, LoadedScenario, BuiltAssets], Sequence[BuiltProduct | MissingProduct]]
     open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
     databases: bool = False
+    process_trials: int = 1000
+
+    @property
+    def process_blocks(self) -> int:
+        """How many blocks a worker process runs before it is replaced."""
+        return max(1, self.process_trials // self.block_trials)
 
 
 def kind_names() -> list[str]:

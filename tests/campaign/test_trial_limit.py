@@ -18,7 +18,7 @@ from campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guardi
 from campaign.pool.workers import in_order
 from campaign.runs.worker import Losses
 from campaign.store.folder import Block
-from campaign.trial.kind import Bench
+from campaign.trial.kind import Bench, kind_named, kind_names
 from campaign.trial.work import Work
 from scenarios.errors import BoresightError
 
@@ -184,6 +184,13 @@ def test_processes_are_renewed_and_results_stay_in_order():
     by_process = pd.Series([pid for _, pid in found]).value_counts()
     assert by_process.max() <= 5
     assert os.getpid() not in by_process.index
+
+
+@pytest.mark.parametrize("name", kind_names())
+def test_no_kind_of_trial_starts_a_process_for_every_block(name):
+    kind = kind_named(name)
+    assert kind.process_blocks > 1
+    assert kind.process_blocks * kind.block_trials == kind.process_trials
 
 
 MODULE = """

@@ -19,7 +19,7 @@ from campaign.machine import cores
 from campaign.pool.workers import in_order
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN, Fetch, asset_file, from_scheduler
-from campaign.runs.worker import Losses, renew_after, run_block
+from campaign.runs.worker import Losses, run_block
 from campaign.store.folder import Block
 from campaign.trial.kind import Bench, Records, kind_named
 
@@ -49,7 +49,7 @@ def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float
         bench = Bench(folder / RUN, workers, keep_images=False, limit_s=limit_s)
         if limit_s is None:
             return run_block(campaign, block, bench)
-        again = renew_after(kind_named(campaign.spec.experiment).block_trials)
+        again = kind_named(campaign.spec.experiment).process_blocks
         calls: list[tuple[object, ...]] = [(campaign, block, bench, {})]
         # All of it is taken, as what is broken off costs the process.
         (found,) = in_order(1, run_block, calls, apart=True, renew_after=again, after_death=Losses().after)
