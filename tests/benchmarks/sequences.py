@@ -3,53 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
+import numpy as np
 import numpy_adjustment
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.ratio import Absent, Ratio
 from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
-from benchmarks.windows import COST_TOLERANCE, cycle_ratios, make_window, window_ratios
+from benchmarks.windows import CERES, COST_TOLERANCE, GTSAM, WindowRatio, cycle_ratios, make_window, window_ratios
 from campaign.runs.benchmark import one_core
 from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
 from scenarios.errors import BoresightError
 
-_FEW, _MANY = 25, 100
+_AIMS = {(CERES, 25, 9): 5.0, (CERES, 500, 9): 10.0}
+_GTSAM_AIM, _UPDATE_AIM = 5.0, 2.0
+_ROUNDS = 5
 _CYCLE_FRAMES = 45
 _KERNEL_WINDOW = (25, 9)
 KERNEL_WORK = "adjustment of 25 landmarks in 9 views"
 
 
 def adjustment_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
-    """Time full adjustments of windows on one core beside gtsam and Ceres: the whole call, and their solvers alone."""
+    """Time full adjustments of windows on one core beside the solvers of gtsam and of Ceres alone."""
     absent: list[Absent] = []
     with one_core(), threadpool_limits(limits=1):
-        for row in window_ratios(settings.rounds, lambda text: absent.append(Absent("adjustment of a window", text))):
+        told = partial(_left_out, absent, "adjustment of a window")
+        for row in window_ratios(settings.rounds, _ROUNDS, told):
             work = f"adjustment of {row.landmarks} landmarks in {row.views} views"
             if row.cost_gap > COST_TOLERANCE:
-                yield Absent(work, f"{row.peer} ends at another cost, by {row.cost_gap:.1e}")
+                yield Absent(work, f"{row.peer} or we end above the minimum, by {row.cost_gap:.1e} of the cost")
                 continue
-            note = f"equal costs to {row.cost_gap:.0e}"
-            whole, alone = row.whole * row.ours_s, row.solve_alone * row.ours_s
-            aim = 10.0 if row.landmarks <= _FEW else 20.0 if row.landmarks >= _MANY else None
-            yield Ratio(work, row.peer, "cpu", row.ours_s, whole, aim, note)
-            yield Ratio(work, f"{row.peer}'s solver alone", "cpu", row.ours_s, alone, 5.0, note)
+            aim = _GTSAM_AIM if row.peer == GTSAM else _AIMS.get((row.peer, row.landmarks, row.views))
+            yield _beside(work, row.peer, row, row.solve, aim)
+            if row.peer == CERES:
+                yield _beside(work, f"{CERES}, its problem built as well", row, row.whole)
     yield from absent
 
 
 def smoother_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
-    """Time whole cycles of fixed-lag smoothers on one core beside gtsam's."""
-    del settings
+    """Time whole frames of fixed-lag smoothers on one core beside gtsam's updates alone, and with what feeds them."""
     absent: list[Absent] = []
     with one_core(), threadpool_limits(limits=1):
-        for row in cycle_ratios(_CYCLE_FRAMES, lambda text: absent.append(Absent("cycle of fixed-lag", text))):
-            aim = 2.0 if row.landmarks <= 20 else 1.0
-            yield Ratio(
-                f"cycle of fixed-lag, {row.landmarks} landmarks", "gtsam", "wall", row.ours_s, row.ratio * row.ours_s,
-                aim, f"{row.apart_sigma:.3f} sigma apart",
-            )  # fmt: skip
+        for row in cycle_ratios(_CYCLE_FRAMES, settings.rounds, partial(_left_out, absent, "frame of fixed-lag")):
+            work, note = f"frame of fixed-lag, {row.landmarks} landmarks", f"{row.apart_sigma:.3f} sigma apart"
+            update_s, whole_s = row.update * row.ours_s, row.whole * row.ours_s
+            yield Ratio(work, "gtsam's update alone", "cpu", row.ours_s, update_s, _UPDATE_AIM, note)
+            yield Ratio(work, "gtsam, fed and read in Python", "cpu", row.ours_s, whole_s, None, note)
     yield from absent
+
+
+def _left_out(absent: list[Absent], work: str, why: str) -> None:
+    absent.append(Absent(work, why))
+
+
+def _beside(work: str, peer: str, row: WindowRatio, ratios: NDArray[np.float64], aim: float | None = None) -> Ratio:
+    note = f"costs equal to {row.cost_gap:.0e}; {ratios.min():.3g} to {ratios.max():.3g} in {len(ratios)} windows"
+    return Ratio(work, peer, "cpu", row.ours_s, float(np.median(ratios)) * row.ours_s, aim, note)
 
 
 def kernel_ratios(settings: Settings) -> Iterator[Ratio | Absent]:

@@ -1,22 +1,27 @@
-"""What adjustments and smoothers of sequences cost beside those of other engines, on one core and in one run.
+"""Processor time of adjustments and smoothers of sequences, ours and other engines', in turn on the same data.
 
-Only ratios are told: a time says as much of the machine as of the program. Every adjustment is checked to end at the
-same cost, from the same start.
+Every adjustment is checked to end at its minimum; all begin at the same start.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers import PeerSolution, solved_by_ceres, solved_by_gtsam
+from benchmarks.ceres import Case, ceres
+from benchmarks.peers import PeerSolution, solved_by_gtsam
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import Follower
+from estimators.slam.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
 from estimators.slam.problem import Adjustment, Distances, State
-from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.slam_map import SlamMap
+from estimators.slam.smoother import FixedLagSmoother
 from estimators.slam.solver import StoppingRule, minimise
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
@@ -25,81 +30,159 @@ from scenarios.spec.sequence import SequenceSpec
 from scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
-Peer = Callable[[Adjustment, State], PeerSolution]
+Solver = Callable[[int], PeerSolution]
 
-PEERS: tuple[tuple[str, Peer], ...] = (("gtsam", solved_by_gtsam), ("pyceres", solved_by_ceres))
-WINDOWS = ((10, 3), (10, 9), (15, 5), (25, 3), (25, 9), (100, 5), (300, 5), (500, 9))
-LANDMARKS = (10, 20, 100, 300)
+GTSAM, CERES = "gtsam's optimizer", "Ceres (C++)"
+WINDOWS = ((10, 3), (25, 9), (100, 5), (500, 9))
+LANDMARKS = (10, 20, 100)
 COST_TOLERANCE = 1e-6
 _SEED = 20150615
-# Parts of the distance: loose as the peers' rules are, and as theirs far below the tolerance of the cost.
-_STEP = 1e-6
-_BEST_OF = 3
+# Part of the distance: as the peers' rules, the loosest power of ten with which all windows end within COST_TOLERANCE.
+_STEP = 1e-3
+_REPETITIONS = 5
+# Frames until the window of ten is full.
+_FULL = 12
 
 
 @dataclass(frozen=True, slots=True)
 class WindowRatio:
-    """A peer's time over ours, median of some windows: all of it, and its solver's alone over all of ours.
+    """A peer's processor time over that of our whole call: medians and range over some windows.
 
-    ``cost_gap`` is the largest relative difference of the two costs; ``ours_s`` the median time that ours takes.
+    ``whole`` counts the making of the peer's problem as well; ``cost_gap`` is the largest relative distance of a cost,
+    ours or the peer's, from that of the minimum.
     """
 
     peer: str
     landmarks: int
     views: int
-    windows: int
     ours_s: float
-    whole: float
-    solve_alone: float
+    solve: FloatArray
+    whole: FloatArray
     cost_gap: float
 
 
 @dataclass(frozen=True, slots=True)
 class CycleRatio:
-    """Median time of a frame of gtsam's fixed-lag smoother over ours, and the rms distance of the two in sigma."""
+    """Processor time of gtsam's fixed-lag smoother over ours in the same frames, and how far apart they are in sigma.
+
+    ``update`` counts gtsam's updates alone, ``whole`` also what feeds them and reads the result, in Python.
+    """
 
     landmarks: int
     frames: int
     ours_s: float
-    ratio: float
+    update: float
+    whole: float
     apart_sigma: float
 
 
-def window_ratios(windows: int, tell: Callable[[str], None]) -> Iterator[WindowRatio]:
-    """Time full adjustments of windows of all sizes; a peer that is not installed is told of and left out."""
-    peers = [peer for peer in PEERS if _present(peer, tell)]
-    for landmarks, views in WINDOWS if peers else ():
-        cases = [make_window(landmarks, views, trial) for trial in range(windows)]
-        ours = [min(_our_time(*case) for _ in range(1 + _BEST_OF)) for case in cases]
-        for name, solve in peers:
-            found = [min((solve(*case) for _ in range(_BEST_OF)), key=_whole) for case in cases]
-            gaps = [abs(f.cost - cost) / cost for f, (_, cost) in zip(found, ours, strict=True)]
-            whole = [_whole(f) / seconds for f, (seconds, _) in zip(found, ours, strict=True)]
-            alone = [f.solve_s / seconds for f, (seconds, _) in zip(found, ours, strict=True)]
-            yield WindowRatio(
-                name, landmarks, views, windows, float(np.median([seconds for seconds, _ in ours])),
-                float(np.median(whole)), float(np.median(alone)), max(gaps),
-            )  # fmt: skip
+def window_ratios(windows: int, rounds: int, tell: Callable[[str], None]) -> Iterator[WindowRatio]:
+    """Time full adjustments of some windows of each size; a peer that is not installed is told of and left out.
+
+    All engines solve a window in turn, once to warm up and then for some rounds; the least time of each counts.
+    """
+    cases = [make_window(*size, trial) for size in WINDOWS for trial in range(windows)]
+    with ExitStack() as stack:
+        peers = _peers(cases, stack, tell)
+        for k, (landmarks, views) in enumerate(WINDOWS if peers else ()):
+            numbers = range(k * windows, (k + 1) * windows)
+            found = [_solved(cases[i], i, rounds, peers) for i in numbers]
+            for peer in peers:
+                pairs = [(solved[""], solved[peer]) for solved in found]
+                yield WindowRatio(
+                    peer, landmarks, views, float(np.median([ours.solve_s for ours, _ in pairs])),
+                    np.array([theirs.solve_s / ours.solve_s for ours, theirs in pairs]),
+                    np.array([(theirs.build_s + theirs.solve_s) / ours.solve_s for ours, theirs in pairs]),
+                    max(_gap(cases[i], pair) for i, pair in zip(numbers, pairs, strict=True)),
+                )  # fmt: skip
 
 
-def cycle_ratios(frames: int, tell: Callable[[str], None]) -> Iterator[CycleRatio]:
-    """Time whole cycles of the fixed-lag smoothers, from the frame on at which the window is full."""
+def _peers(cases: Sequence[Case], stack: ExitStack, tell: Callable[[str], None]) -> dict[str, Solver]:
+    """Return those that are here, by name; each solves a case by its number."""
+    found: dict[str, Solver] = {}
     try:
-        theirs = sequence_estimator_class("gtsam-fixed-lag").from_options({})
+        load_gtsam()
+        found[GTSAM] = lambda number: solved_by_gtsam(*cases[number])
+    except BoresightError as error:
+        tell(f"left out: {error}")
+    try:
+        program = stack.enter_context(ceres(cases))
+        found[CERES] = lambda number: program.solve(number, _REPETITIONS)
+    except BoresightError as error:
+        tell(f"left out: {error}")
+    return found
+
+
+def _solved(case: Case, number: int, rounds: int, peers: Mapping[str, Solver]) -> dict[str, PeerSolution]:
+    """Return our solution of a case, named "", and the peers', each with its least times."""
+    solvers = {"": lambda _: _our_solution(*case), **peers}
+    for solve in solvers.values():  # to warm up
+        solve(number)
+    turns = [{name: solve(number) for name, solve in solvers.items()} for _ in range(rounds)]
+    return {name: _least([turn[name] for turn in turns]) for name in solvers}
+
+
+def _least(found: Sequence[PeerSolution]) -> PeerSolution:
+    """Return one of the same solutions, with the least of the times of all."""
+    return replace(found[0], build_s=min(one.build_s for one in found), solve_s=min(one.solve_s for one in found))
+
+
+def cycle_ratios(frames: int, rounds: int, tell: Callable[[str], None]) -> Iterator[CycleRatio]:
+    """Time the fixed-lag smoothers frame by frame in turn, from the frame on at which the window is full.
+
+    The least time of each frame in some rounds counts.
+    """
+    try:
+        theirs = GtsamFixedLag.from_options({})
     except BoresightError as error:
         tell(f"left out: {error}")
         return
-    ours = sequence_estimator_class("fixed-lag").from_options(
-        {"associations": "all"}
-    )  # the engine believes all as well
+    # The engine believes all associations as well.
+    ours = FixedLagSmoother.from_options({"associations": "all"})
     for landmarks in LANDMARKS:
         sequence = _draw(landmarks, frames, 0)[1]
-        one, other = ours.follow(sequence), theirs.follow(sequence)
-        pairs = list(zip(one.frames, other.frames, strict=False))[12:]
-        apart = [_sigmas(a.position_m - b.position_m, a.covariance_m2) for a, b in pairs]
-        mine = float(np.median([a.seconds for a, _ in pairs]))
-        ratio = float(np.median([b.seconds for _, b in pairs])) / mine
-        yield CycleRatio(landmarks, len(pairs), mine, ratio, float(np.sqrt(np.mean(np.square(apart)))))
+        passes = [list(_cycles(sequence, ours.follower(sequence), theirs)) for _ in range(rounds)]
+        ours_s, update_s, whole_s = np.min([[cycle.seconds for cycle in one] for one in passes], axis=0)[_FULL:].T
+        apart = [_sigmas(cycle.ours, cycle.theirs) for cycle in passes[0][_FULL:]]
+        yield CycleRatio(
+            landmarks, len(ours_s), float(np.median(ours_s)), float(np.median(update_s / ours_s)),
+            float(np.median(whole_s / ours_s)), float(np.sqrt(np.mean(np.square(apart)))),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Cycle:
+    """A frame by both: seconds of ours, of gtsam's updates and of all that gtsam's takes."""
+
+    ours: FrameEstimate
+    theirs: FrameEstimate
+    seconds: tuple[float, float, float]
+
+
+def _cycles(sequence: TrackSequence, ours: Follower, engine: GtsamFixedLag) -> Iterator[_Cycle]:
+    theirs = IncrementalFollower(sequence, engine.options, engine.options.lag)
+    theirs.engine = updates = _TimedUpdates(theirs.engine)
+    for frame in sequence.frames:
+        updates.seconds, began = 0.0, time.process_time()
+        other = theirs.advance(frame)
+        turned = time.process_time()
+        mine = ours.advance(frame)
+        yield _Cycle(mine, other, (time.process_time() - turned, updates.seconds, turned - began))
+
+
+class _TimedUpdates:
+    """An engine of gtsam whose updates are timed."""
+
+    def __init__(self, engine: Any) -> None:
+        self.engine, self.seconds = engine, 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.engine, name)
+
+    def update(self, *arguments: Any) -> None:
+        began = time.process_time()
+        self.engine.update(*arguments)
+        self.seconds += time.process_time() - began
 
 
 def make_window(landmarks: int, views: int, trial: int) -> tuple[Adjustment, State]:
@@ -141,28 +224,27 @@ def _draw(landmarks: int, frames: int, trial: int) -> tuple[SequenceTruth, Track
     return draw_sequence(spec, Camera.from_fov(1024, 1024, np.radians(30.0)), SphereGround(190.0), _SEED, trial)
 
 
-def _present(peer: tuple[str, Peer], tell: Callable[[str], None]) -> bool:
-    try:
-        peer[1](*make_window(10, 3, 0))
-    except BoresightError as error:
-        tell(f"left out: {error}")
-        return False
-    return True
-
-
-def _our_time(problem: Adjustment, start: State) -> tuple[float, float]:
-    """Processor time, s, and cost of our adjustment, all that it writes down included."""
-    depth_m = float(np.median(np.linalg.norm(start.points_m - start.positions_m[0], axis=1)))
+def _our_solution(problem: Adjustment, start: State) -> PeerSolution:
+    """Solve by our whole call, from the problem's arrays to the minimum; its time is a mean."""
+    rule = StoppingRule(_STEP * _depth_m(start))
     began = time.process_time()
-    found = minimise(problem, start, StoppingRule(_STEP * depth_m))
-    return time.process_time() - began, found.cost
+    for _ in range(_REPETITIONS):
+        found = minimise(problem, start, rule)
+    return PeerSolution(found.state, found.cost, 0.0, (time.process_time() - began) / _REPETITIONS)
 
 
-def _whole(found: PeerSolution) -> float:
-    return found.build_s + found.solve_s
+def _gap(case: Case, solved: Sequence[PeerSolution]) -> float:
+    """Return the largest relative distance of the costs from that of the minimum."""
+    lowest = minimise(*case, StoppingRule(1e-9 * _depth_m(case[1]))).cost
+    return max(abs(found.cost / lowest - 1.0) for found in solved)
 
 
-def _sigmas(gap: FloatArray, covariance_m2: FloatArray | None) -> float:
-    if covariance_m2 is None:
+def _depth_m(start: State) -> float:
+    return float(np.median(np.linalg.norm(start.points_m - start.positions_m[0], axis=1)))
+
+
+def _sigmas(ours: FrameEstimate, theirs: FrameEstimate) -> float:
+    if ours.covariance_m2 is None:
         return float("nan")
-    return float(np.sqrt(gap @ np.linalg.solve(covariance_m2, gap)))
+    gap = ours.position_m - theirs.position_m
+    return float(np.sqrt(gap @ np.linalg.solve(ours.covariance_m2, gap)))

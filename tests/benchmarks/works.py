@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from types import MappingProxyType
 
+from benchmarks import ceres
 from benchmarks.images import image_ratios
 from benchmarks.paper import recognition_ratios
 from benchmarks.plain import plain_ratios
@@ -16,6 +17,7 @@ from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_rati
 from benchmarks.settings import Settings
 from campaign.machine import describe, load, package_versions
 from campaign.runs.manifest import commit_here, now
+from scenarios.errors import BoresightError
 
 Work = Callable[[Settings], Iterator[Ratio | Absent]]
 
@@ -33,7 +35,7 @@ WORKS: Mapping[str, Work] = MappingProxyType(
 )
 QUICK = "quick"
 GROUPS: Mapping[str, Sequence[str]] = MappingProxyType({"all": tuple(WORKS), QUICK: ("plain", "kernels")})
-_PEERS = ("gtsam", "pyceres", "pycolmap", "embreex")
+_PEERS = ("gtsam", "embreex")
 
 
 def names_of(name: str) -> Sequence[str]:
@@ -64,7 +66,7 @@ def speed_table(names: Sequence[str], settings: Settings, tell: Callable[[str], 
         commit_here(),
         now(),
         {**describe(), "load_before": before, "load_after": load()},
-        package_versions() | {name: _version(name) for name in _PEERS},
+        package_versions() | {name: _version(name) for name in _PEERS} | {"Ceres": _ceres_version()},
     )
 
 
@@ -72,4 +74,11 @@ def _version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:
+        return "absent"
+
+
+def _ceres_version() -> str:
+    try:
+        return ceres.version()
+    except BoresightError:
         return "absent"

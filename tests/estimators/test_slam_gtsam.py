@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.peers import graph_of, solved_by_ceres, solved_by_gtsam
+from benchmarks.ceres import ceres
+from benchmarks.peers import PeerSolution, graph_of, solved_by_gtsam
+from needs_ceres import skip_without_ceres
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
 from estimators.slam.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2
-from estimators.slam.problem import Distances, Motions
+from estimators.slam.problem import Adjustment, Distances, State
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.solver import StoppingRule, minimise, view_covariance
@@ -54,29 +56,33 @@ def test_minimum_is_that_of_gtsam(seed: int, gtsam) -> None:
     np.testing.assert_allclose(covariance, R_body_cam @ local @ R_body_cam.T, rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 5, 6])
-def test_adjustment_solved_by_peers_ends_at_our_minimum(seed: int) -> None:
-    """Ceres fixes attitudes exactly and has its own projection."""
-    pytest.importorskip("pyceres", reason="pyceres is not installed")
-    pytest.importorskip("pycolmap", reason="pycolmap is not installed")
-    pytest.importorskip("gtsam", reason="gtsam is not installed")
+def window_of_pixels_and_gauge(seed: int) -> tuple[Adjustment, State]:
     problem, state = window(seed)
-    fixed = problem.distances.view == 0
-    first = Distances(*(part[fixed] for part in _columns(problem.distances)))
-    problem = replace(
-        problem,
-        free_views=np.arange(5) > 0,
-        free_points=np.ones(len(state.points_m), dtype=bool),
-        distances=first,
-        motions=Motions(),
-        prior=None,
-        kept_points=None,
-        frozen=None,
-    )
+    first = Distances(*(part[problem.distances.view == 0] for part in _columns(problem.distances)))
+    free = np.arange(5) > 0, np.ones(len(state.points_m), dtype=bool)
+    return Adjustment(problem.camera, problem.R_cam_body, problem.pixels, *free, distances=first), state
+
+
+@pytest.mark.parametrize("seed", [0, 5, 6])
+def test_adjustment_solved_by_gtsam_ends_at_our_minimum(seed: int, gtsam) -> None:
+    del gtsam
+    check_minimum(*window_of_pixels_and_gauge(seed), solved_by_gtsam(*window_of_pixels_and_gauge(seed), 1e-8))
+
+
+def test_adjustments_solved_by_ceres_end_at_our_minima() -> None:
+    """Ceres fixes attitudes exactly, and has its own projection and derivatives."""
+    skip_without_ceres()
+    cases = [window_of_pixels_and_gauge(seed) for seed in (0, 5, 6)]
+    with ceres(cases) as program:
+        for number, case in enumerate(cases):
+            check_minimum(*case, program.solve(number, repetitions=2, tolerance=1e-8))
+
+
+def check_minimum(problem: Adjustment, state: State, found: PeerSolution) -> None:
     ours = minimise(problem, state, StoppingRule(1e-8))
-    for found in (solved_by_ceres(problem, state), solved_by_gtsam(problem, state)):
-        assert found.cost == pytest.approx(ours.cost, rel=1e-6)
-        np.testing.assert_allclose(found.state.positions_m, ours.state.positions_m, atol=1e-2)
+    assert found.cost == pytest.approx(ours.cost, rel=1e-6)
+    np.testing.assert_allclose(found.state.positions_m, ours.state.positions_m, atol=1e-2)
+    assert found.solve_s > 0.0
 
 
 def _columns(distances: Distances) -> tuple[np.ndarray, ...]:
