@@ -18,7 +18,7 @@ from scipy.stats import mannwhitneyu
 
 from reports.compare.trials import KEY
 from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
+from reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 from reports.statistics.paired import rate_difference, sign_test
 
 
@@ -133,10 +133,10 @@ def independent_contrast(
         for table in (one, other)
     ]
     better_of_all, p_of_all = _superiority(*whole)
-    rates = [(table["failed"].to_numpy(dtype=np.float64), table["cluster"].to_numpy()) for table in (one, other)]
+    rates = [share_of(table["failed"].to_numpy(dtype=bool), table["cluster"].to_numpy()) for table in (one, other)]
     return Contrast(
         *names, False, len(samples[0][0]), len(samples[1][0]), median, mean, better, p, better_of_all, p_of_all,
-        _differences(rates)[1],
+        _difference(*rates),
     )  # fmt: skip
 
 
@@ -167,7 +167,14 @@ def _differences(samples: Sequence[tuple[FloatArray, NDArray[np.generic]]]) -> l
 def _difference(one: Measured, other: Measured) -> Measured:
     """Subtract two independent numbers; either end is as far off as their own ends are, added as squares.
 
-    G. Zou and A. Donner, Construction of confidence limits about effect measures, Statistics in Medicine 27, 2008.
+    G. Zou and A. Donner, Construction of confidence limits about effect measures, Statistics in Medicine 27, 2008. Of
+    two shares with Wilson's ends this is method 10 of R. Newcombe, Interval estimation for the difference between
+    independent proportions, Statistics in Medicine 17, 1998. Where trials form clusters, as by a data base, the ends of
+    each share are those of the clusters if these are wider (`share_of`).
+
+    Coverage of the truth, in %, for shares of 2 % and 5 %, summed over all outcomes: 98.7 of 40 and 40 trials, 96.8 of
+    100 and 100, 95.3 of 500 and 500; for 5 % and 20 %, 96.0 of 40 and 40. With five data bases on either side, whose
+    shares are correlated by 0.05, of 600 samples each: 95.3 with 20 trials for each data base, 93.2 with 100.
     """
     if one.value is None or other.value is None:
         return Measured(None)

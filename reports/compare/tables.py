@@ -90,7 +90,8 @@ def contrast_grid(found: RunComparison) -> Grid | None:
     if any(not one.paired for one in found.contrasts):
         note += (
             " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"
-            " trial of the one is better than one of the other, and p of the test of Mann and Whitney."
+            " trial of the one is better than one of the other, and p of the test of Mann and Whitney; failures by the"
+            " method of Newcombe, of Wilson's ends."
         )
     whole = Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
     return whole if found.metric.is_error else _of_numbers(whole)

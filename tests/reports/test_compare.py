@@ -4,13 +4,14 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
-from scipy.stats import binomtest, bootstrap, mannwhitneyu
+from scipy.stats import binom, binomtest, bootstrap, mannwhitneyu, t
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from reports.compare import compare_runs, write_comparison
 from reports.compare.build import notes
-from reports.compare.pairs import holm
+from reports.compare.pairs import holm, independent_contrast
 from reports.statistics.measured import MEDIAN, P75, P99, RMS
 from scenarios.errors import BoresightError
 
@@ -138,6 +139,58 @@ def test_trials_that_are_not_the_same_are_no_pairs(tmp_path, changes, why):
     assert contrast.p == pytest.approx(mannwhitneyu(samples[1], samples[0]).pvalue)
     assert contrast.median.value == pytest.approx(np.median(samples[1]) - np.median(samples[0]))
     assert contrast.median.low < contrast.median.value < contrast.median.high
+
+
+def failures(k, n, clusters=None):
+    """Trials of a subject of which the first k of n failed; each by itself unless clusters are given."""
+    failed = np.arange(n) < k
+    values = np.where(failed, np.nan, 1.0)
+    return pd.DataFrame({"value": values, "failed": failed, "cluster": np.arange(n) if clusters is None else clusters})
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "low", "high"),
+    [
+        ((56, 70), (48, 80), 0.0524, 0.3339),
+        ((9, 10), (3, 10), 0.1705, 0.8090),
+        ((6, 7), (2, 7), 0.0582, 0.8062),
+        ((5, 56), (0, 29), -0.0381, 0.1926),
+        ((0, 10), (0, 20), -0.1611, 0.2775),
+        ((0, 10), (0, 10), -0.2775, 0.2775),
+        ((10, 10), (0, 20), 0.6791, 1.0),
+        ((10, 10), (0, 10), 0.6075, 1.0),
+    ],
+)
+def test_failure_rates_of_independent_samples_differ_as_newcombe_has_it(one, other, low, high):
+    """Method 10 of table II of R. Newcombe, Statistics in Medicine 17, 1998, p. 873."""
+    rates = independent_contrast((("a",), ("b",)), failures(*one), failures(*other)).failures
+    assert rates.value == pytest.approx(one[0] / one[1] - other[0] / other[1])
+    assert (rates.low, rates.high) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_the_difference_of_failure_rates_holds_the_truth():
+    """At 2 % and 5 % of 40 trials, over all outcomes; intervals of means held it in 84.8 % of cases."""
+    ends = {
+        (i, j): independent_contrast((("a",), ("b",)), failures(i, 40), failures(j, 40)).failures
+        for i in range(7) for j in range(11)
+    }  # fmt: skip
+    weights = {(i, j): binom.pmf(i, 40, 0.02) * binom.pmf(j, 40, 0.05) for i, j in ends}
+    held = sum(weights[key] for key, one in ends.items() if one.low <= 0.02 - 0.05 <= one.high)
+    assert sum(weights.values()) > 0.9999
+    assert held == pytest.approx(0.987, abs=0.002)
+
+
+def test_failures_of_few_data_bases_differ_by_the_intervals_of_these():
+    """Ten trials with each of five data bases, of which one fails throughout; the other sample never fails."""
+    clusters = np.repeat(np.arange(5), 10)
+    rates = independent_contrast((("a",), ("b",)), failures(10, 50, clusters), failures(0, 50, clusters)).failures
+    alone = independent_contrast((("a",), ("b",)), failures(10, 50), failures(0, 50)).failures
+    half = t.ppf(0.975, 4) * np.std([1, 0, 0, 0, 0], ddof=1) / np.sqrt(5)  # 0.555, and the share is 0.2
+    most_of_none = 1.96**2 / (50 + 1.96**2)  # Wilson's end of 0 of 50
+    assert rates.value == alone.value == 0.2
+    assert rates.low == pytest.approx(0.2 - np.hypot(0.2, most_of_none), abs=1e-5)
+    assert rates.high == pytest.approx(0.2 + half)
+    assert rates.low < alone.low < alone.high < rates.high
 
 
 def test_an_unknown_metric_or_factor_is_told_with_what_there_is(tmp_path):
