@@ -8,13 +8,14 @@ import numpy as np
 
 from scenarios.known.record import Item, Known, item, listed
 from scenarios.onboard import onboard_spec
-from scenarios.spec.body import BodySpec
+from scenarios.spec.body import AlbedoSpec, BodySpec
 from scenarios.spec.camera import CameraSpec
 from scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.scenario import ScenarioSpec
 
 ERROR_LAW = "law of the pose errors"
+ALBEDO = "albedo variation"
 THRESHOLDS = (
     "The thresholds of the crater detectors were chosen in the world of eros-like-msi (its body, reflectance, camera,"
     " noise, renderer and crater statistics) on other craters and views; the network of crater-learned was trained on"
@@ -24,7 +25,7 @@ THRESHOLDS = (
 
 def single_images(spec: ScenarioSpec) -> Known:
     """Return the knowledge of single-image estimators: shape, renderings and data bases of the onboard model."""
-    lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
+    lent = [_shape(spec), _albedo(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
     remarks = () if spec.craters is None else (THRESHOLDS,)
     return Known((*lent, Item("renderer", "exactly"), *_pose(spec), *exposure(spec)), remarks)
 
@@ -33,7 +34,7 @@ def real_images(spec: ScenarioSpec, images: ImageSetSpec) -> Known:
     """Return the knowledge for real images: no model is exact, but priors are derived from the reference pose."""
     beliefs, sun = spec.onboard, f"Sun as the pose {images.truth} has it"
     lens = ["lens"] if spec.camera.distortion is not None else []
-    unknown = ["shape", "albedo", "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
+    unknown = ["shape", ALBEDO, "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
     items = [item(sun, _nothing(beliefs.sun_error_deg), _spread(beliefs.sun_error_deg)), *_pose(spec)]
     return Known((*items, *(Item(name, "not") for name in unknown)), ("The images are real",), images.aligned)
 
@@ -42,17 +43,17 @@ def crater_detection(spec: ScenarioSpec) -> Known:
     """Return the knowledge of crater detectors: an image and the Sun's direction, no model of the body."""
     unknown = ("craters", "shape", "reflectance")
     nothing = [Item(name, "not") for name in (*unknown, "pose")]
-    return Known((*_optics(spec, spin=False), *nothing, *exposure(spec)), (THRESHOLDS,))
+    return Known((*_optics(spec, spin=False), *nothing, *unmodelled(spec)), (THRESHOLDS,))
 
 
 def crater_pairs(spec: ScenarioSpec) -> Known:
     """Return the knowledge of crater matchers: smooth shape, detections in two views and prior poses."""
     section = spec.crater_pairs
     rendered = section is not None and section.images is not None
-    items = [*shape_items(spec), Item("camera", "exactly"), Item("Sun", "exactly"), Item("spin", "exactly")]
+    items = [_shape(spec), Item("camera", "exactly"), Item("Sun", "exactly"), Item("spin", "exactly")]
     seen = ["rims"] if rendered else ["rims", "heights of craters above the shape"]
     items += [*_pose(spec), *(Item(name, "not") for name in seen)]
-    return Known((*items, *exposure(spec)), (THRESHOLDS,)) if rendered else Known(tuple(items))
+    return Known((*items, *unmodelled(spec)), (THRESHOLDS,)) if rendered else Known(tuple(items))
 
 
 def pose_solvers(spec: ScenarioSpec) -> Known:
@@ -63,20 +64,34 @@ def pose_solvers(spec: ScenarioSpec) -> Known:
 
 def data_bases(spec: ScenarioSpec) -> Known:
     """Return the knowledge for landmark data bases, which are built and counted but not compared with a truth."""
-    lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
+    lent = [_shape(spec), _albedo(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
     poses = Item("poses of the images that data bases are made of", "exactly")
     noise = [Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images")]
     return Known((*lent, Item("renderer", "exactly"), poses, *noise))
 
 
-def shape_items(spec: ScenarioSpec) -> Iterator[Item]:
-    """Yield the onboard shape and, if there is one, its albedo variation."""
-    true, believed = spec.body, onboard_spec(spec).body
+def _shape(spec: ScenarioSpec) -> Item:
     smooth = "smooth shape" if spec.craters is not None else "shape"
-    yield item(smooth, _form(believed) == _form(true), _shape_error(spec))
-    patterns = [None if body.detail is None else body.detail.albedo for body in (true, believed)]
-    if any(pattern is not None and pattern.sigma > 0.0 for pattern in patterns):
-        yield item("albedo", patterns[0] == patterns[1], "taken as uniform" if patterns[1] is None else "another")
+    return item(smooth, _form(onboard_spec(spec).body) == _form(spec.body), _shape_error(spec))
+
+
+def _albedo(spec: ScenarioSpec) -> Item:
+    """Compare the variation of the albedo with that of the onboard shape; none in both is knowledge too."""
+    true, believed = _variation(spec.body), _variation(onboard_spec(spec).body)
+    if true is believed is None:
+        return Item(ALBEDO, "absent")
+    return item(ALBEDO, believed == true, "taken as uniform" if believed is None else "another")
+
+
+def _variation(body: BodySpec) -> AlbedoSpec | None:
+    pattern = None if body.detail is None else body.detail.albedo
+    return pattern if pattern is not None and pattern.sigma > 0.0 else None
+
+
+def unmodelled(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield what images show and no model of the body is used for: albedo variation, blur and noise."""
+    yield Item(ALBEDO, "absent" if _variation(spec.body) is None else "not")
+    yield from exposure(spec)
 
 
 def exposure(spec: ScenarioSpec) -> Iterator[Item]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenarios.known.images import THRESHOLDS, exposure
+from scenarios.known.images import THRESHOLDS, unmodelled
 from scenarios.known.record import Item, Known, item, listed, spin_item
 from scenarios.spec.orbit import OrbitSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -18,7 +18,7 @@ def orbits(spec: ScenarioSpec, section: OrbitSpec) -> Known:
     items = [*_world(section), *_camera(section), *_laws(section), *_sightings(section)]
     if imaging is None or imaging.detections == "drawn":
         return Known(tuple(items))
-    seen = [Item("reflectance", "not"), *exposure(spec)]
+    seen = [Item("reflectance", "not"), *unmodelled(spec)]
     return Known((*items, *seen), (THRESHOLDS,))
 
 

@@ -111,9 +111,12 @@ def merged(several: Sequence[Known]) -> Known:
 def _joined(own: Sequence[Item], scenarios: int) -> Item:
     """Merge the items of one name; a detail is kept if all have the same.
 
-    A part that only some scenarios have becomes ``not`` if it is unknown there, and ``partly`` if it is exact there.
+    A part that only some scenarios have becomes ``not`` if it is unknown there, and ``partly`` if it is exact there. It
+    stays ``exactly`` if it is absent from the other scenarios.
     """
     standings, details = {one.standing for one in own}, {one.detail for one in own}
+    if standings == {"exactly", "absent"} and len(own) == scenarios:
+        return Item(own[0].name, "exactly")
     if standings == {"not"} or (len(standings) == 1 and len(own) == scenarios):
         return Item(own[0].name, own[0].standing, own[0].detail if len(details) == 1 else "")
     absent = standings == {"absent", "not"}

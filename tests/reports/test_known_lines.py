@@ -20,10 +20,13 @@ CAMERA, VIEW = {"width_px": 64, "height_px": 64, "fov_deg": 20}, {"range_m": 200
 IDEAL = {"name": SCENARIO, "camera": CAMERA, "viewpoint": VIEW}
 BLURRED = IDEAL | {"detector": {"psf_sigma_px": 0.8}, "onboard": {"focal_error": 0.01}}
 LINE = (
-    "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no blur; no noise"
-    " (no `detector`). Not known exactly: pose."
+    "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo variation; no"
+    " blur; no noise (no `detector`). Not known exactly: pose."
 )
-SHORT = "Known exactly: shape, reflectance, Sun, spin, renderer, law of the pose errors. Not known exactly: camera,"
+SHORT = (
+    "Known exactly: shape, reflectance, Sun, spin, renderer, law of the pose errors; no albedo variation."
+    " Not known exactly: camera,"
+)
 
 
 @pytest.fixture

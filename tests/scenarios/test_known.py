@@ -19,7 +19,7 @@ WRONG = {
     "facets": (777, "shape"),
     "relief": ({"below_m": 10, "seed": 99}, "shape"),
     "height_error": ({"rms_m": 0.123}, "shape"),
-    "albedo": ("uniform", "albedo"),
+    "albedo": ("uniform", "albedo variation"),
     "focal_error": (1e-3, "camera"),
     "principal_point_error_px": ((1.0, 0.0), "camera"),
     "distortion_error": (0.5, "lens"),
@@ -157,9 +157,55 @@ def test_exact_items_of_the_crater_navigation_chain():
 
 def test_the_line_of_an_ideal_world():
     assert line_of("itokawa-2km-lambert") == (
-        "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no blur; no noise"
-        " (no `detector`). Not known exactly: pose."
+        "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo variation;"
+        " no blur; no noise (no `detector`). Not known exactly: pose."
     )
+
+
+UNIFORM = "no albedo variation"
+VARYING = "body.detail.albedo={sigma: 0.1}"
+
+
+@pytest.mark.parametrize(
+    ("name", "experiment"),
+    [
+        ("itokawa-2km-lambert", ""),
+        ("itokawa-2km-lambert", "landmark-database"),
+        ("quickstart", ""),
+        ("eros-like-msi", ""),
+        ("eros-like-msi", "crater-detection"),
+        ("eros-like-crater-images", "crater-matching"),
+        ("eros-like-navigation", "crater-navigation"),
+    ],
+)
+def test_images_of_a_body_of_one_albedo_say_so(name: str, experiment: str):
+    assert UNIFORM in line_of(name, experiment=experiment)
+
+
+@pytest.mark.parametrize("name", ["eros-crater-pairs", "eros-orbit", "itokawa-amica-real", "apophis-sphere-sequence"])
+def test_trials_that_render_no_image_say_nothing_of_albedo(name: str):
+    assert UNIFORM not in line_of(name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "standing_of_it"),
+    [
+        ((VARYING,), "exactly"),
+        ((VARYING, "onboard.albedo=uniform"), "not"),
+        (("body.detail.albedo={sigma: 0}",), "absent"),
+    ],
+)
+def test_an_albedo_that_varies_is_known_or_not(changes: tuple[str, ...], standing_of_it: str):
+    known = known_on_board(load_scenario("itokawa-2km-lambert", changes).spec)
+    assert standing(known, "albedo variation") == standing_of_it
+
+
+def test_a_variation_is_known_if_it_is_exact_or_absent_everywhere():
+    name = "itokawa-2km-lambert"
+    several = [known_on_board(load_scenario(name, changes).spec) for changes in ((), (VARYING,))]
+    assert "albedo variation" in merged(several).exactly
+    wrong = known_on_board(load_scenario(name, (VARYING, "onboard.albedo=uniform")).spec)
+    assert "In some scenarios alone: no albedo variation." in merged([several[0], wrong]).line()
 
 
 def test_details_are_for_the_long_line():
