@@ -6,11 +6,12 @@ an architecture.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Self, TypeVar, cast
 
 import numba
 
@@ -19,34 +20,81 @@ from scenarios.cache import default_cache
 _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 
 
-def compiler(*folders: Path) -> Callable[[_Kernel], _Kernel]:
-    """Return a decorator for kernels; ``folders`` hold their sources and those of the functions that they call.
+def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
+    """Return a decorator for kernels whose sources, with those of all functions that they call, are in ``folder``.
 
     A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache; if
-    that cannot be written, in a folder that Numba chooses.
+    that cannot be written, each process compiles.
     """
-    place = _folder(folders)
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    place = (Path(chosen) if chosen else default_cache().root / "kernels") / source_key(folder)
 
     def kernel(function: _Kernel) -> _Kernel:
-        # Numba reads the folder when a function is decorated; other users of Numba keep theirs.
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(place)
+        # Numba reads both when a function is decorated; other users of Numba keep theirs.
+        before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
+        numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = str(place), f"{__name__}.{Locator.__name__}"
         try:
             # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
             # fused.
             return cast("_Kernel", numba.njit(cache=True, error_model="numpy")(function))
-        except RuntimeError:  # no folder can be written
+        except RuntimeError:  # the folder cannot be written
             return cast("_Kernel", numba.njit(error_model="numpy")(function))
         finally:
-            numba.config.CACHE_DIR = before
+            numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 
     return kernel
 
 
-def _folder(folders: tuple[Path, ...]) -> Path:
-    """Return a folder keyed by all sources: Numba detects changes of a file, but not of functions that it calls."""
-    sources = sorted(source for folder in folders for source in folder.glob("*.py"))
-    content = hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(chosen) if chosen else default_cache().root / "kernels"
-    return root / content[:16]
+def source_key(folder: Path) -> str:
+    """Return a digest of what the machine code of a folder's kernels depends on: the syntax of its sources.
+
+    Comments, docstrings and functions without a decorator, which no kernel can call, do not count. Numba alone would
+    compile again after any change of the file of a kernel, and would not see one of a kernel that it calls.
+    """
+    trees = (_compilable(ast.parse(path.read_bytes())) for path in sorted(folder.glob("*.py")))
+    return hashlib.sha256("\0".join(map(ast.dump, trees)).encode()).hexdigest()[:16]
+
+
+def _compilable(module: ast.Module) -> ast.Module:
+    """Remove from a module what its kernels cannot use."""
+    module.body = [node for node in module.body if not isinstance(node, ast.FunctionDef) or node.decorator_list]
+    for node in ast.walk(module):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [one for one in node.body if not _is_docstring(one)]
+    return module
+
+
+def _is_docstring(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+class Locator:
+    """Tells Numba the folder of the machine code; its name stands for the sources, so a file has no stamp nor line."""
+
+    def __init__(self, place: str, file: str) -> None:
+        self._place, self._py_file = place, file  # Numba names the file in a warning
+
+    @classmethod
+    def from_function(cls, function: Callable[..., object], file: str) -> Self | None:
+        """Return the locator of a function that is being decorated; None if the folder cannot be written."""
+        del function
+        locator = cls(numba.config.CACHE_DIR, file)
+        try:
+            locator.ensure_cache_path()
+        except OSError:
+            return None
+        return locator if os.access(locator.get_cache_path(), os.W_OK) else None
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return self._place
+
+    def ensure_cache_path(self) -> None:
+        """Create the folder."""
+        Path(self._place).mkdir(parents=True, exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        """Return nothing."""
+        return ""
+
+    get_disambiguator = get_source_stamp

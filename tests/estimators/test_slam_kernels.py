@@ -233,4 +233,4 @@ def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
             [sys.executable, "-c", code], env={**clean, **home}, capture_output=True, text=True, check=True
         )
         assert done.stdout.strip() == "[2, 2, 2]"
-    assert list(tmp_path.glob("kernels/*/*/envelope.make_envelope-*.nbi"))
+    assert list(tmp_path.glob("kernels/*/envelope.make_envelope-*.nbi"))

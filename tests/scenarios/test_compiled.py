@@ -1,0 +1,135 @@
+"""Machine code is kept while the meaning of the sources is the same, and is never that of other sources."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import scenarios
+from scenarios.compiled import source_key
+
+ROOT = Path(scenarios.__file__).parents[1]
+FOLDERS = [
+    path.parent
+    for package in ("scenarios", "renderers", "estimators", "reports", "campaign")
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if "kernel = compiler(" in path.read_text()
+]
+
+SOURCE = '''"""Kernels."""
+
+from pathlib import Path
+
+from scenarios.compiled import compiler
+
+kernel = compiler(Path(__file__).parent)
+FACTOR = 2.0
+
+
+@kernel
+def times(x):
+    """Multiply."""
+    return FACTOR * x
+
+
+@kernel
+def twice(x):
+    return times(x) + 0.0
+
+
+def in_python(x):
+    return x
+'''
+SAME = {
+    "a comment": SOURCE.replace("    return FACTOR", "    # Why.\n\n    return FACTOR"),
+    "a docstring": SOURCE.replace("Multiply.", "Multiply by a constant.").replace("Kernels.", "Two\nkernels."),
+    "no docstring": SOURCE.replace('    """Multiply."""\n', ""),
+    "a Python function": SOURCE.replace("    return x\n", "    return x + 1\n"),
+}
+OTHER = {
+    "a constant": SOURCE.replace("FACTOR = 2.0", "FACTOR = 3.0"),
+    "a kernel": SOURCE.replace("FACTOR * x", "FACTOR * x * 1.5"),
+    "a number in a kernel": SOURCE.replace("+ 0.0", "+ 2.0 * x * 0.5"),
+    "an import": SOURCE.replace("from pathlib", "import math\nfrom pathlib"),
+    "an inner function": SOURCE.replace(
+        "    return times(x)", "    def own(y):\n        return y\n    return times(x)"
+    ),
+}
+
+
+def write(folder: Path, source: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "kernels_of_test.py").write_text(source)
+    return folder
+
+
+@pytest.mark.parametrize("what", SAME)
+def test_what_kernels_cannot_use_leaves_the_key(tmp_path, what):
+    assert source_key(write(tmp_path, SAME[what])) == source_key(write(tmp_path, SOURCE))
+
+
+@pytest.mark.parametrize("what", OTHER)
+def test_what_kernels_use_changes_the_key(tmp_path, what):
+    assert source_key(write(tmp_path, OTHER[what])) != source_key(write(tmp_path, SOURCE))
+
+
+def test_a_file_more_changes_the_key(tmp_path):
+    before = source_key(write(tmp_path, SOURCE))
+    (tmp_path / "other.py").write_text("SIZE = 3\n")
+    assert source_key(tmp_path) != before
+
+
+def called(folder: Path, cache: Path) -> tuple[float, int]:
+    """Call the kernel in another process; return its result, and how many kernels were compiled rather than read."""
+    code = (
+        "from kernels_of_test import times, twice\nprint(twice(10.0), sum(sum(one.stats.cache_misses.values())"
+        " for one in (times, twice)))"
+    )
+    environment = {"PYTHONPATH": f"{folder}:{':'.join(sys.path)}", "NUMBA_CACHE_DIR": str(cache)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    result, compiled = done.stdout.split()
+    return float(result), int(compiled)
+
+
+def test_machine_code_is_read_after_a_comment_and_in_another_checkout_but_not_after_a_change(tmp_path):
+    cache = tmp_path / "cache"
+    assert called(write(tmp_path / "one", SOURCE), cache) == (20.0, 2)
+    assert called(write(tmp_path / "one", SAME["a comment"]), cache) == (20.0, 0)
+    assert called(write(tmp_path / "two", SOURCE), cache) == (20.0, 0)
+    assert called(write(tmp_path / "one", OTHER["a constant"]), cache) == (30.0, 2)
+
+
+def borrowed(folder: Path) -> set[str]:
+    """Return the names in kernels of a folder that come from modules of boresight outside it."""
+    found, package = set(), ".".join(folder.relative_to(ROOT).parts)
+    for path in folder.glob("*.py"):
+        tree = ast.parse(path.read_text())
+        foreign = {
+            alias.asname or alias.name
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and (ROOT / str(node.module).split(".")[0]).is_dir()
+            if not f"{node.module}.".startswith(f"{package}.")
+            for alias in node.names
+        }
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and any("kernel" in ast.dump(one) for one in node.decorator_list):
+                names = {one.id for part in node.body for one in ast.walk(part) if isinstance(one, ast.Name)}
+                found |= {f"{path.name}: {node.name}: {name}" for name in names & foreign}
+    return found
+
+
+def test_kernels_use_nothing_from_outside_their_folder():
+    """The key of the machine code is of the sources of the folder alone."""
+    assert [folder.name for folder in FOLDERS] == ["craters", "dynamics", "orbit", "compiled"]
+    assert {name for folder in FOLDERS for name in borrowed(folder)} == set()
+
+
+def test_a_kernel_that_uses_something_from_outside_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    (tmp_path / "scenarios").mkdir()
+    other = SOURCE.replace("FACTOR = 2.0", "from scenarios.constants import FACTOR")
+    assert borrowed(write(tmp_path / "mine", other)) == {"kernels_of_test.py: times: FACTOR"}
