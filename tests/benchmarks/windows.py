@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from benchmarks.ceres import Case, ceres
 from benchmarks.peers import PeerSolution, solved_by_gtsam
 from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import Follower
 from estimators.slam.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
 from estimators.slam.problem import Adjustment, Distances, State
 from estimators.slam.slam_map import SlamMap
@@ -35,6 +34,8 @@ Solver = Callable[[int], PeerSolution]
 GTSAM, CERES = "gtsam's optimizer", "Ceres (C++)"
 WINDOWS = ((10, 3), (25, 9), (100, 5), (500, 9))
 LANDMARKS = (10, 20, 100)
+# Updates of gtsam's tree in a frame, each a Gauss-Newton step: as many as our estimator takes, and the least.
+UPDATES = (2, 1)
 COST_TOLERANCE = 1e-6
 _SEED = 20150615
 # Part of the distance: as the peers' rules, the loosest power of ten with which all windows end within COST_TOLERANCE.
@@ -65,10 +66,12 @@ class WindowRatio:
 class CycleRatio:
     """Processor time of gtsam's fixed-lag smoother over ours in the same frames, and how far apart they are in sigma.
 
-    ``update`` counts gtsam's updates alone, ``whole`` also what feeds them and reads the result, in Python.
+    ``updates`` is how often gtsam updates its tree in a frame; ``update`` counts these alone, ``whole`` also what feeds
+    them and reads the result, in Python.
     """
 
     landmarks: int
+    updates: int
     frames: int
     ours_s: float
     update: float
@@ -128,46 +131,58 @@ def _least(found: Sequence[PeerSolution]) -> PeerSolution:
 
 
 def cycle_ratios(frames: int, rounds: int, tell: Callable[[str], None]) -> Iterator[CycleRatio]:
-    """Time the fixed-lag smoothers frame by frame in turn, from the frame on at which the window is full.
+    """Time the fixed-lag smoothers on the same sequences in turn, from the frame on at which the window is full.
 
     The least time of each frame in some rounds counts.
     """
     try:
-        theirs = GtsamFixedLag.from_options({})
+        engines = [GtsamFixedLag.from_options({"rounds": updates}) for updates in UPDATES]
     except BoresightError as error:
         tell(f"left out: {error}")
         return
     # The engine believes all associations as well.
-    ours = FixedLagSmoother.from_options({"associations": "all"})
+    smoother = FixedLagSmoother.from_options({"associations": "all"})
     for landmarks in LANDMARKS:
         sequence = _draw(landmarks, frames, 0)[1]
-        passes = [list(_cycles(sequence, ours.follower(sequence), theirs)) for _ in range(rounds)]
-        ours_s, update_s, whole_s = np.min([[cycle.seconds for cycle in one] for one in passes], axis=0)[_FULL:].T
-        apart = [_sigmas(cycle.ours, cycle.theirs) for cycle in passes[0][_FULL:]]
-        yield CycleRatio(
-            landmarks, len(ours_s), float(np.median(ours_s)), float(np.median(update_s / ours_s)),
-            float(np.median(whole_s / ours_s)), float(np.sqrt(np.mean(np.square(apart)))),
-        )  # fmt: skip
+        turns = [[_ours(sequence, smoother), *(_theirs(sequence, one) for one in engines)] for _ in range(1 + rounds)]
+        ours, *peers = zip(*turns[1:], strict=True)  # by engine, its turns but the first, which is to warm up
+        ours_s = np.min([[cycle.whole_s for cycle in turn] for turn in ours], axis=0)
+        for updates, theirs in zip(UPDATES, peers, strict=True):
+            whole_s = np.min([[cycle.whole_s for cycle in turn] for turn in theirs], axis=0)
+            update_s = np.min([[cycle.update_s for cycle in turn] for turn in theirs], axis=0)
+            apart = [_sigmas(a.estimate, b.estimate) for a, b in zip(ours[0], theirs[0], strict=True)]
+            yield CycleRatio(
+                landmarks, updates, len(ours_s), float(np.median(ours_s)), float(np.median(update_s / ours_s)),
+                float(np.median(whole_s / ours_s)), float(np.sqrt(np.mean(np.square(apart)))),
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class _Cycle:
-    """A frame by both: seconds of ours, of gtsam's updates and of all that gtsam's takes."""
+    """A frame, and the processor time of all of it and of gtsam's updates in it."""
 
-    ours: FrameEstimate
-    theirs: FrameEstimate
-    seconds: tuple[float, float, float]
+    estimate: FrameEstimate
+    whole_s: float
+    update_s: float = 0.0
 
 
-def _cycles(sequence: TrackSequence, ours: Follower, engine: GtsamFixedLag) -> Iterator[_Cycle]:
-    theirs = IncrementalFollower(sequence, engine.options, engine.options.lag)
-    theirs.engine = updates = _TimedUpdates(theirs.engine)
+def _ours(sequence: TrackSequence, smoother: FixedLagSmoother) -> list[_Cycle]:
+    follower, cycles = smoother.follower(sequence), []
+    for frame in sequence.frames:
+        began = time.process_time()
+        estimate = follower.advance(frame)
+        cycles.append(_Cycle(estimate, time.process_time() - began))
+    return cycles[_FULL:]
+
+
+def _theirs(sequence: TrackSequence, engine: GtsamFixedLag) -> list[_Cycle]:
+    follower, cycles = IncrementalFollower(sequence, engine.options, engine.options.lag), []
+    follower.engine = updates = _TimedUpdates(follower.engine)
     for frame in sequence.frames:
         updates.seconds, began = 0.0, time.process_time()
-        other = theirs.advance(frame)
-        turned = time.process_time()
-        mine = ours.advance(frame)
-        yield _Cycle(mine, other, (time.process_time() - turned, updates.seconds, turned - began))
+        estimate = follower.advance(frame)
+        cycles.append(_Cycle(estimate, time.process_time() - began, updates.seconds))
+    return cycles[_FULL:]
 
 
 class _TimedUpdates:
