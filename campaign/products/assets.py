@@ -10,9 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Protocol, cast
 
 from campaign.draft import drafted
+from campaign.handles import Handle, target_of
 from campaign.imaging.world import believed
 from campaign.machine import one_blas_thread
 from campaign.products import crater_database, descriptors, landmark_database, maplets
@@ -120,6 +121,33 @@ class MissingProduct:
     reason: str
 
 
+class EstimatorAssets(Handle):
+    """The `Assets` that an estimator gets: a handle of `BuiltAssets`, which hold scenarios and folders."""
+
+    __slots__ = ()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the scenario."""
+        return _built(self).camera
+
+    def shape(self) -> TriangleMesh:
+        """Return the full onboard shape."""
+        return _built(self).shape()
+
+    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
+        """Return a renderer of ``mesh`` with the onboard BRDF."""
+        return _built(self).mesh_renderer(mesh, samples_per_pixel)
+
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        """Return a product."""
+        return _built(self).product(kind, options)
+
+
+def _built(handle: EstimatorAssets) -> BuiltAssets:
+    return cast("BuiltAssets", target_of(handle))
+
+
 class BuiltAssets:
     """Assets of the estimators of a scenario: camera, shape, renderers of meshes, and products in the run folder.
 
@@ -163,6 +191,10 @@ class BuiltAssets:
         self._draft = draft
         self._used: list[tuple[str, str]] = []
         self._uses_shape = False
+
+    def for_estimator(self) -> EstimatorAssets:
+        """Return what an estimator gets of these assets."""
+        return EstimatorAssets(self)
 
     def for_database(self, database: int = 0) -> BuiltAssets:
         """Return the same assets for a data base, with no product used yet."""

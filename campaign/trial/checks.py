@@ -1,6 +1,7 @@
 """What answers of all kinds are checked for before they are scored: types, shapes, finite numbers of a possible size.
 
 Scoring must not fail on what passes here, and what it works out must be finite: its own faults are no estimator's.
+Types are exact: the methods of a subclass could read the truth while scoring compares it with the answer.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ in which a method may compute."""
 
 
 def check_type(answer: object, kind: type) -> None:
-    """Refuse what is no ``kind``.
+    """Refuse what is no ``kind``, or of a subclass of it.
 
     Raises
     ------
     ValueError
         As all checks here, with what is wrong.
     """
-    if not isinstance(answer, kind):
-        raise ValueError(f"a {type(answer).__name__} is no {kind.__name__}")  # noqa: TRY004  all rubbish is a ValueError
+    if type(answer) is not kind:
+        raise ValueError(f"a {type(answer).__name__} is no {kind.__name__}")
 
 
 def check_status(status: object, reason: object) -> None:
@@ -93,8 +94,8 @@ def check_semidefinite(what: str, matrices: NDArray[np.float64]) -> None:
 
 def check_several(what: str, answer: object) -> None:
     """Refuse what is neither a tuple nor a list: it could end, or be another, when it is asked again."""
-    if not isinstance(answer, tuple | list):
-        raise ValueError(f"{what} are a {type(answer).__name__}, not a tuple")  # noqa: TRY004  all rubbish is a ValueError
+    if type(answer) not in (tuple, list):
+        raise ValueError(f"{what} are a {type(answer).__name__}, not a tuple")
 
 
 def check_names(what: str, answer: object) -> None:
@@ -113,8 +114,8 @@ def check_indices(what: str, array: object, shape: tuple[int, ...]) -> None:
 
 
 def _array(what: str, array: object) -> NDArray[np.generic]:
-    if not isinstance(array, np.ndarray):
-        raise ValueError(f"{what} is a {type(array).__name__}, not an array")  # noqa: TRY004  all rubbish is a ValueError
+    if type(array) is not np.ndarray:
+        raise ValueError(f"{what} is a {type(array).__name__}, not an array")
     return array
 
 

@@ -1,50 +1,154 @@
-"""Nothing that an estimator is handed shows the campaign's seed, or an object that holds the truth."""
+"""Nothing that a method is given leads to the truth, the seed or a folder of the run, and it is the method's own."""
 
 from __future__ import annotations
 
+import inspect
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
-from test_image_tracks import SCENE, ground_of
+from orbit_worlds import orbit_world
+from test_crater_navigation import _trials, _world
+from test_image_tracks import SCENE as IMAGES
+from test_rubbish import install
+from tiny_campaign import SCENE, Heard, write_campaign
 
+from campaign.handles import Handle, own_copy
+from campaign.imaging.image_store import Imager, ImageStore
+from campaign.imaging.world import TrialImage, World
+from campaign.kinds.crater_detection import trial as detection
+from campaign.kinds.crater_matching import trial as matching
+from campaign.kinds.orbit_determination.trial import OrbitTrials
+from campaign.kinds.sequence import trial as sequences
 from campaign.kinds.sequence.images import OrbitImages
-from campaign.kinds.sequence.tracks import ImageTracks
+from campaign.kinds.sequence.tracks import ImageTracks, Watch
+from campaign.kinds.single_image import trial as single_image
+from campaign.products import BuiltAssets
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
+from campaign.store import RunFolder
+from campaign.trial.methods import able
+from estimators.craters.matching.vote import VoteMatcher
 from renderers.mitsuba3 import choose_variant
+from scenarios.cache import default_cache
+from scenarios.craters import CraterTruth
+from scenarios.craters.pairs import CraterPair, CraterView
+from scenarios.craters.simulated import LabelledDetections
 from scenarios.draw import Stream, estimator_generator, generator
-from scenarios.load import load_scenario
+from scenarios.load import LoadedScenario
+from scenarios.orbits.draw import OrbitTruth
+from scenarios.orbits.true_orbit import TrueOrbit
+from scenarios.orbits.world import Asteroid, OrbitWorld
 from scenarios.sequences import CameraTrajectory, SequenceTruth
 
 SEED = 987654321
+BEFORE_AFTER = Path(__file__).parents[1] / "before_after" / "campaigns"
+PACKAGES = ("campaign", "estimators", "renderers", "scenarios")
+INPUTS = (
+    *("scenarios.observation", "scenarios.tracks", "scenarios.orbits.data", "estimators.craters.contract"),
+    *("scenarios.geometry.camera", "scenarios.geometry.pose", "scenarios.geometry.ellipse"),
+)
+"""Modules of the classes of what methods are given."""
+
+TRUTH = (
+    *(TrialImage, World, LoadedScenario, ImageStore, Imager, BuiltAssets, RunFolder, Path, OrbitImages, ImageTracks),
+    *(Watch, SequenceTruth, CameraTrajectory, CraterTruth, CraterPair, CraterView, LabelledDetections, OrbitTruth),
+    *(OrbitWorld, Asteroid, TrueOrbit),
+)
 
 
 def attributes(thing: object) -> Iterator[object]:
-    """Yield what can be read off an object by its attributes and items, methods' owners included."""
-    if isinstance(thing, dict):
-        yield from thing.values()
+    """Yield what can be read off an object without a call: attributes, items, and what functions and iterators hold."""
+    if isinstance(thing, Mapping):
+        yield from (*thing.keys(), *thing.values())
     elif isinstance(thing, (list, tuple, set, frozenset)):
         yield from thing
     elif isinstance(thing, types.MethodType):
-        yield thing.__self__
-    names = [*getattr(thing, "__dict__", {})]
-    names += [name for kind in type(thing).__mro__ for name in np.atleast_1d(getattr(kind, "__slots__", ())).tolist()]
-    for name in names:
-        if hasattr(thing, name):
-            yield getattr(thing, name)
+        yield from (thing.__self__, thing.__func__)
+    elif isinstance(thing, partial):
+        yield from (thing.func, thing.args, thing.keywords)
+    elif isinstance(thing, types.FunctionType):
+        yield from (cell.cell_contents for cell in thing.__closure__ or ())
+        yield from (thing.__defaults__, thing.__kwdefaults__, getattr(thing, "__wrapped__", None))
+    elif isinstance(thing, types.GeneratorType):
+        yield from (inspect.getgeneratorlocals(thing), thing.gi_yieldfrom)
+    elif isinstance(thing, property):
+        yield from (thing.fget, thing.fset, thing.fdel)
+    elif isinstance(thing, np.ndarray):
+        yield from (thing.base, getattr(thing, "filename", None))
+        return
+    if isinstance(thing, type) and not thing.__module__.startswith(
+        ("campaign", "estimators", "renderers", "scenarios")
+    ):
+        return
+    yield from getattr(thing, "__dict__", {}).values()
+    for kind in type(thing).__mro__:
+        for name in np.atleast_1d(vars(kind).get("__slots__", ())).tolist():
+            if name != "__weakref__" and hasattr(thing, name):
+                yield getattr(thing, name)
+    if isinstance(thing, Handle):
+        yield from (getattr(thing, name) for name, one in inspect.getmembers(type(thing)) if isinstance(one, property))
+    yield type(thing)
 
 
-def reached(thing: object) -> list[object]:
-    """All objects that are reached from one by attributes and items."""
+def reached(*things: object) -> list[object]:
+    """All objects that are reached from some; modules, and with them the names that functions use, are not followed."""
     found: dict[int, object] = {}
-    waiting = [thing]
+    waiting = list(things)
     while waiting:
         one = waiting.pop()
-        if id(one) in found or isinstance(one, (str, bytes, np.ndarray, type, types.ModuleType, types.FunctionType)):
-            continue
-        found[id(one)] = one
-        waiting.extend(attributes(one))
+        if id(one) not in found and not isinstance(one, types.ModuleType):
+            found[id(one)] = one
+            waiting.extend(attributes(one))
     return list(found.values())
+
+
+def ways_to_the_truth(run: Path, *things: object) -> list[object]:
+    """Everything reached that holds the truth, the seed, or the name of a folder of the run or of the cache."""
+    folders = (str(run), str(default_cache().root))
+    found = []
+    for one in reached(*things):
+        tells = isinstance(one, str) and any(folder in one for folder in folders)
+        counts = isinstance(one, (int, np.integer)) and int(one) == SEED
+        seeds = isinstance(one, np.ndarray) and one.dtype.kind in "iu" and bool((one == SEED).any())
+        if isinstance(one, TRUTH) or tells or counts or seeds:
+            found.append(one)
+    return found
+
+
+def test_the_walker_finds_what_the_leaks_were():
+    trial = TrialImage(np.zeros((1, 1), np.float32), None, {})
+
+    def by_closure():
+        return trial
+
+    def by_default(one=trial):
+        return one
+
+    def by_variable():
+        kept = trial
+        yield kept
+
+    begun = by_variable()
+    next(begun)
+    of_a_class = type("Kept", (), {"__module__": "campaign", "kept": trial})
+    for way in (
+        by_closure,
+        by_default,
+        begun,
+        partial(print, trial),
+        of_a_class(),
+        {"x": [(trial,)]},
+        lambda: by_closure,
+    ):
+        assert trial in ways_to_the_truth(Path("/no/run"), way), way
+    mapped = np.memmap("/dev/zero", np.uint8, "r", shape=(4,))[1:]
+    assert ways_to_the_truth(Path("/dev/zero"), mapped)
+    assert ways_to_the_truth(Path("/no/run"), np.array([1, SEED]))
 
 
 def numbers_of(rng: np.random.Generator) -> set[int]:
@@ -71,22 +175,248 @@ def test_the_generator_of_an_estimator_is_its_address():
     assert estimator_generator(SEED, 3).random() == estimator_generator(SEED, 3).random()
 
 
-@pytest.fixture(scope="module")
-def sequence(tmp_path_factory):
-    file = tmp_path_factory.mktemp("images") / "scene.yaml"
-    file.write_text(SCENE.replace("carry: patch", "guided: true, carry: feature"))
-    scenario = load_scenario(str(file))
-    images = OrbitImages.open(scenario, choose_variant().name, SEED)
-    tracks = ImageTracks(scenario.spec.sequence, ground_of(scenario), images)
-    return tracks.watch(SEED, 0).sequence
+class Recorder:
+    """Keeps a method with all that it is given, and passes it on."""
+
+    def __init__(self, method, given):
+        self._method, self._given = method, given
+
+    def __getattr__(self, name):
+        attribute = getattr(self._method, name)
+        if not callable(attribute):
+            return attribute
+
+        def call(*arguments, **named):
+            self._given.append((self._method, *arguments, *named.values()))
+            return attribute(*arguments, **named)
+
+        return call
 
 
-def test_the_eye_of_a_guided_sequence_shows_no_path_and_no_seed(sequence):
-    assert sequence.front_end is not None
-    everything = reached(sequence)
-    assert len(everything) > 10
-    assert not [
-        one for one in everything if isinstance(one, (CameraTrajectory, SequenceTruth, OrbitImages, ImageTracks))
+def all_that_is_given(monkeypatch, module, file, out, trials=1):
+    """Run a campaign; return, for each call of a method, the method and what it was given."""
+    given: list[tuple[object, ...]] = []
+    monkeypatch.setattr(module, "able", lambda method: Recorder(able(method), given))
+    campaign = resolve(str(file), seed=SEED, variant=choose_variant().name)
+    run_campaign(campaign, RunRequest(out, trials, 1), Heard())
+    rows = RunFolder(out).table("rows")
+    assert not rows.loc[rows["status"] == "error", "reason"].tolist()
+    return given
+
+
+def guided(folder: Path) -> Path:
+    text = "experiment: sequence\nscenarios: [scene]\nestimators: [dead-reckoning, ekf-slam]\ntrials: 1\nseed: 5\n"
+    return write_campaign(folder, text, IMAGES.replace("carry: patch", "guided: true, carry: feature"))
+
+
+def of_products(folder: Path) -> Path:
+    text = """\
+scenarios: [scene]
+estimators:
+  - prior
+  - whole-image: {database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
+  - landmark-orb: {database: {images: 10}}
+  - lmaps: {maplets: {spacing_m: 9, side: 15}}
+trials: 1
+seed: 5
+"""
+    return write_campaign(folder, text, SCENE)
+
+
+def stored(name: str, folder: Path) -> Path:
+    del folder
+    return BEFORE_AFTER / f"{name}.yaml"
+
+
+CASES = {
+    "single image": (single_image, of_products),
+    "guided sequence": (sequences, guided),
+    "sequence": (sequences, partial(stored, "sequence")),
+    "detection": (detection, partial(stored, "detection")),
+    "matching": (matching, partial(stored, "matching")),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_a_method_is_given_leads_to_no_truth_and_is_its_own(case, tmp_path, monkeypatch):
+    module, written = CASES[case]
+    out = tmp_path / "run"
+    given = all_that_is_given(monkeypatch, module, written(tmp_path / "campaign"), out)
+    assert len(given) > 1
+    assert len(reached(*given)) > 50
+    assert ways_to_the_truth(out, *given) == []
+    check_apart(*(arguments for _, *arguments in given))
+
+
+def check_apart(*several: object) -> None:
+    """No array, nor any other object that could be changed, is in what two methods are given."""
+    parts = [
+        {id(one): one for one in reached(some) if isinstance(one, np.ndarray) or type(one).__module__ in INPUTS}
+        for some in several
     ]
-    assert SEED not in [one for one in everything if isinstance(one, int)]
-    assert len(next(iter(sequence.front_end.frames(lambda frame: None))).tracks) > 0
+    for number, own in enumerate(parts):
+        for other in parts[number + 1 :]:
+            assert not [own[key] for key in own.keys() & other.keys()]
+
+
+class Stops:
+    """A method that keeps what it is given."""
+
+    def __init__(self, given):
+        self.given = given
+
+    def determine(self, *arguments):
+        self.given.append(arguments)
+        raise InterruptedError("seen enough")
+
+
+def test_what_an_estimator_of_orbits_is_given_leads_to_no_truth_and_is_its_own(tmp_path):
+    given = []
+    records = OrbitTrials("small", orbit_world(), {"a": Stops(given), "b": Stops(given)}, SEED).run(range(1))
+    assert all("InterruptedError" in row["reason"] for row in records["rows"])
+    assert len(reached(*given)) > 50
+    assert ways_to_the_truth(tmp_path, *given) == []
+    check_apart(*given)
+
+
+def test_what_a_matcher_of_the_navigation_chain_is_given_leads_to_no_truth(tmp_path, monkeypatch):
+    given = []
+
+    def match(self, *arguments):
+        given.append((self, *arguments))
+        raise InterruptedError("seen enough")
+
+    monkeypatch.setattr(VoteMatcher, "match", match)
+    records = _trials(tmp_path / "run", _world()).run(range(1))
+    assert "InterruptedError" in records["rows"][0]["reason"]
+    assert len(reached(*given)) > 50
+    assert ways_to_the_truth(tmp_path / "run", *given) == []
+
+
+def test_a_front_end_gives_the_same_frames_again(tmp_path, monkeypatch):
+    given = all_that_is_given(monkeypatch, sequences, guided(tmp_path / "campaign"), tmp_path / "run")
+    front_end = given[0][1].front_end
+    again = list(front_end.frames(lambda frame: None))
+    assert len(again) == len(given[0][1].frames)
+    assert all(len(frame.tracks) for frame in again)
+    begun = front_end.frames(lambda frame: None)
+    first = next(begun)
+    assert ways_to_the_truth(tmp_path / "run", begun) == []
+    np.testing.assert_array_equal(first.uv_px, again[0].uv_px)
+
+
+def test_a_copy_keeps_values_layout_and_flags():
+    across, seen = np.arange(6.0).reshape(2, 3).T, np.arange(3)
+    seen.setflags(write=False)
+    one, two = own_copy((across, seen))
+    assert one.flags.f_contiguous
+    assert one.flags.writeable
+    assert not two.flags.writeable
+    two.setflags(write=True)
+    two[:], one[:] = 7, 7
+    assert seen.tolist() == [0, 1, 2]
+    assert across.max() == 5.0
+
+
+CHEATS = """
+import json
+import numpy as np
+from campaign.imaging.world import open_world
+from estimators.contract import Estimate
+from renderers.mitsuba3 import choose_variant
+from scenarios.geometry import Pose
+
+def from_assets(self, observation):
+    assets = self.assets
+    seed = json.loads((assets._folder.parent / "manifest.json").read_text())["seed"]
+    return open_world(assets._true_scenario, choose_variant().name).source.view(seed, self.trial).T_cam_body
+
+def far_prior(self, observation):
+    prior = observation.frame.prior_T_cam_body
+    object.__setattr__(prior, "translation_m", prior.translation_m + 1e6)
+    observation.frame.image.setflags(write=True)
+    observation.frame.image[:] = 0.0
+    return Pose(prior.rotation, prior.translation_m - 1e6)
+
+WAYS = {
+    "from-assets": from_assets,
+    "far-prior": far_prior,
+    "as-prior": lambda self, observation: observation.frame.prior_T_cam_body,
+}
+
+class Cheat:
+    version, trial = 1, -1
+    @classmethod
+    def from_options(cls, options, assets):
+        self = cls()
+        self.assets = assets
+        return self
+    def estimate(self, observation, *, rng):
+        self.trial += 1
+        light = float(observation.frame.image.sum())
+        return Estimate("ok", pose=WAYS[self.name](self, observation), diagnostics={"light": light})
+
+for _name in WAYS:
+    globals()["made_" + _name.replace("-", "_")] = type(_name, (Cheat,), {"name": _name})
+"""
+
+
+def test_an_estimator_can_neither_read_the_truth_nor_change_what_the_next_one_gets(cache, tmp_path, monkeypatch):
+    install(tmp_path, "estimators", CHEATS, monkeypatch)
+    text = "scenarios: [scene]\nestimators: [far-prior, from-assets, as-prior, prior]\ntrials: 3\nseed: 5\n"
+    campaign = resolve(str(write_campaign(tmp_path / "c", text, SCENE)), variant=choose_variant().name)
+    run_campaign(campaign, RunRequest(tmp_path / "run", 3, 1), Heard())
+    rows = {name: own.reset_index() for name, own in RunFolder(tmp_path / "run").table("rows").groupby("estimator")}
+    assert (rows["from-assets"]["status"] == "error").all()
+    assert rows["from-assets"]["reason"].str.contains("'EstimatorAssets' object has no attribute '_folder'").all()
+    error = rows["as-prior"]["position_error_m"]
+    assert error.between(1.0, 1e3).all()
+    for name in ("far-prior", "prior"):
+        np.testing.assert_allclose(rows[name]["position_error_m"], error, rtol=1e-6)
+        np.testing.assert_array_equal(rows[name]["prior_position_error_m"], rows["as-prior"]["prior_position_error_m"])
+    light = RunFolder(tmp_path / "run").table("diagnostics").groupby("estimator")["value"].apply(list)
+    assert light["as-prior"] == light["far-prior"]
+    assert min(light["as-prior"]) > 0.0
+
+
+PEEKS = """
+import numpy as np
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+
+NONE = np.zeros(0, np.int64), np.zeros((0, 3)), 0.0
+
+def by_closure(sequence):
+    return sequence.front_end.frames.__closure__[0].cell_contents
+
+def by_generator(sequence):
+    return sequence.front_end.frames(lambda frame: None).gi_frame.f_locals["self"]
+
+WAYS = {
+    "by-closure": by_closure,
+    "by-generator": by_generator,
+}
+
+class Peek:
+    version = 1
+    @classmethod
+    def from_options(cls, options):
+        return cls()
+    def follow(self, sequence):
+        for _ in sequence.front_end.frames(lambda frame: None):
+            pass
+        poses = WAYS[self.name](sequence).path.poses
+        return SequenceEstimate("ok", tuple(FrameEstimate(pose.camera_position_m, None, *NONE) for pose in poses))
+
+for _name in WAYS:
+    globals()["made_" + _name.replace("-", "_")] = type(_name, (Peek,), {"name": _name})
+"""
+
+
+def test_an_estimator_cannot_read_the_path_off_its_front_end(cache, tmp_path, monkeypatch):
+    names = install(tmp_path, "sequence_estimators", PEEKS, monkeypatch)
+    file = guided(tmp_path / "c")
+    file.write_text(file.read_text().replace("dead-reckoning, ekf-slam", ", ".join(names)))
+    run_campaign(resolve(str(file), variant=choose_variant().name), RunRequest(tmp_path / "run", 1, 1), Heard())
+    rows = RunFolder(tmp_path / "run").table("rows")
+    assert rows["status"].eq("error").all(), rows["position_error_m"].tolist()
+    assert rows["reason"].str.contains("raised TypeError|raised AttributeError").all(), rows["reason"].tolist()

@@ -10,6 +10,7 @@ from typing import Self
 
 import numpy as np
 
+from campaign.handles import own_copy
 from campaign.imaging.observe import observe
 from campaign.imaging.world import TrialImage, World, open_world
 from campaign.pool.guard import Call
@@ -153,7 +154,7 @@ def _detected(detector: CraterDetector | Unbuilt, frame: Frame, camera: Camera) 
     finder = able(detector)
     started = time.perf_counter()
     try:
-        found = finder.detect(frame, camera)
+        found = finder.detect(own_copy(frame), own_copy(camera))
     except BoresightError as error:
         raise GaveUpError(str(error)) from error
     return found, time.perf_counter() - started

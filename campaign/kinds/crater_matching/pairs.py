@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.handles import Handle, own_copy, target_of
 from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import check_detections, match_detections
 from campaign.trial.methods import Unbuilt, able, built
@@ -34,6 +35,17 @@ FloatArray = NDArray[np.float64]
 
 BY_GEOMETRY = ""
 """Stands for the name of a detector where rims are projected and there is no image to look at."""
+
+
+class MatcherGround(Handle):
+    """The a priori shape as a matcher gets it: a handle, as all matchers share the `MeshGround` with its tree."""
+
+    __slots__ = ()
+
+    def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays meet the body; NaN where they miss it."""
+        ground: MeshGround = target_of(self)
+        return ground.intersect(origin_body_m, directions_body)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +156,7 @@ def diameters_m(rims: Ellipses, view: View, ground: MeshGround) -> FloatArray:
 def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
     """Detect rims; an image in which a detector can see nothing, black or saturated, has none."""
     try:
-        found = finder.detect(frame, camera)
+        found = finder.detect(own_copy(frame), own_copy(camera))
     except BoresightError:
         return Ellipses.none()
     check_detections(found)

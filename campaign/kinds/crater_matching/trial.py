@@ -11,7 +11,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
+from campaign.handles import own_copy
+from campaign.kinds.crater_matching.pairs import (
+    BY_GEOMETRY,
+    Looks,
+    MatcherGround,
+    PairSource,
+    check_detectors,
+    open_pairs,
+)
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
@@ -19,7 +27,7 @@ from campaign.trial.checks import check_array, check_indices, check_reason
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
-from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
+from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches, GroundModel
 from estimators.craters.matching.context import epipolar_offsets
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.bodies import load_body
@@ -121,7 +129,8 @@ class CraterMatching:
         def work() -> _Answer:
             able_matcher = able(matcher)
             answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
-            answers[0].match(able_matcher, *self.images(answers[0].pair), self.known)
+            first, second = own_copy(self.images(answers[0].pair))
+            answers[0].match(able_matcher, first, second, MatcherGround(self.known))
             return answers[0]
 
         def show(sound: _Answer | None) -> None:
@@ -167,7 +176,7 @@ class _Answer:
     matches: CraterMatches | None = None
     seconds: float = 0.0
 
-    def match(self, matcher: CraterMatcher, first: CraterImage, second: CraterImage, known: MeshGround) -> None:
+    def match(self, matcher: CraterMatcher, first: CraterImage, second: CraterImage, known: GroundModel) -> None:
         """Let a matcher work."""
         started = time.perf_counter()
         self.matches = matcher.match(first, second, known)
@@ -234,8 +243,8 @@ def check_matches(matches: CraterMatches | None, first: CraterImage, second: Cra
         If they are none, name a detection that there is not, or one twice, or there are none and no reason, or some
         and a reason.
     """
-    if not isinstance(matches, CraterMatches):
-        raise ValueError(f"a {type(matches).__name__} is no CraterMatches")  # noqa: TRY004  all rubbish is a ValueError
+    if type(matches) is not CraterMatches:
+        raise ValueError(f"a {type(matches).__name__} is no CraterMatches")
     check_reason(matches.reason)
     sizes = [len(image.detections.ellipses) for image in (first, second)]
     k = len(matches.pairs)

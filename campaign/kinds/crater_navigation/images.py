@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.handles import own_copy
 from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import check_detections, match_detections
 from estimators.craters.contract import CraterDetections
@@ -234,20 +235,22 @@ class NavigationTrial:
         task = NavigationTask(knowledge, shape, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
         return cls(task, plan, flown, views, world.rotation, sights, Address(seed, trial, 0))
 
-    def search(self, navigator: CraterNavigation, stages: StageFiles) -> list[SearchedImage]:
-        """Look for craters in all images, or read what was found before."""
-        own = searched_in(navigator, stages)
-        found = [self._searched(number, navigator, stages, own) for number in range(len(self.plan))]
+    def search(self, navigator: CraterNavigation, task: NavigationTask, stages: StageFiles) -> list[SearchedImage]:
+        """Look for craters in all images, or read what was found before; ``task`` is the chain's own copy."""
+        found = [self._searched(number, navigator, task, stages) for number in range(len(self.plan))]
         self.sights.flush()
         return found
 
-    def _searched(self, number: int, navigator: CraterNavigation, stages: StageFiles, own: StageFiles) -> SearchedImage:
-        planned, view = self.plan[number], self.views[number]
+    def _searched(
+        self, number: int, navigator: CraterNavigation, task: NavigationTask, stages: StageFiles
+    ) -> SearchedImage:
+        planned, view, own = self.plan[number], self.views[number], searched_in(navigator, stages)
         address = Address(self.address.seed, self.address.trial, number)
         if number not in self._images:
             with stages.timed("imaging"):
                 self._images[number] = self.sights.image(view, address)
-        pixels, attitude = self._images[number], planned.actual_R_cam_inertial
+                self._images[number].setflags(write=False)
+        pixels, attitude = self._images[number], planned.actual_R_cam_inertial.copy()
         turn = self.rotation.at(np.array([planned.time_s]))[0]
         sun_dir_cam = attitude @ turn.T @ view.sun_dir_body
         drawn = self.sights.drawn(view, address)
@@ -255,7 +258,7 @@ class NavigationTrial:
         def detect(path: Path) -> None:
             frame = Frame(pixels, sun_dir_cam, Pose(attitude, np.zeros(3)), np.eye(6), planned.time_s)
             if drawn is None:
-                detections, reason = navigator.detect(frame, self.task)
+                detections, reason = navigator.detect(own_copy(frame), task)
                 check_detections(detections)
             else:
                 detections, reason = navigator.most_confident(drawn[0]), ""

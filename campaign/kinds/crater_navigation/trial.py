@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from campaign.handles import own_copy
 from campaign.kinds.crater_navigation.images import (
     CraterSights,
     NavigationTrial,
@@ -158,9 +159,10 @@ class CraterNavigationTrials:
 
         def work() -> _Answer:
             navigator = able(one)
-            searched = taken.search(navigator, stages)
+            task = own_copy(taken.task)
+            searched = taken.search(navigator, task, stages)
             try:
-                navigation = navigator.navigate([image.exposure for image in searched], taken.task, stages)
+                navigation = navigator.navigate([image.exposure for image in searched], task, stages)
             except OrbitLostError as error:
                 raise GaveUpError(f"the a priori orbit: {error}") from error
             last = navigation.rounds[-1]

@@ -77,6 +77,8 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
         check_array(name, array, shape, most)
     check_indices("numbers", orbit.numbers, (landmarks,))
     check_array("points_body_m", orbit.points_body_m, (landmarks, 3))
+    check_type(orbit.used, np.ndarray)
+    check_type(orbit.residuals_px, np.ndarray)
     if orbit.used.shape != (sightings,) or orbit.used.dtype != np.bool_:
         raise ValueError(f"used of shape {orbit.used.shape} and type {orbit.used.dtype} is not ({sightings},) of bool")
     if orbit.residuals_px.shape != (sightings, 2) or orbit.residuals_px.dtype.kind != "f":

@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from campaign.handles import own_copy
 from campaign.kinds.orbit_determination.score import (
     check_orbit,
     drawable,
@@ -124,7 +125,7 @@ class OrbitTrials:
                 self.witness(DeterminedOrbit(self.world, truth, data, drawable(estimate, data)))
 
         return Work(call, "estimator", row).judged(
-            lambda: able(estimator).determine(data), lambda estimate: check_orbit(estimate, data), score, show
+            lambda: able(estimator).determine(own_copy(data)), lambda estimate: check_orbit(estimate, data), score, show
         )
 
     def _row(self) -> Record:

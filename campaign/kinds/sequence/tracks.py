@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.handles import Handle, own_copy, target_of
 from campaign.kinds.sequence.images import WRONG_PX, OrbitImages
 from campaign.trial.kind import Record
 from estimators.slam.vision.point_trackers import MatchedImage
@@ -25,7 +27,7 @@ from scenarios.sequences import (
 )
 from scenarios.sequences.trajectory import anomalies_deg
 from scenarios.spec.sequence import SequenceSpec
-from scenarios.tracks import LandmarkPredictor, TrackFrame, TrackRange, TrackSequence
+from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -48,11 +50,35 @@ class Seen:
         return self.truth.trajectory
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _GuidedFrames:
-    """A `VisionFrontEnd` without the truth that makes its frames."""
+class GuidedFrontEnd(Handle):
+    """A `VisionFrontEnd`: a handle of the `Watch` that makes its frames and knows the truth."""
 
-    frames: Callable[[LandmarkPredictor], Iterator[TrackFrame]]
+    __slots__ = ()
+
+    def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
+        """Yield the frames in the order of time; those that were made before are the same again."""
+        return _GuidedFrames(self, predict)
+
+
+class _GuidedFrames:
+    """Iterator over the frames of a front end, in place of a generator, whose variables could be read."""
+
+    def __init__(self, front_end: GuidedFrontEnd, predict: LandmarkPredictor) -> None:
+        self._front_end, self._predict = front_end, predict
+        self._next = 0
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> TrackFrame:
+        index, self._next = self._next, self._next + 1
+        blind = _watch(self._front_end).unmade(index)
+        prediction = None if blind is None else self._predict(blind)
+        return own_copy(_watch(self._front_end).frame(index, prediction))
+
+
+def _watch(front_end: GuidedFrontEnd) -> Watch:
+    return cast("Watch", target_of(front_end))
 
 
 class Watch:
@@ -66,29 +92,51 @@ class Watch:
         self._slots = [(first + i) % turn for i in range(spec.orbit.frames)]
         self._address = (seed, trial)
         self.path = tracks.path(start)
-        blind = onboard_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
-        self.sequence = replace(blind, front_end=_GuidedFrames(lambda predict: self.frames(predict)))
+        self._blind = onboard_sequence(
+            spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address
+        )
+        self._rng = generator(seed, Stream.RANGES, trial)
+        self._tracker = Tracker(self._images.camera, self._images.spec, estimator_generator(seed, trial))
         self._made: list[TrackFrame] = []
         self._tracked: list[TrackedFrame] = []
         self._points_m = np.empty((0, 3))
 
-    def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
-        """Yield the frames; each is made when it is asked for, after the one before was taken in."""
-        seed, trial = self._address
-        rng = generator(seed, Stream.RANGES, trial)
-        tracker = Tracker(self._images.camera, self._images.spec, estimator_generator(seed, trial))
-        for i, (slot, frame) in enumerate(zip(self._slots, self.sequence.frames, strict=True)):
-            seen = tracker.advance(
-                self._look(i), frame.R_cam_body, predict(frame) if i and self._images.spec.guided else None
-            )
-            # Where the line of sight of a first sighting meets the body; its origin if it does not.
-            fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
-            self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
-            here = FrameTracks(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
-            ranges = self._ranges(i, here, rng)
-            self._tracked.append(seen)
-            self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
-            yield self._made[-1]
+    @property
+    def sequence(self) -> TrackSequence:
+        """What an estimator gets: frames without tracks, and a front end that makes them; a copy of its own."""
+        return replace(own_copy(self._blind), front_end=GuidedFrontEnd(self))
+
+    def unmade(self, index: int) -> TrackFrame | None:
+        """Return a copy of a frame without its tracks if a prediction is needed to make it."""
+        if index < max(len(self._made), 1) or index >= len(self._slots) or not self._images.spec.guided:
+            return None
+        return own_copy(self._blind.frames[index])
+
+    def frame(self, index: int, prediction: Prediction | None) -> TrackFrame:
+        """Return a frame; it is made when it is asked for first, after the one before.
+
+        Raises
+        ------
+        StopIteration
+            After the last.
+        """
+        if index >= len(self._slots):
+            raise StopIteration
+        if index == len(self._made):
+            self._make(prediction)
+        return self._made[index]
+
+    def _make(self, prediction: Prediction | None) -> None:
+        index = len(self._made)
+        slot, frame = self._slots[index], self._blind.frames[index]
+        seen = self._tracker.advance(self._look(index), frame.R_cam_body, prediction)
+        # Where the line of sight of a first sighting meets the body; its origin if it does not.
+        fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
+        self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
+        here = FrameTracks(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
+        ranges = self._ranges(index, here, self._rng)
+        self._tracked.append(seen)
+        self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
 
     def seen(self) -> Seen:
         """Return what was seen of the frames so far."""
@@ -101,7 +149,7 @@ class Watch:
         orbit = self._tracks.spec.orbit
         truth = SequenceTruth(self.path.poses, anomalies_deg(orbit), points, wrong, self.path, orbit.gm_m3_s2)
         records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
-        return Seen(truth, replace(self.sequence, frames=tuple(self._made), front_end=None), records, self._seconds())
+        return Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
 
     def _ranges(self, index: int, here: FrameTracks, rng: np.random.Generator) -> tuple[TrackRange, ...]:
         knowledge = self._tracks.spec.knowledge
@@ -177,8 +225,8 @@ class ImageTracks:
     def see(self, seed: int, trial: int) -> Seen:
         """Let the vision layer track the images of a trial by itself."""
         watch = self.watch(seed, trial)
-        for _ in watch.frames(lambda _: None):
-            pass
+        for index in range(self.spec.orbit.frames):
+            watch.frame(index, None)
         return watch.seen()
 
     def path(self, start: int) -> CameraTrajectory:

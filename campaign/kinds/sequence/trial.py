@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from campaign.handles import own_copy
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.kinds.sequence.score import (
     check_sequence,
@@ -156,7 +157,7 @@ class SequenceTrials:
                 self.witness(FollowedSequence(seen_by_then(), estimate))
 
         return Work(call, "estimator", circumstances).judged(
-            lambda: able(estimator).follow(view.sequence),
+            lambda: able(estimator).follow(own_copy(view.sequence)),
             lambda estimate: check_sequence(estimate, seen_by_then().sequence),
             score,
             show,

@@ -71,6 +71,8 @@ def _check_solution(estimate: Estimate) -> None:
 
 def _check_pose(pose: Pose, which: str) -> None:
     check_type(pose, Pose)
+    check_type(pose.rotation, np.ndarray)
+    check_type(pose.translation_m, np.ndarray)
     if (pose.to_frame, pose.from_frame) != ("cam", "body"):
         raise ValueError(f"{which} is T_{pose.to_frame}_{pose.from_frame}, not T_cam_body")
     residual = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()

@@ -11,6 +11,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.handles import own_copy
 from campaign.imaging.observe import observe
 from campaign.imaging.world import TrialImage, World, check_bodies, open_world
 from campaign.kinds.single_image.score import check
@@ -150,20 +151,18 @@ class SingleImage:
         row = _circumstances(observation, sight)
 
         def work() -> Estimate:
-            return able(estimator).estimate(observation, rng=rng)
+            return able(estimator).estimate(own_copy(observation), rng=rng)
 
         def show(found: Estimate | None) -> None:
             if self.witness is not None:
                 self.witness(EstimatedImage(sight, observation, found))
 
-        return Work(call, "estimator", row).judged(
-            work, check, lambda found: self._scored(found, observation, sight), show
-        )
+        return Work(call, "estimator", row).judged(work, check, lambda found: self._scored(found, row, sight), show)
 
-    def _scored(self, estimate: Estimate, observation: Observation, sight: TrialImage) -> Records:
+    def _scored(self, estimate: Estimate, circumstances: Record, sight: TrialImage) -> Records:
         true = sight.view.T_cam_body
         final = estimate.pose if estimate.status == "ok" else None
-        row = _circumstances(observation, sight)
+        row = {**circumstances}
         if final is not None:
             row |= {**pose_error(final, true), **pose_columns(final)}
             row |= consistency(final, true, estimate.covariance, estimate.bound)
@@ -211,7 +210,8 @@ class SingleImage:
 
 
 def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: BuiltAssets) -> Method:
-    return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, assets))
+    given = assets.for_estimator()
+    return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, given))
 
 
 def _circumstances(observation: Observation, sight: TrialImage) -> Record:
