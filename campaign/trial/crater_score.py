@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from campaign.trial.checks import check_array, check_type
 from estimators.craters.contract import CraterDetections
+from scenarios.craters.truth import LEAST_DIAMETER_PX
+from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
+from scenarios.load import LoadedScenario
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -22,8 +25,31 @@ LOG_RADIUS = 0.36
 """A match's radius differs by less than this in its logarithm."""
 
 _MOST_PX = 1e6
+_MOST_UNLISTED = 0.5  # share of the craters of detectable size
 
 NONE = -1
+
+
+def check_listed(scenario: LoadedScenario) -> None:
+    """Refuse a truth that leaves most detectable craters out: when found, they would count as false alarms.
+
+    Raises
+    ------
+    BoresightError
+        If more than half of the craters that are large enough at the range of the views are not listed.
+    """
+    craters, m_per_px = scenario.spec.craters, scenario.spec.m_per_px
+    if craters is None or m_per_px is None:
+        return
+    least_m = LEAST_DIAMETER_PX * m_per_px
+    unlisted = craters.unlisted_share(least_m)
+    if unlisted > _MOST_UNLISTED:
+        raise BoresightError(
+            f"{scenario.path}: craters.known_diameter_m: {craters.listed_from_m:g} m is"
+            f" {craters.listed_from_m / m_per_px:.3g} px at the range of the views, and {100.0 * unlisted:.0f} % of the"
+            f" craters of {LEAST_DIAMETER_PX:g} px or more would not be listed in the truth: leave the key out, or give"
+            f" at most {least_m:.3g}"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

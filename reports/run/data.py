@@ -167,11 +167,17 @@ class RunData:
     @cached_property
     def known(self) -> Mapping[str, Known] | None:
         """Exact knowledge on board by scenario; None where this version of boresight cannot read a scenario."""
+        if self.specs is None:
+            return None
+        return {name: known_on_board(spec, self.manifest.experiment) for name, spec in self.specs.items()}
+
+    @cached_property
+    def specs(self) -> Mapping[str, ScenarioSpec] | None:
+        """Scenarios by name; None where this version of boresight cannot read one."""
         try:
-            specs = {name: ScenarioSpec.model_validate(dict(spec)) for name, spec in self.manifest.scenarios.items()}
+            return {name: ScenarioSpec.model_validate(dict(spec)) for name, spec in self.manifest.scenarios.items()}
         except ValueError:
             return None
-        return {name: known_on_board(spec, self.manifest.experiment) for name, spec in specs.items()}
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -129,7 +129,7 @@ def cratered_surface(
         np.save(folder / "vertices_m.npy", vertices_m)
         np.save(folder / "under_m.npy", lower_envelope(tiling, vertices_m))
         np.save(folder / "cones.npy", normal_cones(tiling, vertices_m))
-        rims = find_rims(population, craters.known_diameter_m, tiling, points_m, vertices_m)
+        rims = find_rims(population, craters.listed_from_m, tiling, points_m, vertices_m)
         np.savez(folder / "rims.npz", allow_pickle=False, **{f.name: getattr(rims, f.name) for f in fields(rims)})
 
     folder = (cache or default_cache()).folder("craters", sha256, build)

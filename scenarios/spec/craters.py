@@ -10,6 +10,10 @@ from scenarios.spec.base import SpecModel
 from scenarios.spec.body import RoughnessSpec, SizesSpec
 from scenarios.spec.distribution import Uniform
 
+LISTED_PX = 6.0
+"""Diameter of the smallest listed crater by default: detectors find craters from 9 px on, and a match may be smaller by
+0.36 in the logarithm of the radius, which is 6.3 px."""
+
 
 class PlaneCratersSpec(SizesSpec):
     """Plane rims on the shape, uniform over its area; cumulative number N(>D) ~ D**-exponent."""
@@ -85,12 +89,33 @@ class CratersSpec(SizesSpec):
         (0.08, 0.2), description="Depth over diameter, rim to floor: of the most degraded and of the freshest"
     )
     rim_ratio: float = Field(0.036, ge=0, le=0.1, description="Height of a fresh rim over the diameter")
-    known_diameter_m: float = Field(150.0, gt=0, description="Smallest diameter of which a rim is listed in the truth")
+    known_diameter_m: float | None = Field(
+        None,
+        gt=0,
+        description="Smallest diameter of which a rim is listed in the truth; left out: 6 px at the range of the views",
+    )
     edge_m: float = Field(10.0, gt=0, description="Longest edge of the facets where a camera looks, before the relief")
     roughness: RoughnessSpec | None = Field(
         RoughnessSpec(rms_m=8.0, hurst=0.9, max_wavelength_m=1200.0, min_wavelength_m=40.0),
         description="Relief without craters, on top of them",
     )
+
+    @property
+    def listed_from_m(self) -> float:
+        """Smallest diameter of which a rim is listed in the truth, m; a scenario fills it in."""
+        if self.known_diameter_m is None:
+            raise ValueError("craters.known_diameter_m: missing, and there is no range of views that it follows from")
+        return self.known_diameter_m
+
+    def share_from(self, diameter_m: float) -> float:
+        """Return the expected share of the population that has a diameter or more."""
+        least, most, at = (d**-self.exponent for d in (self.min_diameter_m, self.max_diameter_m, diameter_m))
+        return float(min(max((at - most) / (least - most), 0.0), 1.0))
+
+    def unlisted_share(self, diameter_m: float) -> float:
+        """Return the expected share of the craters of a diameter or more that are not listed."""
+        whole = self.share_from(diameter_m)
+        return max(1.0 - self.share_from(self.listed_from_m) / whole, 0.0) if whole else 0.0
 
     @model_validator(mode="after")
     def _depths_in_order(self) -> Self:

@@ -10,7 +10,7 @@ from scenarios.spec.base import SpecModel, is_none
 from scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
-from scenarios.spec.craters import CraterPairsSpec, CratersSpec
+from scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
 from scenarios.spec.distribution import Scalar
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.orbit import OrbitSpec
@@ -120,6 +120,30 @@ class ScenarioSpec(SpecModel):
         if self.craters is not None and body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
         return self
+
+    @model_validator(mode="after")
+    def _smallest_listed_crater(self) -> Self:
+        if self.craters is None or self.craters.known_diameter_m is not None:
+            return self
+        if self.m_per_px is None:
+            raise ValueError(
+                f"craters.known_diameter_m: missing, but a scenario with {self._kind} has no range: give it"
+            )
+        listed = {"known_diameter_m": LISTED_PX * self.m_per_px}
+        return self.model_copy(update={"craters": self.craters.model_copy(update=listed)})
+
+    @property
+    def m_per_px(self) -> float | None:
+        """Length across the line of sight that a pixel covers at the origin of the body; None if no range is given."""
+        if self.viewpoint is not None:
+            range_m = self.viewpoint.range_m
+        elif self.crater_pairs is not None:
+            range_m = self.crater_pairs.range_m
+        elif self.orbit is not None:
+            range_m = self.orbit.arc.semi_major_axis_m
+        else:
+            return None
+        return range_m / self.camera.camera().fx_px
 
     @model_validator(mode="after")
     def _onboard_knows_of_something(self) -> Self:

@@ -174,6 +174,11 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert beyond.value == pytest.approx(100.0 * (1.0 - len(hits) / len(found)))
     assert listed.value < false.value < beyond.value
     text = (done / "report" / "report.md").read_text()
+    # (30^-2 - 120^-2) / (20^-2 - 120^-2) of the population, and 1 - (30^-2 - 120^-2) / (25.2^-2 - 120^-2).
+    assert (
+        "The truth lists craters of 30 m or more (14.3 px at the range of the views), 43 % of the population; it leaves"
+        " out 31 % of those of 12 px or more. Over the detections"
+    ) in text
     assert text.index("detections of detectable craters and false ones") < text.index("any listed crater counting")
     blind = find(records, estimator="blind", measure="detection_share", statistic="mean")
     assert blind.value == 0.0
@@ -270,6 +275,16 @@ def test_scenario_without_craters_is_refused(folder: Path, capsys: pytest.Captur
     message = capsys.readouterr().err
     assert "craters" in message
     assert "add the section" in message
+
+
+def test_a_truth_without_most_detectable_craters_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of 12 px and more, which are 25.2 m at 2 km, 1 - (60^-2 - 120^-2) / (25.2^-2 - 120^-2) = 86 % are below 60 m."""
+    (folder / "few.yaml").write_text(SCENE.replace("known_diameter_m: 30", "known_diameter_m: 60"))
+    (folder / "refused.yaml").write_text(CAMPAIGN.replace("[scene]", "[few]"))
+    assert main(["run", str(folder / "refused.yaml"), "--out", str(folder / "refused")]) == 2
+    message = capsys.readouterr().err
+    assert "few.yaml: craters.known_diameter_m: 60 m is 28.5 px at the range of the views, and 86 % of" in message
+    assert "give at most 25.2" in message
 
 
 def test_unknown_detector_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,6 +26,44 @@ from scenarios.craters.truth import CraterTruth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
 from scenarios.geometry.ellipse import fit_conics, sampson_distances
+from scenarios.spec.scenario import ScenarioSpec
+
+ANGLES = {"uniform": [0, 20]}
+SCENE = {"name": "scene", "camera": {"focal_px": [10_000, 10_000]}, "craters": {}}
+"""At 10 km a pixel is 1 m."""
+
+
+@pytest.mark.parametrize(
+    ("sections", "listed_m"),
+    [
+        ({"viewpoint": {"range_m": 20_000}}, 12.0),
+        ({"viewpoint": {"range_m": 20_000}, "craters": {"known_diameter_m": 150}}, 150.0),
+        ({"crater_pairs": {"range_m": 5_000, "view_deg": ANGLES, "sun_deg": ANGLES, "images": {}}}, 3.0),
+        ({"orbit": {"arc": {"semi_major_axis_m": 1e5}}}, 60.0),
+    ],
+)
+def test_craters_are_listed_from_six_pixels_on_or_from_the_given_size(sections: dict, listed_m: float) -> None:
+    spec = ScenarioSpec.model_validate(SCENE | sections)
+    assert spec.craters.listed_from_m == pytest.approx(listed_m, rel=1e-12)
+    assert ScenarioSpec.model_validate(spec.model_dump(by_alias=True)) == spec
+
+
+def test_real_images_with_craters_need_the_size_as_they_give_no_range() -> None:
+    images = SCENE | {"images": {"folder": "x", "truth": "t"}}
+    with pytest.raises(ValueError, match=r"craters.known_diameter_m: missing, but a scenario with images has no range"):
+        ScenarioSpec.model_validate(images)
+    assert ScenarioSpec.model_validate(images | {"craters": {"known_diameter_m": 9}}).craters.listed_from_m == 9.0
+
+
+def test_shares_of_a_population_are_those_of_drawn_diameters() -> None:
+    """Three standard deviations of a share of 20,000 draws are 1.1 % at most."""
+    spec = craters_spec(count=20_000, known_diameter_m=30.0, exponent=1.5)
+    diameter_m = 2.0 * draw_craters(spec, *smooth_tiles(load_body(BODY, ()), spec)).radius_m
+    for least_m in (10.0, 20.0, 25.0, 60.0, 120.0):
+        assert spec.share_from(least_m) == pytest.approx((diameter_m >= least_m).mean(), abs=0.011)
+        large = diameter_m[diameter_m >= least_m]
+        if len(large):
+            assert spec.unlisted_share(least_m) == pytest.approx((large < 30.0).mean(), abs=0.02)
 
 
 def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:

@@ -17,7 +17,7 @@ from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, MissingProduct
 from campaign.products.databases import with_database_craters, with_database_seed
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
 from campaign.trial.image_trials import ImageSink, InTurn, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -85,6 +85,7 @@ class CraterDetection:
                 f"{scenario.path}: craters and viewpoint are needed by the experiment crater-detection: add the"
                 " sections"
             )
+        check_listed(scenario)
         for number in range(campaign.spec.databases):
             craters = with_database_seed(scenario.spec.craters, number)
             cratered_surface(scenario.spec.body, craters, scenario.search_dirs)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from campaign.handles import Handle, own_copy, target_of
 from campaign.imaging.image_store import Imager
-from campaign.trial.crater_score import check_detections, match_detections
+from campaign.trial.crater_score import check_detections, check_listed, match_detections
 from campaign.trial.methods import Unbuilt, able, built
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -186,6 +186,8 @@ def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detector
             crater_detector_class(name)
     if section.images is not None and scenario.spec.craters is None:
         raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+    if section.images is not None:
+        check_listed(scenario)
 
 
 def open_pairs(
@@ -203,7 +205,7 @@ def open_pairs(
     renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
     finders = {name: _finder(name, spec.name) for name in detectors}
     imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, section)
-    listed_from_m = spec.craters.known_diameter_m
+    listed_from_m = spec.craters.listed_from_m
     return RenderedPairs(
         section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, listed_from_m, imager, finders
     )

@@ -39,6 +39,7 @@ from campaign.kinds.orbit_determination.trial import (
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
+from campaign.trial.crater_score import check_listed
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import GaveUpError, Work
@@ -120,6 +121,8 @@ class CraterNavigationTrials:
             raise BoresightError(
                 f"{scenario.path}: orbit.imaging: missing, but the experiment crater-navigation needs it"
             )
+        if section.imaging.detections == "rendered":
+            check_listed(scenario)
         return missing(scenario, navigators)
 
     @classmethod

@@ -17,6 +17,7 @@ from reports.schema.records import Record
 from reports.schema.tables import measure_heading, unit_of
 from reports.statistics.intervals import has_quantile
 from reports.statistics.measured import MEDIAN, RMS, measure, measure_share
+from scenarios.craters.truth import LEAST_DIAMETER_PX
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -36,8 +37,7 @@ _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
     " world before this run; intervals are 95 %, with images, or worlds of craters where"
     " there are several, as the unit. A detection is matched with a crater whose centre lies within max(0.3 r, 1.5 px)"
-    " and whose radius differs by less than 0.36 in its logarithm, one to one; every crater of 150 m or"
-    " more is listed for that. False alarms lead with"
+    " and whose radius differs by less than 0.36 in its logarithm, one to one. False alarms lead with"
     " the same craters that recall is of: a detection of a listed crater that is not detectable counts neither way, as"
     " difficult objects do in Pascal VOC (Everingham et al. 2010, IJCV 88, 303); detectors of craters are mostly held"
     " against whole catalogues (as Silburt et al. 2019, Icarus 317, 27), which is the second rate, and the third counts"
@@ -164,11 +164,27 @@ def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     heads = ("scenario", "detector", "quantity", "statistic", "value [95 %]", "n")
     ones = list(detector_results(run))
     return [
-        Grid("Detection of craters", heads, lines, frozenset({0, 1, 2, 3}), _NOTE),
+        Grid("Detection of craters", heads, lines, frozenset({0, 1, 2, 3}), " ".join((*_listed_lines(run), _NOTE))),
         _curve_grid(ones),
         *(_binned_grid(ones, *binning) for binning in BINNINGS),
         _image_grid(run),
     ]
+
+
+def _listed_lines(run: RunData) -> Iterator[str]:
+    """Yield from which size on the truth lists craters, once for each size."""
+    sizes: dict[str, list[str]] = {}
+    for name, spec in (run.specs or {}).items():
+        if spec.craters is not None and spec.m_per_px is not None:
+            listed_m = spec.craters.listed_from_m
+            line = f"{listed_m:.3g} m or more ({listed_m / spec.m_per_px:.3g} px at the range of the views)"
+            line += f", {100.0 * spec.craters.share_from(listed_m):.0f} % of the population"
+            left_out = spec.craters.unlisted_share(LEAST_DIAMETER_PX * spec.m_per_px)
+            if left_out > 0.0:
+                line += f"; it leaves out {100.0 * left_out:.0f} % of those of {LEAST_DIAMETER_PX:g} px or more"
+            sizes.setdefault(line, []).append(name)
+    for line, names in sizes.items():
+        yield f"The truth{'' if len(sizes) == 1 else ' of ' + ', '.join(names)} lists craters of {line}."
 
 
 def crater_brief(records: Sequence[Record]) -> list[Grid]:
@@ -310,7 +326,7 @@ def _image_grid(run: RunData) -> Grid:
     for scenario, images in run.table("crater_images").groupby("scenario", sort=False):
         for name, label in (
             ("phase_deg", "phase, deg"),
-            ("n_craters", "craters of 150 m or more in sight"),
+            ("n_craters", "listed craters in sight"),
             ("n_detectable", "detectable craters"),
             ("n_clean", "clean craters"),
         ):
