@@ -14,7 +14,7 @@ from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import body_digest
 from scenarios.craters import shape_digest
 from scenarios.designs import GridVariation
-from scenarios.load import LoadedScenario, canonical_json, digest
+from scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
 from scenarios.onboard import onboard_spec
 from scenarios.spec.campaign import CampaignSpec
 
@@ -36,7 +36,8 @@ class ResolvedCampaign:
 
     ``versions`` are those of the code that computes the rows. ``variations`` gives the place of each scenario, by name,
     in the campaign's grid. ``overrides`` are those of the command line, already applied to the scenarios. ``draft`` is
-    the fraction of repetitions, see `campaign.draft`; 1 for a full run.
+    the fraction of repetitions, see `campaign.draft`; 1 for a full run. ``root`` holds the keys of the campaign's file
+    with their places; None for a campaign that was read from a manifest.
 
     Equality and hash are those of the digest, so that a worker can cache what it built for a campaign.
     """
@@ -49,6 +50,7 @@ class ResolvedCampaign:
     variations: Mapping[str, GridVariation] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
     draft: float = 1.0
+    root: ConfigEntry | None = None
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -86,6 +88,13 @@ class ResolvedCampaign:
     def labels(self) -> tuple[str, ...]:
         """Labels of the estimators, in the order of the campaign."""
         return tuple(entry.label for entry in self.spec.estimators)
+
+    def entry(self, key: str, label: str = "") -> ConfigEntry | None:
+        """Return a key of the campaign's file, or of the list ``key`` the item of a label, with its place."""
+        found = None if self.root is None or self.root.section is None else self.root.section.get(key)
+        if found is not None and label and isinstance(found.value, tuple):
+            return found.value[self.labels.index(label)]
+        return found
 
     def as_written(self) -> dict[str, object]:
         """Return the campaign as the content of a campaign file."""

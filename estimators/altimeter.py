@@ -12,7 +12,7 @@ from pydantic import Field, JsonValue
 
 from estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
 from estimators.landmark.database import LandmarkDatabase
-from estimators.options import parse_options
+from estimators.options import OptionsError, parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh
 from scenarios.observation import Observation, RangeReading
@@ -279,7 +279,11 @@ class AltimeterEstimator:
         parsed = parse_options(AltimeterOptions, options, cls.name)
         if parsed.base == cls.name:
             raise BoresightError(f"estimator {cls.name}: base: it cannot be its own: the range would count twice")
-        base = estimator_class(parsed.base).from_options(parsed.options, assets)
+        try:
+            base = estimator_class(parsed.base).from_options(parsed.options, assets)
+        except OptionsError as error:
+            error.section = "options"
+            raise
         if not isinstance(base, HasLandmarkDatabase):
             raise BoresightError(
                 f"estimator {cls.name}: base: {parsed.base} has no landmark data base to measure a range against:"

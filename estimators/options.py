@@ -7,11 +7,29 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError, printable
+from scenarios.errors import BoresightError
+from scenarios.load.entry import ConfigEntry, entry_of
+from scenarios.load.explain import explain
 from scenarios.load.merge import on_defaults
 from scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)
+
+
+class OptionsError(BoresightError):
+    """Wrong options of an estimator; they are of ``model``, in the section of that key of the estimator's options."""
+
+    model: type[SpecModel] = SpecModel
+    section: str = ""
+
+    def located(self, options: ConfigEntry, estimator: str) -> BoresightError:
+        """Return the error with the file and line of each wrong option."""
+        if not isinstance(self.__cause__, ValidationError):
+            return self
+        if self.section:
+            options = (options.section or {}).get(self.section, options)
+            estimator = f"{estimator}.{self.section}"
+        return BoresightError(explain(self.__cause__, options, self.model, estimator))
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:
@@ -19,17 +37,12 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
 
     Raises
     ------
-    BoresightError
+    OptionsError
         With one line for each wrong option: estimator, dotted key, value and what is allowed.
     """
     try:
         return model.model_validate(on_defaults((model,), options))
-    except ValidationError as error:
-        lines = [
-            printable(
-                f"estimator {estimator}: {'.'.join(str(part) for part in item['loc']) or 'options'}:"
-                f" {item['msg']} (got {item['input']!r})"
-            )
-            for item in error.errors(include_url=False)
-        ]
-        raise BoresightError("\n".join(lines)) from error
+    except ValidationError as fault:
+        error = OptionsError(explain(fault, entry_of(options, f"estimator {estimator}"), model))
+        error.model = model
+        raise error from fault

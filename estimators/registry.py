@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -49,7 +50,9 @@ class Registry(Generic[T]):
             return cast("type[T]", getattr(import_module(module), attribute))
         points = [point for point in entry_points(group=self.group) if point.name == name]
         if not points:
-            raise BoresightError(f"estimator {name!r} is unknown; there are: {', '.join(self.names())}")
+            near = difflib.get_close_matches(name, self.names(), n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(self.names())}"
+            raise BoresightError(f"estimator {name!r} is unknown; {hint}")
         try:
             found = points[0].load()
         except Exception as error:  # a foreign module may raise anything

@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 
 from campaign.cli.terminal import console
 from campaign.machine import cores
+from campaign.runs.check import check_campaign, check_scenario
 from campaign.runs.requirements import data_needed, rate_of
 from campaign.runs.resolve import CATALOG, campaign_names, resolve
 from campaign.trial.kind import kind_names
@@ -147,12 +148,15 @@ def show_command(arguments: argparse.Namespace) -> int:
 
 
 def validate_command(arguments: argparse.Namespace) -> int:
-    """Check a campaign or a scenario file."""
+    """Check a campaign or a scenario file as a run does before anything is built."""
     if _is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides)
+        check_campaign(campaign, campaign.spec.trials)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
     else:
-        what = f"the scenario {load_scenario(arguments.file, arguments.overrides).spec.name}"
+        scenario = load_scenario(arguments.file, arguments.overrides)
+        check_scenario(scenario)
+        what = f"the scenario {scenario.spec.name}"
     console().print(f"{arguments.file}: ok, {what}")
     return 0
 

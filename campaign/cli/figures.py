@@ -18,6 +18,7 @@ from campaign.papers import PAPERS
 from campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from campaign.pool.workers import in_order
 from campaign.resolved import ResolvedCampaign
+from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
@@ -82,6 +83,7 @@ def _run(name: str, wanted: Wanted, variant: str, jobs: int, lanes: int) -> None
     lines, began = NamedLines(console(), name), time.monotonic()
     try:
         campaign, request = wanted.of(name, variant, jobs)
+        check_campaign(campaign, request.trials)
         lines.message(f"{count_of(request.trials, 'trial')} into {display(request.out)}")
         listening = ProgressListener(console()) if lanes == 1 else nullcontext(lines)
         with sharing_cores(lanes), listening as listener:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from campaign.cli.terminal import ProgressListener, console
 from campaign.machine import workers
+from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
@@ -37,6 +38,7 @@ def sensitivity_command(arguments: argparse.Namespace) -> int:
     design = make_design(arguments.name, campaign, arguments.scenario, varied, arguments.samples, arguments.method)
     name = f"{campaign.spec.name}-sensitivity-{design.campaign.digest[:8]}"
     jobs = workers(arguments.jobs, variant)
+    check_campaign(design.campaign, arguments.trials)
     request = RunRequest(arguments.out or RUNS / name, arguments.trials, jobs, command=arguments.command)
     out = console()
     cells = len(design.campaign.scenarios)

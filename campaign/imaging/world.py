@@ -169,26 +169,25 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     return len(images) * spec.images.noise_realisations
 
 
-def check_craters(scenario: LoadedScenario) -> None:
-    """Refuse a cratered body too large for this machine's memory, before a campaign starts."""
-    spec = scenario.spec
-    if spec.craters is None:
-        return
-    mesh = load_body(spec.body, scenario.search_dirs).mesh
-    try:
-        check_size(mesh, spec.craters)
-    except BoresightError as error:
-        raise BoresightError(f"{scenario.path}: {error}") from error
+def check_views(scenario: LoadedScenario) -> None:
+    """Refuse a scenario that has neither simulated nor real images of single views."""
+    if scenario.spec.viewpoint is None and scenario.spec.images is None:
+        raise BoresightError(f"{scenario.path}: give either viewpoint or images")
 
 
 def check_bodies(scenario: LoadedScenario) -> None:
-    """Refuse a true or believed body that cannot be read, and views from inside the body.
+    """Refuse bodies that cannot be read, craters too many for this machine's memory, and views from inside the body.
 
     Otherwise everything built from them would fail, and the failure would be attributed to the method that needs it.
     """
     spec = scenario.spec
-    mesh = load_body(spec.body, scenario.search_dirs).mesh
-    load_body(onboard_spec(spec).body, scenario.search_dirs)
+    try:
+        mesh = load_body(spec.body, scenario.search_dirs).mesh
+        load_body(onboard_spec(spec).body, scenario.search_dirs)
+        if spec.craters is not None:
+            check_size(mesh, spec.craters)
+    except BoresightError as error:
+        raise BoresightError(f"{scenario.path}: {error}") from error
     if spec.viewpoint is not None:
         _check_range(scenario, mesh, spec.viewpoint)
 

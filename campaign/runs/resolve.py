@@ -48,7 +48,7 @@ def resolve(
         raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
     if spec.databases > 1:
         _check_databases(loaded, kind, scenarios)
-    versions = _versions(spec)
+    versions = _versions(spec, loaded)
     for entry in spec.estimators:
         _check_sensors(entry, scenarios)
     return ResolvedCampaign(
@@ -59,6 +59,7 @@ def resolve(
         variant,
         variations,
         tuple(overrides),
+        root=loaded.root,
     )
 
 
@@ -102,7 +103,8 @@ def read_source(
 ) -> tuple[LoadedScenario, GridVariation | None]:
     """Read one scenario of a campaign."""
     cell = source.cell
-    levels = () if cell is None else cell.overrides
+    named = () if cell is None else zip(cell.levels.items(), cell.overrides, strict=True)
+    levels = [loaded.level(axis, level, one) for (axis, level), one in named]
     one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
     if cell is None:
         return one, None
@@ -111,14 +113,17 @@ def read_source(
     return replace(one, spec=one.spec.model_copy(update={"name": own_name})), GridVariation(base, cell.levels)
 
 
-def _versions(spec: CampaignSpec) -> Versions:
+def _versions(spec: CampaignSpec, loaded: LoadedCampaign | None = None) -> Versions:
     """Collect the versions of methods, and of those that they build on; refuse an unknown one."""
     kind, found = kind_named(spec.experiment), {}
-    for entry in spec.estimators:
-        names = [entry.name, base_of(entry.name, entry.options)]
-        if kind.name == "crater-matching" and "detector" in entry.options:
-            names.append(str(entry.options["detector"]))
-        found[entry.label] = tuple(kind.method_version(name) for name in names if name is not None)
+    for i, entry in enumerate(spec.estimators):
+        try:
+            names = [entry.name, base_of(entry.name, entry.options)]
+            if kind.name == "crater-matching" and "detector" in entry.options:
+                names.append(str(entry.options["detector"]))
+            found[entry.label] = tuple(kind.method_version(name) for name in names if name is not None)
+        except BoresightError as error:
+            raise error if loaded is None else BoresightError(f"{loaded.place_of('estimators', i)}: {error}") from error
     return Versions(kind.version, found)
 
 

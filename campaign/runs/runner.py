@@ -18,6 +18,7 @@ from campaign.runs.worker import Losses, run_block
 from campaign.store import RunFolder, RunLock
 from campaign.store.folder import Block, BlockState, blocks
 from campaign.trial.kind import Bench, Records, kind_named
+from campaign.trial.methods import missing
 from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from scenarios.errors import BoresightError
 
@@ -99,7 +100,8 @@ def _build_products(
     for scenario in campaign.scenarios:
         place = request.out / "products"
         assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
-        products += kind.prepare(campaign, scenario, assets)
+        products += missing(scenario, kind.methods(campaign, scenario))
+        products += [] if kind.prepare is None else kind.prepare(campaign, scenario, assets)
     return products
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from campaign.imaging.world import check_craters, trial_limit
 from campaign.machine import workers
 from campaign.resolved import ResolvedCampaign
+from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, Cluster, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import Listener, run_campaign
@@ -170,7 +170,10 @@ def start(
     campaign = resolve(name, overrides, seed, chosen.name)
     wanted = campaign.spec.trials if trials is None else trials
     processes = workers(jobs, chosen.name)
-    _check(campaign, wanted, processes)
+    for what, number in (("--trials", wanted), ("--jobs", processes)):
+        if number < 1:
+            raise BoresightError(f"{what} {number}: give 1 or more")
+    check_campaign(campaign, wanted)
     if trial_limit_s is not None and not 0.0 < trial_limit_s < math.inf:
         raise BoresightError(f"--trial-limit {trial_limit_s:g}: give a number of seconds above 0")
     condition = None if until is None else _condition(until, campaign)
@@ -185,15 +188,3 @@ def _condition(until: str, campaign: ResolvedCampaign) -> Until:
     from campaign.runs.until import parse_until
 
     return parse_until(until, campaign.spec.experiment)
-
-
-def _check(campaign: ResolvedCampaign, trials: int, jobs: int) -> None:
-    """Refuse none of either, a cratered body that is too large, and more trials than there are real images for."""
-    for what, number in (("--trials", trials), ("--jobs", jobs)):
-        if number < 1:
-            raise BoresightError(f"{what} {number}: give 1 or more")
-    for scenario in campaign.scenarios:
-        check_craters(scenario)
-        limit = trial_limit(scenario)
-        if limit is not None and trials > limit:
-            raise BoresightError(f"--trials {trials}: {scenario.spec.name} has real images for {limit} trials at most")

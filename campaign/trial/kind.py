@@ -22,6 +22,8 @@ Records = dict[str, list[Record]]
 Witness = Callable[[object], None]
 """Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
 
+Prepare = Callable[["ResolvedCampaign", "LoadedScenario", "BuiltAssets"], "Sequence[BuiltProduct | MissingProduct]"]
+
 _KINDS = "campaign.kinds"
 
 
@@ -92,8 +94,13 @@ class Kind:
         How many trials are computed, stored and resumed together.
     method_version
         Returns the version of a method (an estimator) by its name; raises BoresightError if it is unknown.
+    check_scenario
+        Raises BoresightError for a scenario that its trials cannot have.
+    methods
+        Builds the methods that are lent nothing, by their labels; raises BoresightError for options that cannot run.
     prepare
         Builds what the trials need, before any of them; a product that cannot be made leaves its method without trials.
+        None if there is nothing to build.
     open
         Makes the trials of a scenario ready in a worker.
     databases
@@ -107,8 +114,10 @@ class Kind:
     version: int
     block_trials: int
     method_version: Callable[[str], int]
-    prepare: Callable[[ResolvedCampaign, LoadedScenario, BuiltAssets], Sequence[BuiltProduct | MissingProduct]]
+    check_scenario: Callable[[LoadedScenario], object]
+    methods: Callable[[ResolvedCampaign, LoadedScenario], Mapping[str, object]]
     open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
+    prepare: Prepare | None = None
     databases: bool = False
     process_trials: int = 1000
 

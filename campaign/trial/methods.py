@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import chdir
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import NoReturn, TypeVar
@@ -13,10 +13,12 @@ from typing import NoReturn, TypeVar
 from campaign.products import MissingProduct
 from campaign.resolved import ResolvedCampaign
 from estimators.contract import ImageRenderer, NoProductError
+from estimators.options import OptionsError
 from estimators.registry import estimator_class
 from scenarios.errors import BoresightError, MachineError, text_of
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_camera
 from scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T")
@@ -34,10 +36,28 @@ def methods(
     campaign: ResolvedCampaign, scenario: LoadedScenario, make: Callable[[EstimatorSpec], T]
 ) -> dict[str, T | Unbuilt]:
     """Build the methods of a campaign by their labels, where they are lent nothing; wrong options are refused."""
-    return {
-        entry.label: built(entry, scenario.spec.name, partial(make, entry), BoresightError)
-        for entry in campaign.spec.estimators
-    }
+    found: dict[str, T | Unbuilt] = {}
+    for entry in campaign.spec.estimators:
+        with located(campaign, entry.label):
+            found[entry.label] = built(entry, scenario.spec.name, partial(make, entry), BoresightError)
+    return found
+
+
+@contextmanager
+def located(campaign: ResolvedCampaign, label: str) -> Iterator[None]:
+    """Put file and line before what is raised about an estimator of a campaign, or its options."""
+    try:
+        yield
+    except (MachineError, NoProductError):
+        raise
+    except BoresightError as error:
+        one = campaign.entry("estimators", label)
+        if one is None:
+            raise
+        for name, options in (one.section or {}).items():
+            if isinstance(error, OptionsError):
+                raise error.located(options, name) from error
+        raise BoresightError(f"{one.place}: {error}") from error
 
 
 def built(
@@ -85,16 +105,16 @@ def missing(scenario: LoadedScenario, found: Mapping[str, object]) -> list[Missi
     return [MissingProduct(name, label, one.reason) for label, one in found.items() if isinstance(one, Unbuilt)]
 
 
-def check_options(entries: Sequence[EstimatorSpec], camera: Camera) -> None:
+def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario) -> None:
     """Refuse wrong options of estimators, before anything is built that one of them asks for.
 
     An estimator reads its options before it asks for a shape, a renderer or a product. What it raises later, or what is
     no `BoresightError`, is told when it is built.
     """
-    for entry in entries:
-        nothing = _NothingYet(camera)
+    for entry in campaign.spec.estimators:
+        nothing = _NothingYet(onboard_camera(scenario.spec))
         try:
-            with chdir("."):
+            with chdir("."), located(campaign, entry.label):
                 estimator_class(entry.name).from_options(entry.options, nothing)
         except KeyboardInterrupt:
             raise

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -36,8 +37,7 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY, BROWN, VIOLET = (
     "#7f3b08",
     "#5522cc",
 )
-LineStyle = str | tuple[int, tuple[int, ...]]
-LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+LINE_STYLES: tuple[LineStyleType, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, BROWN, VIOLET)
 _PARAMETERS: dict[Any, Any] = {
@@ -102,7 +102,7 @@ class PlotStyle:
     """Colour, line style and marker of an estimator, as Matplotlib takes them."""
 
     colour: str
-    line: LineStyle
+    line: LineStyleType
     marker: str
 
 

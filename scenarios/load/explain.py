@@ -20,10 +20,13 @@ _TAG = "<tag>"
 _WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
+    "int_parsing": "a whole number",
     "float_type": "a number",
+    "float_parsing": "a number",
     "finite_number": "a finite number",
     "string_type": "a text (quote it)",
     "bool_type": "true or false",
+    "bool_parsing": "true or false",
     "tuple_type": "a list",
     "dict_type": "a section of keys",
     "model_type": "a section of keys",
@@ -41,19 +44,23 @@ class _ErrorLocation:
     field: FieldInfo | None
 
 
-def explain(error: ValidationError, root: ConfigEntry, model: type[SpecModel]) -> str:
-    """Convert pydantic's errors to lines ``place: key: value is not ...``, without duplicates."""
-    lines = [_line(detail, root, model) for detail in error.errors(include_url=False)]
+def explain(error: ValidationError, root: ConfigEntry, model: type[SpecModel], section: str = "") -> str:
+    """Convert pydantic's errors to lines ``place: key: value is not ...``, without duplicates.
+
+    ``section`` is the dotted key of ``root`` in its file.
+    """
+    lines = [_line(detail, root, model, section) for detail in error.errors(include_url=False)]
     return "\n".join(dict.fromkeys(lines))
 
 
-def _line(detail: ErrorDetails, root: ConfigEntry, model: type[SpecModel]) -> str:
+def _line(detail: ErrorDetails, root: ConfigEntry, model: type[SpecModel], section: str) -> str:
     loc = detail["loc"]
     if detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         loc = (*loc, _TAG, "kind")
     spot = _locate(loc, root, model)
     what = _what(detail, spot)
-    return printable(f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}")
+    key = ".".join(filter(None, (section, spot.key)))
+    return printable(f"{spot.entry.place}: {key}: {what}" if key else f"{spot.entry.place}: {what}")
 
 
 def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel]) -> _ErrorLocation:

@@ -47,9 +47,19 @@ class LoadedCampaign:
         """Overrides of every scenario; empty if there are none."""
         return (self.root.section or {}).get("set", ConfigEntry({}, self.root.place))
 
-    def place_of(self, key: str) -> str:
-        """Return the location of a key, ``file:line``; the file alone if the key is left out."""
-        return (self.root.section or {}).get(key, self.root).place
+    def level(self, axis: str, name: str, overrides: Mapping[str, object]) -> ConfigEntry:
+        """Return the overrides of a level of the grid with their locations."""
+        section: Mapping[str, ConfigEntry] = self.root.section or {}
+        for key in ("grid", "axes", axis):
+            entry = section[key]
+            section = entry.section or {}
+        levels = section["levels"].section if "levels" in section else None
+        return entry_of(overrides, entry.place) if levels is None else levels[name]
+
+    def place_of(self, key: str, item: int | None = None) -> str:
+        """Return the location of a key or of an item of its list, ``file:line``; the file alone if it is left out."""
+        entry = (self.root.section or {}).get(key, self.root)
+        return entry.value[item].place if item is not None and isinstance(entry.value, tuple) else entry.place
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +80,7 @@ def load_scenario(
     overrides: Sequence[str | ConfigEntry] = (),
     *,
     base: ConfigEntry | Mapping[str, object] | None = None,
-    levels: Sequence[Mapping[str, object]] = (),
+    levels: Sequence[ConfigEntry | Mapping[str, object]] = (),
     near: Path | None = None,
 ) -> LoadedScenario:
     """Read a scenario: defaults < what it extends < the file < ``base`` < ``levels`` < ``overrides``.
@@ -96,7 +106,9 @@ def load_scenario(
     path = find(name_or_path, CATALOG, near)
     file = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
-    layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
+    layers += [
+        settings(one if isinstance(one, ConfigEntry) else entry_of(one, "grid"), (ScenarioSpec,)) for one in levels
+    ]
     layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
     root = apply(file.root, layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)

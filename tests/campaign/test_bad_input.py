@@ -31,7 +31,9 @@ def shaped(shape: str) -> str:
 
 # name: (campaign, scene, further arguments, what the line must say)
 FILES = {
-    "missing shape": (CAMPAIGN, shaped("none.obj"), (), ["none.obj was not found", "BORESIGHT_DATA"]),
+    "missing shape": (
+        CAMPAIGN, shaped("none.obj"), (), ["scene.yaml: body.shape", "none.obj was not found", "BORESIGHT_DATA"],
+    ),
     "broken shape": (CAMPAIGN, shaped("broken.obj"), (), ["broken.obj:2: 'f 1 2' is not a vertex", "OBJ file"]),
     "open shape": (CAMPAIGN, shaped("open.obj"), (), ["open.obj: the mesh is not closed", "mend the holes"]),
     "binary rubbish": (CAMPAIGN, shaped("rubbish.ply"), (), ["rubbish.ply: not a PLY file"]),
@@ -58,7 +60,7 @@ FILES = {
     "unknown scenario": (CAMPAIGN.replace("[scene]", "[scne]"), SCENE, (), ["scne: no such scenario"]),
     "unknown estimator": (
         CAMPAIGN.replace("landmark-harris", "landmark-surf"), SCENE, (),
-        ["estimator 'landmark-surf' is unknown; there are: ", "landmark-harris, "],
+        ["tiny.yaml:5: estimator 'landmark-surf' is unknown; did you mean landmark-sift?"],
     ),
     "no altimeter aboard": (
         CAMPAIGN.replace("  - prior", "  - landmark-altimeter"), SCENE, (),
@@ -66,13 +68,31 @@ FILES = {
     ),
     "unknown base": (
         CAMPAIGN.replace("  - prior", "  - landmark-altimeter: {base: lidar}"),
-        SCENE + "sensors: {altimeter: {sigma_m: 5}}\n", (), ["estimator 'lidar' is unknown"],
+        SCENE + "sensors: {altimeter: {sigma_m: 5}}\n", (),
+        ["tiny.yaml:4: estimator 'lidar' is unknown; there are: ", "landmark-harris, "],
     ),
     "unknown estimator option": (
-        CAMPAIGN.replace("images: 40", "imges: 40"), SCENE, (), ["estimator landmark-harris: database.imges: "],
+        CAMPAIGN.replace("images: 40", "imges: 40"), SCENE, (),
+        ["tiny.yaml:6: landmark-harris.database.imges: unknown key; did you mean images?"],
     ),
     "wrong estimator option": (
-        CAMPAIGN.replace("images: 40", "images: 0"), SCENE, (), ["estimator landmark-harris: database.images: "],
+        CAMPAIGN.replace("images: 40", "images: 0"), SCENE, (),
+        ["tiny.yaml:6: landmark-harris.database.images: 0 is not in [1, 100000]"],
+    ),
+    "an experiment that does not fit": (
+        CAMPAIGN.replace("landmark-harris", "ba-slam") + "experiment: sequence\n", SCENE, (),
+        ["tiny.yaml:4: estimator 'prior' is unknown; there are: ba-slam, "],
+    ),
+    "a scenario that does not fit": (
+        "scenarios: [scene]\nestimators: [ba-slam]\ntrials: 1\nseed: 5\nexperiment: sequence\n", SCENE, (),
+        ["scene.yaml: sequence: missing, but the experiment sequence needs it"],
+    ),
+    "unknown published values": (
+        CAMPAIGN + "report: rowell\n", SCENE, (), ["tiny.yaml:9: report: no published values"],
+    ),
+    "wrong level of a grid": (
+        CAMPAIGN + "grid: {axes: {fov: {levels: {a: {}, b: {camera.fov_dg: 3}}}}}\n", SCENE, (),
+        ["tiny.yaml:9: camera.fov_dg: unknown key; did you mean fov_deg?"],
     ),
     "a cratered world": (
         CAMPAIGN, "body: {shape: world.obj}\ncraters: {}\n" + SCENE[SCENE.index("camera:"):], (),
@@ -134,6 +154,12 @@ def test_a_wrong_file_or_argument(tmp_path, capsys, monkeypatch, fault):
     error = the_one_line(capsys)
     assert all(part in error for part in expected), error
     assert not results(tmp_path / "run")
+    if not arguments:
+        assert main(["validate", str(file)]) == 2
+        assert the_one_line(capsys) == error
+    if not arguments and scene != SCENE and "landmark-altimeter" not in campaign:
+        assert main(["validate", str(tmp_path / "scene.yaml")]) == 2
+        assert the_one_line(capsys) == error
 
 
 @pytest.mark.parametrize("fault", IMAGES)
@@ -147,6 +173,10 @@ def test_a_wrong_image_set(tmp_path, capsys, fault):
     error = the_one_line(capsys)
     assert all(part in error for part in expected), error
     assert not results(tmp_path / "run")
+    if not arguments:
+        for checked in (file, tmp_path / "scene.yaml"):
+            assert main(["validate", str(checked)]) == 2
+            assert the_one_line(capsys) == error
 
 
 @pytest.mark.parametrize(

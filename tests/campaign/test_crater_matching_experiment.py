@@ -17,6 +17,7 @@ from campaign.kinds.crater_matching.trial import (
     largest_epipolar_offset,
     score_matches,
 )
+from campaign.runs.check import check_campaign
 from campaign.runs.resolve import resolve
 from campaign.trial.kind import Bench
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
@@ -235,14 +236,14 @@ def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_fi
     (tmp_path / "tiny-matching.yaml").write_text(_CAMPAIGN.replace("tiny-pairs.yaml", "quickstart"))
     campaign = resolve(str(tmp_path / "tiny-matching.yaml"))
     with pytest.raises(BoresightError, match="crater_pairs: missing"):
-        CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
+        check_campaign(campaign, 1)
     for detector, said in (("crater-classic", "crater-classic has no image to look at"), ("coin", "'coin' is unknown")):
         entry = f"vote: {{detector: {detector}}}"
         (tmp_path / "seen.yaml").write_text(_CAMPAIGN.replace("vote", entry).replace("tiny-matching", "seen"))
         (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
         with pytest.raises(BoresightError, match=said):
             campaign = resolve(str(tmp_path / "seen.yaml"))
-            CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
+            check_campaign(campaign, 1)
     (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace("vote", "coin").replace("tiny-matching", "other"))
     (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
     with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):

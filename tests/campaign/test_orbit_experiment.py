@@ -9,6 +9,7 @@ from orbit_worlds import orbit_world
 
 from campaign.kinds.orbit_determination.score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
 from campaign.kinds.orbit_determination.trial import OrbitTrials
+from campaign.runs.check import check_campaign
 from campaign.runs.resolve import resolve
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import Orbit, OrbitEstimate
@@ -176,14 +177,14 @@ def _resolved(folder: Path, scenario: str, estimator: str = "batch-filter", data
 def test_an_orbit_in_the_body_a_missing_section_and_wrong_options_are_refused(tmp_path):
     campaign = _resolved(tmp_path, SCENARIO)
     with pytest.raises(BoresightError, match="pericentre"):
-        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+        check_campaign(campaign, 1)
     campaign = _resolved(tmp_path, SCENARIO, "{batch-filter: {edit_sigma: 0}}")
     with pytest.raises(BoresightError, match="edit_sigma"):
-        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+        check_campaign(campaign, 1)
     without = SCENARIO.split("orbit:", maxsplit=1)[0] + "viewpoint: {range_m: 2000}\n"
     campaign = _resolved(tmp_path, without)
     with pytest.raises(BoresightError, match="orbit: missing"):
-        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+        check_campaign(campaign, 1)
     with pytest.raises(BoresightError, match="unknown"):
         _resolved(tmp_path, SCENARIO, "no-such-filter")
 

@@ -14,13 +14,13 @@ from campaign.handles import own_copy
 from campaign.imaging.observe import observe
 from campaign.imaging.world import TrialImage, World, open_world
 from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, MissingProduct
-from campaign.products.databases import with_database_craters, with_database_seed
+from campaign.products import BuiltAssets, BuiltProduct
+from campaign.products.databases import with_database_craters
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
 from campaign.trial.image_trials import ImageSink, InTurn, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
-from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.methods import Unbuilt, able, methods
 from campaign.trial.work import GaveUpError, Work
 from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -76,26 +76,35 @@ class CraterDetection:
         return crater_detector_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
-        """Refuse wrong options and a scenario without craters, and build the surfaces, which workers then only read."""
-        del assets
-        detectors = _detectors(campaign, scenario)
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without craters, or one that does not list most of those that a detector finds."""
         if scenario.spec.craters is None or scenario.spec.viewpoint is None:
             raise BoresightError(
                 f"{scenario.path}: craters and viewpoint are needed by the experiment crater-detection: add the"
                 " sections"
             )
         check_listed(scenario)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterDetector | Unbuilt]:
+        """Build the detectors; refuse wrong options."""
+        return methods(campaign, scenario, lambda entry: crater_detector_class(entry.name).from_options(entry.options))
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
+        """Build the surfaces, which workers then only read."""
+        del assets
         for number in range(campaign.spec.databases):
-            craters = with_database_seed(scenario.spec.craters, number)
-            cratered_surface(scenario.spec.body, craters, scenario.search_dirs)
-        return missing(scenario, detectors)
+            one = with_database_craters(scenario, number)
+            if one.spec.craters is not None:
+                cratered_surface(one.spec.body, one.spec.craters, one.search_dirs)
+        return []
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[CraterDetection]:
         """Open the worlds and build the detectors."""
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
-        detectors, several = _detectors(campaign, scenario), campaign.spec.databases > 1
+        detectors, several = cls.methods(campaign, scenario), campaign.spec.databases > 1
         worlds = [
             open_world(with_database_craters(scenario, i), campaign.variant) for i in range(campaign.spec.databases)
         ]
@@ -254,7 +263,3 @@ def _circumstances(sight: TrialImage) -> Record:
         "range_m": float(np.linalg.norm(sight.view.T_cam_body.translation_m)),
         "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
     }
-
-
-def _detectors(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterDetector | Unbuilt]:
-    return methods(campaign, scenario, lambda entry: crater_detector_class(entry.name).from_options(entry.options))

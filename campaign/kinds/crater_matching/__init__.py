@@ -8,6 +8,7 @@ KIND = Kind(
     version=5,
     block_trials=5,
     method_version=CraterMatching.method_version,
-    prepare=CraterMatching.prepare,
+    check_scenario=CraterMatching.check_scenario,
+    methods=CraterMatching.methods,
     open=CraterMatching.open,
 )

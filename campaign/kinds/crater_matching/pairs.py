@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from campaign.handles import Handle, own_copy, target_of
 from campaign.imaging.image_store import Imager
-from campaign.trial.crater_score import check_detections, check_listed, match_detections
+from campaign.trial.crater_score import check_detections, match_detections
 from campaign.trial.methods import Unbuilt, able, built
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -163,37 +163,32 @@ def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
     return found.ellipses
 
 
-def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detectors: Mapping[str, str]) -> None:
-    """Refuse matchers (label to the detector that each names) that cannot see the looks of a scenario.
+def check_detector(scenario: LoadedScenario, section: CraterPairsSpec, label: str, name: str) -> None:
+    """Refuse a matcher, by its label, whose detector ``name`` cannot see the looks of a scenario.
 
     Raises
     ------
     BoresightError
         If a detector is to look where nothing is rendered, or none where something is, or is unknown.
     """
-    for label, name in detectors.items():
-        if section.images is None and name != BY_GEOMETRY:
-            raise BoresightError(
-                f"estimators: {label}: detector: {name} has no image to look at: {scenario.path} draws detections by"
-                " geometry (crater_pairs.craters); leave the option out"
-            )
-        if section.images is not None:
-            if name == BY_GEOMETRY:
-                raise BoresightError(
-                    f"estimators: {label}: detector: missing, but the looks of {scenario.path} are rendered: name one,"
-                    " for example {" + label + ": {detector: crater-classic}}"
-                )
-            crater_detector_class(name)
-    if section.images is not None and scenario.spec.craters is None:
-        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+    if section.images is None and name != BY_GEOMETRY:
+        raise BoresightError(
+            f"{label}.detector: {name} has no image to look at: {scenario.path} draws detections by geometry"
+            " (crater_pairs.craters); leave the option out"
+        )
     if section.images is not None:
-        check_listed(scenario)
+        if name == BY_GEOMETRY:
+            raise BoresightError(
+                f"{label}.detector: missing, but the looks of {scenario.path} are rendered: name one, for example"
+                f" {{{label}: {{detector: crater-classic}}}}"
+            )
+        crater_detector_class(name)
 
 
 def open_pairs(
     scenario: LoadedScenario, section: CraterPairsSpec, variant: str, detectors: Collection[str]
 ) -> PairSource:
-    """Make ready what the section asks for, checked before by ``check_detectors``."""
+    """Make ready what the section asks for, checked before by ``check_detector``."""
     spec = scenario.spec
     camera = spec.camera.camera().pinhole
     ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)

@@ -17,15 +17,15 @@ from campaign.kinds.crater_matching.pairs import (
     Looks,
     MatcherGround,
     PairSource,
-    check_detectors,
+    check_detector,
     open_pairs,
 )
 from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
+from campaign.trial.crater_score import check_listed
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.methods import Unbuilt, able, located, methods
 from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches, GroundModel
 from estimators.craters.matching.context import epipolar_offsets
@@ -90,11 +90,25 @@ class CraterMatching:
         return known(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
-        """Refuse wrong options and a missing section; there is nothing to build."""
-        del assets
-        check_detectors(scenario, _section(scenario), _detectors(campaign))
-        return missing(scenario, _matchers(campaign, scenario))
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a missing section, and images of no craters or of craters that are mostly not listed."""
+        if _section(scenario).images is not None:
+            if scenario.spec.craters is None:
+                raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+            check_listed(scenario)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
+        """Build the matchers; refuse wrong options, and a detector that does not suit the looks of a scenario."""
+        for label, detector in _detectors(campaign).items():
+            with located(campaign, label):
+                check_detector(scenario, _section(scenario), label, detector)
+
+        def make(entry: EstimatorSpec) -> CraterMatcher:
+            own = {key: option for key, option in entry.options.items() if key != "detector"}
+            return crater_matcher_class(entry.name).from_options(own)
+
+        return methods(campaign, scenario, make)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
@@ -105,7 +119,7 @@ class CraterMatching:
         detectors = _detectors(campaign)
         source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
         camera = spec.camera.camera().pinhole
-        return cls(spec.name, source, camera, known, _matchers(campaign, scenario), detectors, campaign.seed)
+        return cls(spec.name, source, camera, known, cls.methods(campaign, scenario), detectors, campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one matcher, shown to a witness."""
@@ -272,14 +286,6 @@ def _section(scenario: LoadedScenario) -> CraterPairsSpec:
     if scenario.spec.crater_pairs is None:
         raise BoresightError(f"{scenario.path}: crater_pairs: missing, but the experiment crater-matching needs it")
     return scenario.spec.crater_pairs
-
-
-def _matchers(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
-    def make(entry: EstimatorSpec) -> CraterMatcher:
-        own = {key: option for key, option in entry.options.items() if key != "detector"}
-        return crater_matcher_class(entry.name).from_options(own)
-
-    return methods(campaign, scenario, make)
 
 
 def _detectors(campaign: ResolvedCampaign) -> dict[str, str]:

@@ -8,6 +8,7 @@ KIND = Kind(
     version=2,
     block_trials=1,
     method_version=CraterNavigationTrials.method_version,
-    prepare=CraterNavigationTrials.prepare,
+    check_scenario=CraterNavigationTrials.check_scenario,
+    methods=CraterNavigationTrials.methods,
     open=CraterNavigationTrials.open,
 )

@@ -37,11 +37,10 @@ from campaign.kinds.orbit_determination.trial import (
     scored_orbit,
 )
 from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.crater_score import check_listed
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.methods import Unbuilt, able, methods
 from campaign.trial.work import GaveUpError, Work
 from estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
 from estimators.craters.navigation.stages import StageFiles
@@ -112,18 +111,20 @@ class CraterNavigationTrials:
         return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
-        """Refuse wrong options and missing sections; there is nothing to build."""
-        del assets
-        navigators = _navigators(campaign, scenario)
-        section = checked_orbit_section(scenario)
-        if section.imaging is None:
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse missing sections, and craters of which most that a detector finds are not listed."""
+        imaging = checked_orbit_section(scenario).imaging
+        if imaging is None:
             raise BoresightError(
                 f"{scenario.path}: orbit.imaging: missing, but the experiment crater-navigation needs it"
             )
-        if section.imaging.detections == "rendered":
+        if imaging.detections == "rendered":
             check_listed(scenario)
-        return missing(scenario, navigators)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterNavigation | Unbuilt]:
+        """Build the chains; refuse wrong options."""
+        return methods(campaign, scenario, lambda entry: CraterNavigation.from_options(entry.options))
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterNavigationTrials:
@@ -131,7 +132,7 @@ class CraterNavigationTrials:
         world = open_orbit_world(scenario, campaign.seed)
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         folder = bench.run / _FOLDER / scenario.spec.name
-        return cls(scenario.spec.name, world, sights, _navigators(campaign, scenario), campaign.seed, folder)
+        return cls(scenario.spec.name, world, sights, cls.methods(campaign, scenario), campaign.seed, folder)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one chain, shown to a witness; stages that are stored are read back."""
@@ -198,7 +199,3 @@ def _timings(navigation: NavigationResult, stages: StageFiles, searched: StageFi
     """List the time of each stage over all starts of the trial."""
     spent = {**stages.seconds(), **searched.seconds(), **navigation.seconds}
     return [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()]
-
-
-def _navigators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterNavigation | Unbuilt]:
-    return methods(campaign, scenario, lambda entry: CraterNavigation.from_options(entry.options))

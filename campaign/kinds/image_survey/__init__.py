@@ -8,6 +8,7 @@ KIND = Kind(
     version=1,
     block_trials=1,
     method_version=ImageSurvey.method_version,
-    prepare=ImageSurvey.prepare,
+    check_scenario=ImageSurvey.check_scenario,
+    methods=ImageSurvey.methods,
     open=ImageSurvey.open,
 )

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
 from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
-from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from campaign.trial.methods import located
 from estimators.craters.contract import GroundModel
 from estimators.craters.matching.preliminary import lit_points
 from estimators.craters.navigation.stages import StageFiles
@@ -112,14 +112,21 @@ class ImageSurvey:
         return PLANNER_VERSION
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
-        """Refuse options, and scenarios without planned images of drawn craters; there is nothing to build."""
-        del assets
-        for entry in campaign.spec.estimators:
-            if entry.options:
-                raise BoresightError(f"estimators: {entry.label}: {next(iter(entry.options))}: there are no options")
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without planned images of drawn craters."""
         _imaging(scenario)
-        return []
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, object]:
+        """Refuse options."""
+        del scenario
+        for entry in campaign.spec.estimators:
+            with located(campaign, entry.label):
+                if entry.options:
+                    raise BoresightError(
+                        f"{entry.label}.{next(iter(entry.options))}: unknown key; there are no options"
+                    )
+        return {}
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> ImageSurvey:

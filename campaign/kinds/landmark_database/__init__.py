@@ -8,6 +8,8 @@ KIND = Kind(
     version=1,
     block_trials=1,
     method_version=DatabaseTrials.method_version,
+    check_scenario=DatabaseTrials.check_scenario,
+    methods=DatabaseTrials.methods,
     prepare=DatabaseTrials.prepare,
     open=DatabaseTrials.open,
 )

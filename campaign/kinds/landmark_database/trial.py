@@ -9,12 +9,13 @@ from typing import Self
 
 from campaign.draft import drafted
 from campaign.imaging.image_store import store_switched
-from campaign.imaging.world import believed
+from campaign.imaging.world import believed, check_views
 from campaign.products import BuiltAssets, BuiltProduct, landmark_database
 from campaign.products.database_images import IN_THIS_PROCESS
 from campaign.products.landmark_database import landmark_candidates
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
+from campaign.trial.methods import located
 from estimators.contract import NoProductError
 from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from estimators.options import parse_options
@@ -50,11 +51,25 @@ class DatabaseTrials:
         return METHOD_VERSION
 
     @classmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without views."""
+        check_views(scenario)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:
+        """Return the options of each way to make a data base; refuse wrong ones."""
+        del scenario
+        found = {}
+        for entry in campaign.spec.estimators:
+            with located(campaign, entry.label):
+                found[entry.label] = drafted(parse_options(DatabaseOptions, entry.options, entry.name), campaign.draft)
+        return found
+
+    @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the data bases of trial 0, which stay with the run."""
-        del scenario
         products: list[BuiltProduct] = []
-        for label, options in _makers(campaign).items():
+        for label, options in cls.methods(campaign, scenario).items():
             asked = assets.for_database()
             # One that does not come out is a failed trial, not the end of the run.
             with suppress(NoProductError):
@@ -66,7 +81,9 @@ class DatabaseTrials:
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> DatabaseTrials:
         """Take the options; the world is opened with the first image."""
         del bench
-        makers = {label: at_trial(options, campaign.seed, 0) for label, options in _makers(campaign).items()}
+        makers = {
+            label: at_trial(options, campaign.seed, 0) for label, options in cls.methods(campaign, scenario).items()
+        }
         return cls(believed(scenario), makers, campaign.variant)
 
     def watched(self, label: str, witness: Witness) -> Self:
@@ -112,13 +129,6 @@ def counts(built: LandmarkDatabaseBuild, options: DatabaseOptions) -> dict[str, 
         "merged_clusters": float(len(clusters.refined)),
         "landmarks": float(len(database)),
         "facets": float(len(database.facets)),
-    }
-
-
-def _makers(campaign: ResolvedCampaign) -> dict[str, DatabaseOptions]:
-    return {
-        entry.label: drafted(parse_options(DatabaseOptions, entry.options, entry.name), campaign.draft)
-        for entry in campaign.spec.estimators
     }
 
 

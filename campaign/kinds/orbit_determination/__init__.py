@@ -8,7 +8,8 @@ KIND = Kind(
     version=3,
     block_trials=2,
     method_version=OrbitTrials.method_version,
-    prepare=OrbitTrials.prepare,
+    check_scenario=OrbitTrials.check_scenario,
+    methods=OrbitTrials.methods,
     open=OrbitTrials.open,
     databases=True,
 )

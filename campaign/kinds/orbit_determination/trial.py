@@ -18,11 +18,10 @@ from campaign.kinds.orbit_determination.score import (
     residual_records,
 )
 from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.image_trials import InTurn
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.methods import Unbuilt, able, methods
 from campaign.trial.work import Work
 from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from estimators.orbit.registry import orbit_estimator_class
@@ -69,18 +68,20 @@ class OrbitTrials:
         return orbit_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
-        """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
-        del assets
-        estimators = _estimators(campaign, scenario)
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a missing section, and an orbit that begins in the body."""
         checked_orbit_section(scenario)
-        return missing(scenario, estimators)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, OrbitEstimator | Unbuilt]:
+        """Build the estimators; refuse wrong options."""
+        return methods(campaign, scenario, lambda entry: orbit_estimator_class(entry.name).from_options(entry.options))
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[OrbitTrials]:
         """Lay the craters, work the gravity out and build the estimators."""
         del bench
-        estimators, count = _estimators(campaign, scenario), campaign.spec.databases
+        estimators, count = cls.methods(campaign, scenario), campaign.spec.databases
         worlds = [open_orbit_world(scenario, campaign.seed, number) for number in range(count)]
         return InTurn(
             tuple(
@@ -225,7 +226,3 @@ def _section(scenario: LoadedScenario) -> OrbitSpec:
     if scenario.spec.orbit is None:
         raise BoresightError(f"{scenario.path}: orbit: missing, but orbits cannot be determined without it")
     return scenario.spec.orbit
-
-
-def _estimators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, OrbitEstimator | Unbuilt]:
-    return methods(campaign, scenario, lambda entry: orbit_estimator_class(entry.name).from_options(entry.options))

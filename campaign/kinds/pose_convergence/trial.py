@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
+from campaign.trial.methods import located
 from campaign.trial.pose_score import FloatArray, pose_errors
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import inverse_2x2
@@ -148,16 +149,34 @@ class PoseConvergence:
         return VERSION
 
     @classmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without a viewpoint."""
+        if scenario.spec.viewpoint is None:
+            raise BoresightError(f"{scenario.path}: viewpoint: missing, but the experiment {NAME} needs it")
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, PoseSolverOptions]:
+        """Return the options of each solver; refuse wrong ones, and solvers of different data bases."""
+        del scenario
+        found = {}
+        for entry in campaign.spec.estimators:
+            with located(campaign, entry.label):
+                found[entry.label] = parse_options(PoseSolverOptions, entry.options, entry.name)
+        first, *others = (options.database for options in found.values())
+        if any(other != first for other in others):
+            raise BoresightError(f"estimators: the options database of {', '.join(found)} differ: give all the same")
+        return found
+
+    @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the data base, which all solvers share."""
-        del scenario
-        _database(_solvers(campaign), assets)
+        _database(cls.methods(campaign, scenario), assets)
         return assets.products_of(NAME)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> PoseConvergence:
         """Read the data base."""
-        solvers = _solvers(campaign)
+        solvers = cls.methods(campaign, scenario)
         assets = BuiltAssets(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
         return cls(scenario, _database(solvers, assets), solvers, campaign.seed)
 
@@ -202,18 +221,9 @@ class PoseConvergence:
         return scored
 
 
-def _solvers(campaign: ResolvedCampaign) -> dict[str, PoseSolverOptions]:
-    return {
-        entry.label: parse_options(PoseSolverOptions, entry.options, entry.name) for entry in campaign.spec.estimators
-    }
-
-
 def _database(solvers: Mapping[str, PoseSolverOptions], assets: BuiltAssets) -> LandmarkDatabase:
     """Return the one data base of all solvers, so that they are compared on the same trials."""
-    first, *others = (options.database for options in solvers.values())
-    if any(other != first for other in others):
-        raise BoresightError(f"estimators: the options database of {', '.join(solvers)} differ: give all the same")
-    database = assets.product("landmark-database", first.model_dump(mode="json"))
+    database = assets.product("landmark-database", next(iter(solvers.values())).database.model_dump(mode="json"))
     if not isinstance(database, LandmarkDatabase):
         raise BoresightError(f"{NAME}: the product is a {type(database).__name__}, not a landmark data base")
     return database

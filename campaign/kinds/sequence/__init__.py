@@ -8,6 +8,7 @@ KIND = Kind(
     version=5,
     block_trials=5,
     method_version=SequenceTrials.method_version,
-    prepare=SequenceTrials.prepare,
+    check_scenario=SequenceTrials.check_scenario,
+    methods=SequenceTrials.methods,
     open=SequenceTrials.open,
 )

@@ -19,10 +19,9 @@ from campaign.kinds.sequence.score import (
 )
 from campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
-from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.methods import Unbuilt, able, methods
 from campaign.trial.work import Work
 from estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from estimators.slam.registry import sequence_estimator_class
@@ -91,17 +90,21 @@ class SequenceTrials:
         return sequence_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
-        """Refuse wrong options, and an orbit that leads into the body by known forces; there is nothing to build."""
-        del assets
-        estimators = _estimators(campaign, scenario)
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a missing section, and an orbit that leads into the body by known forces."""
         section, ground = _section(scenario), ground_of(scenario)
         if section.orbit.model == "propagated":
             try:
                 nominal_trajectory(section, ground)
             except OrbitLostError as error:
                 raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
-        return missing(scenario, estimators)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, SequenceEstimator | Unbuilt]:
+        """Build the estimators; refuse wrong options."""
+        return methods(
+            campaign, scenario, lambda entry: sequence_estimator_class(entry.name).from_options(entry.options)
+        )
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SequenceTrials:
@@ -113,7 +116,7 @@ class SequenceTrials:
         ground, images = ground_of(scenario), None
         if section.images is not None:
             images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
-        return cls(name, section, camera, ground, _estimators(campaign, scenario), campaign.seed, images)
+        return cls(name, section, camera, ground, cls.methods(campaign, scenario), campaign.seed, images)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one estimator, shown to a witness."""
@@ -231,10 +234,6 @@ def _section(scenario: LoadedScenario) -> SequenceSpec:
     if scenario.spec.sequence is None:
         raise BoresightError(f"{scenario.path}: sequence: missing, but the experiment sequence needs it")
     return scenario.spec.sequence
-
-
-def _estimators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, SequenceEstimator | Unbuilt]:
-    return methods(campaign, scenario, lambda entry: sequence_estimator_class(entry.name).from_options(entry.options))
 
 
 def ground_of(scenario: LoadedScenario) -> LandmarkGround:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from campaign.handles import own_copy
 from campaign.imaging.observe import observe
-from campaign.imaging.world import TrialImage, World, check_bodies, open_world
+from campaign.imaging.world import TrialImage, World, check_views, open_world
 from campaign.kinds.single_image.score import check
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
@@ -85,12 +85,21 @@ class SingleImage:
         return estimator_class(name).version
 
     @classmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse a scenario without images."""
+        check_views(scenario)
+
+    @classmethod
+    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, Method]:
+        """Refuse wrong options; estimators are built with what they are lent."""
+        check_options(campaign, scenario)
+        return {}
+
+    @classmethod
     def prepare(
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
     ) -> list[BuiltProduct | MissingProduct]:
-        """Refuse wrong options and bodies, and let every estimator ask for its products."""
-        check_options(campaign.spec.estimators, assets.camera)
-        check_bodies(scenario)
+        """Let every estimator ask for its products."""
         products: list[BuiltProduct | MissingProduct] = []
         for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
             asked = assets.for_database(number)

@@ -1,0 +1,55 @@
+"""What a run is refused for before anything is built: bodies, images, scenarios, options and published values."""
+
+from __future__ import annotations
+
+from campaign.imaging.world import check_bodies, trial_limit
+from campaign.resolved import ResolvedCampaign
+from campaign.trial.kind import kind_named
+from reports.published import load_published
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+
+_KINDS = {
+    "viewpoint": "single-image",
+    "images": "single-image",
+    "sequence": "sequence",
+    "crater_pairs": "crater-matching",
+    "orbit": "orbit-determination",
+}
+"""Section of a scenario to the kind of trial that needs it, and no other."""
+
+
+def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
+    """Read all that a run of so many trials of each scenario reads, and refuse what could not run.
+
+    Raises
+    ------
+    BoresightError
+        If a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an option is wrong,
+        there are no such published values, or more trials are asked for than there are real images.
+    """
+    if campaign.spec.report is not None:
+        try:
+            load_published(campaign.spec.report)
+        except BoresightError as error:
+            entry = campaign.entry("report")
+            raise error if entry is None else BoresightError(f"{entry.place}: {error}") from error
+    kind = kind_named(campaign.spec.experiment)
+    for scenario in campaign.scenarios:
+        kind.methods(campaign, scenario)
+        limit = check_scenario(scenario, campaign.spec.experiment)
+        if limit is not None and trials > limit:
+            raise BoresightError(f"--trials {trials}: {scenario.spec.name} has real images for {limit} trials at most")
+
+
+def check_scenario(scenario: LoadedScenario, experiment: str = "") -> int | None:
+    """Read body and images of a scenario, and check it for a kind of trial, by default the one of its own section.
+
+    Returns
+    -------
+    How many trials its real images allow; None if images are rendered.
+    """
+    given = next(section for section in _KINDS if getattr(scenario.spec, section) is not None)
+    check_bodies(scenario)
+    kind_named(experiment or _KINDS[given]).check_scenario(scenario)
+    return trial_limit(scenario)
