@@ -74,7 +74,7 @@ class CraterPose:
     """
 
     name: ClassVar[str] = "crater-pose"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     def __init__(
         self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions

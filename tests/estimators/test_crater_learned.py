@@ -8,13 +8,14 @@ import pytest
 from crater_scenes import CAMERA, SHAPE, Bowl, crests, frame_of, image_of, scattered
 from scipy.signal import correlate2d
 from training.lessons import displaced, lessons_of
-from training.network_training import Lessons, Schedule, fresh_network, loss, train
+from training.network_training import Lessons, Schedule, fresh_network, loss, train, windows
 
 from estimators.craters.detection.classic import ClassicOptions
 from estimators.craters.detection.merit import GradientField, side_merits
 from estimators.craters.detection.preparation import noise_level, prepare_image
-from estimators.craters.learned.detector import blend_with_gradient
+from estimators.craters.learned.detector import blend_with_gradient, read_network
 from estimators.craters.learned.network import (
+    SHAPES,
     SIDE,
     Network,
     PatchSource,
@@ -23,9 +24,9 @@ from estimators.craters.learned.network import (
     rims_from_outputs,
     shape_of,
     target_outputs,
-    windows,
 )
-from estimators.craters.learned.proposals import halved, propose, ring_templates
+from estimators.craters.learned.proposals import halved, propose, ring_templates, template_scores
+from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
@@ -62,8 +63,34 @@ def test_a_templates_correlation_is_the_merit_of_its_ring():
         kernel = templates.kernels[m]
         ours = [sum(correlate2d(field[..., i], side[..., i], "same")[30, 30] for i in (0, 1)) for side in kernel]
         ellipse = Ellipses(np.array([[30.5, 30.5]]), templates.shape[m : m + 1, :2], templates.shape[m : m + 1, 2])
-        theirs = side_merits(ellipse, GradientField(field), SUN, 0.3, 720)[0]
+        theirs = side_merits(ellipse, GradientField(field), SUN, 0.3, 720)[0][0]
         np.testing.assert_allclose(ours, theirs, atol=0.05 * np.abs(field).max())
+
+
+def test_the_best_template_is_that_of_scipys_correlations():
+    """On ground in a corner of a field that is no multiple of the kernel's block, up to its border."""
+    templates, least = ring_templates(SUN), 0.3
+    v, u = np.mgrid[:70, :150] + 0.5
+    field = np.zeros((70, 150, 2), dtype=np.float32)
+    for middle, radius in (((40.0, 30.0), 5.3), ((56.0, 42.0), 6.7), ((70.0, 66.0), 4.2)):
+        away = np.stack([u - middle[0], v - middle[1]], axis=-1)
+        r = np.linalg.norm(away, axis=-1)
+        field += (np.exp(-0.5 * (r - radius) ** 2) * np.sign(away @ SUN) / r)[..., None] * away
+    field[:, 76:] = 0.0
+    sides = np.array(
+        [
+            [sum(correlate2d(field[..., i], side[..., i], "same") for i in (0, 1)) for side in k]
+            for k in templates.kernels
+        ]
+    )
+    merits = sides.min(axis=1)
+    best, which = template_scores(field, templates, least)
+    high = merits.max(axis=0) >= least
+    assert 20 < high.sum() < 2000
+    np.testing.assert_allclose(best[high], merits.max(axis=0)[high], atol=1e-6)
+    rows, columns = np.nonzero(high)
+    np.testing.assert_allclose(merits[which[high], rows, columns], best[high], atol=1e-6)
+    assert (best[~high] < least).all()
 
 
 def test_templates_propose_every_bowl():
@@ -110,6 +137,34 @@ def test_a_convolution_is_scipys():
         for c in range(4):
             full = sum(correlate2d(x[n, ..., i], kernel[..., i, c], "same") for i in range(3))
             np.testing.assert_allclose(ours[n, ..., c], full[::2, ::2], atol=1e-10)
+
+
+def test_the_network_is_matrix_products_of_windows_and_weights():
+    """Of more patches than are evaluated at once, one of them mirrored."""
+    rng = np.random.default_rng(8)
+    network = fresh_network(rng)
+    w = {
+        name: weight + rng.normal(0.0, 0.05, weight.shape).astype(np.float32)
+        for name, weight in network.weights.items()
+    }
+    pixels, scalars = rng.normal(size=(2 * 64 + 5, SIDE, SIDE, 1)), rng.normal(size=(2 * 64 + 5, 5))
+    pixels, scalars = pixels.astype(np.float32)[:, ::-1], scalars.astype(np.float32)
+    x = pixels
+    for i, size in ((1, 5), (2, 3), (3, 3)):
+        x = np.maximum(windows(x, size) @ w[f"conv{i}"] + w[f"bias{i}"], 0.0)
+    hidden = np.maximum(np.hstack([x.reshape(len(x), -1), scalars]) @ w["dense1"] + w["bias4"], 0.0)
+    expected = hidden @ w["dense2"] + w["bias5"]
+    assert np.ptp(expected) > 1.0
+    np.testing.assert_allclose(Network(w).forward(pixels, scalars), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", list(SHAPES))
+def test_weights_of_another_shape_are_refused(tmp_path, name):
+    """The kernel does not check them."""
+    weights = {n: np.zeros(shape, np.float16) for n, shape in SHAPES.items()}
+    np.savez(tmp_path / "weights.npz", **(weights | {name: weights[name][:-1]}))
+    with pytest.raises(BoresightError, match=r"weights.npz: the network's weights .* install boresight again"):
+        read_network(tmp_path / "weights.npz")
 
 
 def test_the_losss_derivatives_are_central_differences():

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import pytest
+from numpy_climb import merit, numpy_climb
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import minimize
 
-from estimators.craters.detection.merit import GradientField, merit, side_merits, side_weights
+from estimators.craters.detection.merit import GradientField, side_merits
 from estimators.craters.detection.refinement import (
     GradientScales,
     confidence,
@@ -15,6 +17,7 @@ from estimators.craters.detection.refinement import (
     refine,
     suppress_duplicates,
 )
+from estimators.craters.kernels import climb, side_weights
 from scenarios.geometry import Ellipses
 
 GAP = 0.5
@@ -64,13 +67,20 @@ def test_the_merits_derivatives_are_central_differences():
         np.testing.assert_allclose(by[:, j], (values[0] - values[1]) / (2 * h), rtol=2e-4, atol=2e-6)
 
 
-def test_the_field_between_pixel_centres_is_that_of_a_plane():
-    v, u = np.mgrid[:30, :40] + 0.5
-    field = GradientField(np.stack([0.3 * u - 0.1 * v, 2.0 + 0.2 * v], axis=-1))
-    place = np.random.default_rng(3).uniform(1, 29, (50, 2))
-    value, by = field.at(place)
-    np.testing.assert_allclose(value[:, 0], 0.3 * place[:, 0] - 0.1 * place[:, 1], atol=1e-12)
-    np.testing.assert_allclose(by, np.broadcast_to([[0.3, -0.1], [0.0, 0.2]], (50, 2, 2)), atol=1e-12)
+def test_the_merit_is_scipys_interpolation_along_the_rim_weighted_by_side():
+    """Of rims within the field and across its border, beyond which it is constant."""
+    field = rough_field()
+    centre = np.array([[40.0, 50.0], [55.2, 44.1], [4.0, 30.0], [104.0, 80.0]])
+    rims = Ellipses(
+        centre, np.array([[20.0, 15.0], [9.0, 5.0], [12.0, 9.0], [14.0, 14.0]]), np.array([0.3, 2.0, 1.0, 0.0])
+    )
+    points, normals = rims.points(72)
+    g = [map_coordinates(field.values[..., i], points[..., ::-1].T - 0.5, order=1, mode="nearest").T for i in (0, 1)]
+    along = np.einsum("ink,nki->nk", g, normals)
+    weight, _ = side_weights(normals @ SUN, GAP)
+    for side, chosen in enumerate((np.maximum(weight, 0.0), np.minimum(weight, 0.0))):
+        expected = (chosen * along).sum(axis=1) / np.abs(chosen).sum(axis=1)
+        np.testing.assert_allclose(side_merits(rims, field, SUN, GAP)[0][:, side], expected, atol=1e-12)
 
 
 def test_the_merit_of_a_perfect_rim_is_one_and_turns_its_sign_with_the_sun():
@@ -86,7 +96,7 @@ def test_a_terminator_has_one_good_side():
     step = np.exp(-0.5 * ((u - 40.0) / 2.0) ** 2)
     field = GradientField(np.stack([step, 0 * step], axis=-1))
     rim = Ellipses(np.array([[55.0, 50.0]]), np.array([[15.0, 15.0]]), np.zeros(1))
-    shaded, lit = side_merits(rim, field, np.array([1.0, 0.0]), GAP)[0]
+    shaded, lit = side_merits(rim, field, np.array([1.0, 0.0]), GAP)[0][0]
     assert lit > 0.2
     assert abs(shaded) < 0.01
 
@@ -113,6 +123,23 @@ def test_refinement_locks_on_the_rim_as_scipys_search_does():
     np.testing.assert_allclose(found.semi_axes_px, truth.semi_axes_px, atol=0.3)
 
 
+@pytest.mark.parametrize("rounds", [0, 1, 2, 6])
+def test_the_compiled_refinement_is_that_of_numpy(rounds):
+    field = rough_field()
+    rng = np.random.default_rng(4)
+    longer = rng.uniform(8, 20, 30)
+    rows = [
+        *rng.uniform([20, 20], [90, 70], (30, 2)).T,
+        longer,
+        longer * rng.uniform(0.5, 0.99, 30),
+        rng.uniform(0, 3, 30),
+    ]
+    start = np.stack(rows, axis=1)
+    expected = numpy_climb(start, field, SUN, GAP, rounds)
+    assert rounds < 2 or np.mean(np.abs(expected - start)[:, :2].max(axis=1) > 0.1) > 0.5
+    np.testing.assert_allclose(climb(start, field.values, SUN, GAP, rounds), expected, atol=1e-7)
+
+
 def test_confidence_is_that_of_the_worse_side():
     values, truth = ideal(width=1e6)
     v, u = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
@@ -129,3 +156,20 @@ def test_duplicates_go_and_nested_craters_stay():
     )
     kept = suppress_duplicates(ellipses, np.array([0.8, 0.9, 0.7, 0.95]), 0.6, 1.6)
     assert kept.tolist() == [3, 1, 2]
+
+
+def test_duplicates_are_those_of_all_pairs():
+    rng = np.random.default_rng(5)
+    axes = rng.uniform(5.0, 20.0, (300, 1)) * [1.0, 0.8]
+    rims = Ellipses(rng.uniform(0.0, 150.0, (300, 2)), axes, np.zeros(300))
+    score = rng.integers(0, 40, 300) / 40.0
+    apart = np.linalg.norm(rims.centre_px[:, None] - rims.centre_px, axis=2)
+    r = rims.radius_px
+    same = (apart < 0.6 * np.minimum.outer(r, r)) & (np.maximum.outer(r, r) / np.minimum.outer(r, r) < 1.6)
+    expected: list[int] = []
+    for i in sorted(range(300), key=lambda k: -score[k]):
+        if not same[i, expected].any():
+            expected.append(i)
+    assert 50 < len(expected) < 250
+    assert suppress_duplicates(rims, score, 0.6, 1.6).tolist() == expected
+    assert suppress_duplicates(Ellipses.none(), np.empty(0), 0.6, 1.6).tolist() == []

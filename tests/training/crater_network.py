@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 import estimators.craters.learned as learned
 from estimators.craters.detection.preparation import noise_level, prepare_image
 from estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
-from estimators.craters.learned.network import NAMES, Network, PatchSource
+from estimators.craters.learned.network import SHAPES, Network, PatchSource
 from estimators.craters.learned.proposals import propose
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
@@ -119,14 +119,14 @@ def learn(seen: list[Seen], course: Course, say: Callable[[str], None]) -> Netwo
 def digest(network: Network) -> str:
     """Digest (hexadecimal SHA-256) of the weights as they are stored."""
     found = hashlib.sha256()
-    for name in NAMES:
+    for name in SHAPES:
         found.update(np.ascontiguousarray(network.weights[name].astype(np.float16)).tobytes())
     return found.hexdigest()
 
 
 def write(network: Network, course: Course, seconds: float, folder: Path) -> None:
     """Write the weights, in half precision, and a note of how they were made."""
-    np.savez_compressed(folder / WEIGHTS, **{name: network.weights[name].astype(np.float16) for name in NAMES})  # type: ignore[arg-type]
+    np.savez_compressed(folder / WEIGHTS, **{name: network.weights[name].astype(np.float16) for name in SHAPES})  # type: ignore[arg-type]
     note = {
         "made by": "PYTHONPATH=tests python -m training.crater_network",
         "course": asdict(course),

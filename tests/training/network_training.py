@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.network import NAMES, OUTPUTS, SCALARS, SIDE, STRIDE, Network, windows
+from estimators.craters.learned.network import OUTPUTS, SCALARS, SHAPES, SIDE, STRIDE, Network
 
 FloatImage = NDArray[np.float32]
 AnyFloats = NDArray[np.floating[Any]]
@@ -60,6 +60,16 @@ class Lessons:
         pixels[flip] = pixels[flip][:, ::-1]
         target[flip] *= np.array([1, -1, 1, 1, -1], dtype=np.float32)
         return Lessons(pixels, self.scalars, self.crater, self.weight, target, self.placed)
+
+
+def windows(x: AnyFloats, size: int) -> AnyFloats:
+    """Arrange the windows of a strided convolution as (n, H', W', size * size * C); the border is padded by zeros."""
+    pad = size // 2
+    padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
+    view = np.lib.stride_tricks.sliding_window_view(padded, (size, size), axis=(1, 2))[:, ::STRIDE, ::STRIDE]
+    # The channel becomes the last axis of a window, the order in which the weights of the kernels are stored.
+    rows = np.ascontiguousarray(np.moveaxis(view, 3, 5))
+    return rows.reshape(*rows.shape[:3], -1)
 
 
 def fresh_network(rng: np.random.Generator) -> Network:
@@ -161,9 +171,9 @@ def train(
     told: Callable[[int, float, Network], None],
 ) -> Network:
     """Minimise the loss by Adam (Kingma and Ba 2015); ``told`` hears of each epoch's mean loss."""
-    w = {name: network.weights[name].copy() for name in NAMES}
-    first = {name: np.zeros_like(w[name]) for name in NAMES}
-    second = {name: np.zeros_like(w[name]) for name in NAMES}
+    w = {name: network.weights[name].copy() for name in SHAPES}
+    first = {name: np.zeros_like(w[name]) for name in SHAPES}
+    second = {name: np.zeros_like(w[name]) for name in SHAPES}
     n = len(lessons.crater)
     steps, k = schedule.epochs * (n // schedule.batch), 0
     for epoch in range(schedule.epochs):
@@ -175,7 +185,7 @@ def train(
             total += value
             k += 1
             rate = schedule.rate * 0.5 * (1.0 + np.cos(np.pi * k / steps)) * min(1.0, k / 100.0)
-            for name in NAMES:
+            for name in SHAPES:
                 first[name] += np.float32(0.1) * (by[name] - first[name])
                 second[name] += np.float32(0.001) * (by[name] ** 2 - second[name])
                 step = first[name] / (1 - 0.9**k) / (np.sqrt(second[name] / (1 - 0.999**k)) + 1e-8)

@@ -99,7 +99,7 @@ class CraterClassic:
     """Two Canny passes, rims from pairs of lit and shaded edges, ellipse fit, refinement in the image, confidence."""
 
     name: ClassVar[str] = "crater-classic"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     options: ClassicOptions
 

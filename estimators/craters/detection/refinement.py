@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.detection.edges import gradient_of
-from estimators.craters.detection.merit import GradientField, merit, side_merits
+from estimators.craters.detection.merit import GradientField, side_merits
 from estimators.craters.detection.preparation import PreparedImage
+from estimators.craters.kernels import best_of_each, climb
 from scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
-_HALVINGS = 5  # most reductions of a step that does not increase the merit enough
-_ARMIJO = 0.1  # least increase, as a share of that predicted by the gradient
-_CONVERGED_PX = 2e-3  # step below which a rim has converged
-
 SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 
@@ -74,7 +71,7 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
     Parameters
     ----------
     gap
-        As in ``merit``.
+        As in ``side_weights``.
     rounds
         Most iterations of conjugate gradients.
     """
@@ -83,71 +80,12 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
     found = start.copy()
     for i in np.unique(rows):
         chosen = rows == i
-        found[chosen] = _conjugate_gradients(start[chosen], scales.locating[i], sun_px, gap, rounds)
+        found[chosen] = climb(start[chosen], scales.locating[i].values, sun_px, gap, rounds)
     radius = ellipses.radius_px
     # A rim that has moved so far has probably locked to another edge.
     far = np.linalg.norm(found[:, :2] - start[:, :2], axis=1) > radius / 3.0
     bent = np.abs(np.log(found[:, 2:4] / start[:, 2:4])).max(axis=1) > 0.4
     return from_parameters(np.where((far | bent)[:, None], start, found))
-
-
-def _conjugate_gradients(
-    start: FloatArray, field: GradientField, sun_px: FloatArray, gap: float, rounds: int
-) -> FloatArray:
-    """Maximise all rows at once (Polak and Ribiere, restarted where the direction leads downhill).
-
-    The parameters are scaled so that a unit of each moves the rim by about a pixel: the angle by the difference of the
-    axes.
-    """
-    radius = np.sqrt(start[:, 2] * start[:, 3])
-    unit = np.ones_like(start)
-    unit[:, 4] = 1.0 / np.maximum(start[:, 2] - start[:, 3], 0.1 * radius)
-    step = np.zeros_like(start)
-
-    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        moved = start + at * unit
-        # A collapsed rim is not evaluated; the merit is at least -1, so that -2 is refused by the line search.
-        small = moved[:, 2:4].min(axis=1) < 0.3 * radius
-        moved = np.where(small[:, None], start, moved)
-        value, by = merit(Ellipses(moved[:, :2], moved[:, 2:4], moved[:, 4]), field, sun_px, gap)
-        return np.where(small, -2.0, value), by * unit
-
-    value, slope = evaluate(step)
-    direction = slope
-    step_length = 0.3 / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)  # the first step is of 0.3 px
-    for _ in range(rounds):
-        slope_along = np.einsum("ni,ni->n", direction, slope)
-        # Restart with the gradient where the conjugate direction has lost the ascent.
-        direction = np.where((slope_along > 0.0)[:, None], direction, slope)
-        slope_along = np.einsum("ni,ni->n", direction, slope)
-        # Backtracking until Armijo's condition holds, each rim with its own step; those that never reach it stay.
-        taken, new_value, new_slope = step, value, slope
-        open_rows = np.ones(len(start), dtype=bool)
-        for _ in range(_HALVINGS):
-            trial = np.where(open_rows[:, None], step + step_length[:, None] * direction, taken)
-            trial_value, trial_slope = evaluate(trial)
-            enough = open_rows & (trial_value >= value + _ARMIJO * step_length * slope_along)
-            taken = np.where(enough[:, None], trial, taken)
-            new_value = np.where(enough, trial_value, new_value)
-            new_slope = np.where(enough[:, None], trial_slope, new_slope)
-            open_rows &= ~enough
-            step_length = np.where(open_rows, 0.4 * step_length, step_length)
-            if not open_rows.any():
-                break
-        if np.abs(taken - step).max(initial=0.0) < _CONVERGED_PX:
-            break
-        beta = np.einsum("ni,ni->n", new_slope - slope, new_slope)
-        # Polak and Ribiere, floored at 0: a negative value would reverse the old direction; 0 restarts with the
-        # gradient.
-        beta = np.maximum(beta / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
-        old_gain = np.linalg.norm(direction, axis=1)
-        direction = new_slope + beta[:, None] * direction
-        # The first trial is somewhat longer than the last accepted step, and moves the rim by a tenth of its radius at
-        # most.
-        step_length = 1.8 * step_length * old_gain / np.maximum(np.linalg.norm(direction, axis=1), 1e-30)
-        step_length = np.minimum(step_length, 0.1 * radius / np.maximum(np.linalg.norm(direction, axis=1), 1e-30))
-        step, value, slope = taken, new_value, new_slope
-    return start + step * unit
 
 
 def parameters(ellipses: Ellipses) -> FloatArray:
@@ -172,7 +110,7 @@ def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, g
     rows = scales.of(ellipses.radius_px)
     for i in np.unique(rows):
         chosen = rows == i
-        values[chosen] = side_merits(ellipses[chosen], scales.pointing[i], sun_px, gap).min(axis=1)
+        values[chosen] = side_merits(ellipses[chosen], scales.pointing[i], sun_px, gap)[0].min(axis=1)
     return values
 
 
@@ -190,13 +128,4 @@ def suppress_duplicates(
     """
     # The stable sort keeps the order of equal scores the same on every machine.
     order = np.argsort(-score, kind="stable")
-    radius = ellipses.radius_px
-    kept: list[int] = []
-    for i in order:
-        near = np.array(kept, dtype=np.int64)
-        apart = np.linalg.norm(ellipses.centre_px[near] - ellipses.centre_px[i], axis=1)
-        smaller = np.minimum(radius[near], radius[i])
-        ratio = np.maximum(radius[near], radius[i]) / smaller
-        if not np.any((apart < least_apart * smaller) & (ratio < least_ratio)):
-            kept.append(int(i))
-    return np.array(kept, dtype=np.int64)
+    return best_of_each(order, ellipses.centre_px, ellipses.radius_px, least_apart, least_ratio)

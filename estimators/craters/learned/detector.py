@@ -18,10 +18,7 @@ from estimators.craters.detection.classic import ClassicOptions
 from estimators.craters.detection.preparation import PreparedImage, noise_level, prepare_image
 from estimators.craters.detection.refinement import SCALES_PX, confidence, gradient_scales, refine, suppress_duplicates
 from estimators.craters.learned.network import (
-    NAMES,
-    OUTPUTS,
-    SCALARS,
-    SIDE,
+    SHAPES,
     Network,
     PatchSource,
     cut_patches,
@@ -118,16 +115,13 @@ def read_network(path: Path) -> Network:
     """
     try:
         stored = read_arrays(path)
-        network = Network({name: stored[name].astype(np.float32) for name in NAMES})
-        blank = np.zeros((1, SIDE, SIDE, 1), dtype=np.float32), np.zeros((1, SCALARS), dtype=np.float32)
-        # A trial run finds weights whose shapes do not fit together.
-        with np.errstate(all="ignore"):
-            out = network.forward(*blank)
+        network = Network({name: stored[name].astype(np.float32) for name in SHAPES})
     except (KeyError, ValueError, IndexError, TypeError, ArithmeticError, MemoryError) as error:
         raise BoresightError(
             f"{path}: the network's weights cannot be read: {error}; install boresight again"
         ) from error
-    if out.shape != (1, OUTPUTS) or not all(np.isfinite(part).all() for part in network.weights.values()):
+    fit = all(part.shape == SHAPES[name] and np.isfinite(part).all() for name, part in network.weights.items())
+    if not fit:
         raise BoresightError(
             f"{path}: the network's weights are not finite or of another network; install boresight again"
         )
@@ -139,7 +133,7 @@ class CraterLearned:
     """Ring templates propose rims; a small network decides which are craters, and corrects their places and shapes."""
 
     name: ClassVar[str] = "crater-learned"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     options: LearnedOptions
     network: Network

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.detection.preparation import PreparedImage
+from estimators.craters.kernels import NetworkWeights, apply_network
 from estimators.craters.learned.proposals import pyramid
 from scenarios.geometry import Ellipses, pixel_to_opencv
 
@@ -21,39 +22,31 @@ REACH = 2.0  # mean radii from the centre to the edge of a patch
 SCALARS = 5  # further inputs of the network
 
 STRIDE = 2  # of every convolution
-NAMES = ("conv1", "bias1", "conv2", "bias2", "conv3", "bias3", "dense1", "bias4", "dense2", "bias5")
 OUTPUTS = 6  # log odds of a crater; displacement (2), log scale, elongation along and across the Sun (2)
+SHAPES = {
+    "conv1": (5 * 5 * 1, 12), "bias1": (12,),
+    "conv2": (3 * 3 * 12, 24), "bias2": (24,),
+    "conv3": (3 * 3 * 24, 32), "bias3": (32,),
+    "dense1": ((SIDE // STRIDE**3) ** 2 * 32 + SCALARS, 64), "bias4": (64,),
+    "dense2": (64, OUTPUTS), "bias5": (OUTPUTS,),
+}  # fmt: skip
+"""Of the weights: windows and channels of the three convolutions, inputs and outputs of the two dense layers."""
 
 _LARGEST_STEP = 0.6  # of the radius or of its logarithm: the range of the training data
 
 
-def windows(x: FloatImage, size: int) -> FloatImage:
-    """Arrange the windows of a strided convolution as (n, H', W', size * size * C); the border is padded by zeros."""
-    pad = size // 2
-    padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
-    view = np.lib.stride_tricks.sliding_window_view(padded, (size, size), axis=(1, 2))[:, ::STRIDE, ::STRIDE]
-    # The channel becomes the last axis of a window, the order in which the weights of the kernels are stored.
-    rows = np.ascontiguousarray(np.moveaxis(view, 3, 5))
-    return rows.reshape(*rows.shape[:3], -1)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """Weights by name: conv (size * size * C, C'), bias (C'), dense (inputs, outputs)."""
+    """Weights by name, of the shapes in ``SHAPES``."""
 
     weights: Mapping[str, FloatImage]
 
     def forward(self, pixels: FloatImage, scalars: FloatImage) -> FloatImage:
         """Return (n, OUTPUTS) for patches (n, SIDE, SIDE, 1) and their numbers (n, SCALARS)."""
-        x = pixels
-        for i in (1, 2, 3):
-            kernel = self.weights[f"conv{i}"]
-            size = round(np.sqrt(len(kernel) / x.shape[-1]))
-            # Convolution as a matrix product of windows and kernels, then the rectifier.
-            x = np.maximum(windows(x, size) @ kernel + self.weights[f"bias{i}"], 0.0)
-        flat = np.concatenate([x.reshape(len(x), -1), scalars], axis=1)
-        hidden = np.maximum(flat @ self.weights["dense1"] + self.weights["bias4"], 0.0)
-        return np.asarray(hidden @ self.weights["dense2"] + self.weights["bias5"], dtype=np.float32)
+        outputs = np.empty((len(pixels), OUTPUTS), dtype=np.float32)
+        weights = NetworkWeights(*(np.ascontiguousarray(self.weights[name].T) for name in SHAPES))
+        apply_network(outputs, np.ascontiguousarray(pixels[..., 0]), scalars, weights)
+        return outputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +84,17 @@ class RimPatches:
     scalars: FloatImage
 
 
-def patch_grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
-    """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows 90 degrees onwards."""
+def patch_grid(ellipses: Ellipses, sun_px: FloatArray, level: int) -> tuple[FloatImage, FloatImage]:
+    """Return the samples' columns and rows (n, SIDE * SIDE), as OpenCV counts them, in an image halved ``level`` times.
+
+    Columns of a patch run towards the Sun, its rows 90 degrees onwards.
+    """
     steps = (np.arange(SIDE) + 0.5) * (2.0 * REACH / SIDE) - REACH
-    side = np.array([-sun_px[1], sun_px[0]])
-    unit = steps[None, :, None] * sun_px + steps[:, None, None] * side
-    return np.asarray(ellipses.centre_px[:, None, None] + ellipses.radius_px[:, None, None, None] * unit)
+    centre, radius = pixel_to_opencv(ellipses.centre_px / 2.0**level), ellipses.radius_px[:, None] / 2.0**level
+    unit_u = (steps * sun_px[0] - steps[:, None] * sun_px[1]).ravel()
+    unit_v = (steps * sun_px[1] + steps[:, None] * sun_px[0]).ravel()
+    u, v = centre[:, :1] + radius * unit_u, centre[:, 1:] + radius * unit_v
+    return u.astype(np.float32), v.astype(np.float32)
 
 
 def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
@@ -108,13 +106,9 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
     level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
     for i in np.unique(level):
         rows = np.flatnonzero(level == i)
-        place = pixel_to_opencv(patch_grid(ellipses[rows], source.sun_px) / 2.0**i).astype(np.float32)
-        for part in np.array_split(np.arange(len(rows)), len(rows) // 500 + 1):
-            flat = place[part].reshape(len(part), -1, 2)
-            found = cv2.remap(
-                source.levels[i], flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-            pixels[rows[part]] = found.reshape(len(part), SIDE, SIDE)
+        u, v = patch_grid(ellipses[rows], source.sun_px, int(i))
+        found = cv2.remap(source.levels[i], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        pixels[rows] = found.reshape(-1, SIDE, SIDE)
     mean = pixels.mean(axis=(1, 2))
     spread = np.maximum(pixels.std(axis=(1, 2)), 1e-9)
     # Brightness and contrast are divided out of the patch, and enter as separate inputs with a range of about -3 to 3.

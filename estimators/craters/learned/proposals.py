@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from estimators.craters.detection.edges import gradient_of
-from estimators.craters.detection.merit import side_weights
 from estimators.craters.detection.preparation import PreparedImage
+from estimators.craters.kernels import LANES, RingTaps, ring_scores, side_weights
 from scenarios.geometry import Ellipses, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
@@ -125,7 +124,7 @@ def propose(picture: PreparedImage, levels: int, least_merit: float, count: int,
             break
         # 0.43 is `noise_gain(3)`, and the mean of 2 x 2 pixels halves the noise at each level.
         noise = float(np.median(picture.noise[picture.ground])) * 0.43 / 2.0**level
-        score, best = _scores(soft_directions(image, noise, softness), templates)
+        score, best = template_scores(soft_directions(image, noise, softness), templates, least_merit)
         rows, columns = _maxima(score, least_merit)
         shape = templates.shape[best[rows, columns]]
         centre = np.stack([columns + 0.5, rows + 0.5], axis=1) * 2.0**level
@@ -138,27 +137,26 @@ def propose(picture: PreparedImage, levels: int, least_merit: float, count: int,
     return Proposals(Ellipses(chosen[:, :2], chosen[:, 2:4], chosen[:, 4]), merit[order].astype(np.float64))
 
 
-def _scores(field: FloatImage, templates: RingTemplates) -> tuple[FloatImage, NDArray[np.int64]]:
-    """Return the best merit (H, W) of all templates at each pixel, and the template's row."""
+def template_scores(field: FloatImage, templates: RingTemplates, least: float) -> tuple[FloatImage, NDArray[np.int64]]:
+    """Return the best merit (H, W) of all templates at each pixel, and the template's row, where it reaches ``least``.
+
+    Where it does not, the merit is any number below that.
+    """
     height, width = field.shape[:2]
-    half = templates.kernels.shape[2] // 2
-    # Padded by the kernel, or the periodic transform would let one border of the image act on the other.
-    size = tuple(fft.next_fast_len(n + 2 * half, real=True) for n in (height, width))
-    spectra = [fft.rfft2(field[..., i], size) for i in (0, 1)]
+    reach = templates.kernels.shape[2]
+    half = reach // 2
+    # Beyond the image there are no gradients.
+    padded = np.zeros((2, height + 2 * half, width + 2 * half + LANES), dtype=np.float32)
+    padded[:, half : half + height, half : half + width] = np.moveaxis(field, 2, 0)
+    # Few pixels of a template are not zero: those of the ring.
+    m, side, row, column, axis = np.nonzero(templates.kernels)
+    place = (axis * padded.shape[1] + row) * padded.shape[2] + column
+    start = np.searchsorted(2 * m + side, np.arange(2 * len(templates.kernels) + 1))
+    taps = RingTaps(place.astype(np.uint64), templates.kernels[m, side, row, column, axis], start)
+    near = cv2.dilate(field.any(axis=2).view(np.uint8), np.ones((reach, reach), np.uint8)).view(np.bool_)
     best = np.full((height, width), -2.0, dtype=np.float32)
     which = np.zeros((height, width), dtype=np.int64)
-    window = (slice(half, half + height), slice(half, half + width))
-    for m, kernel in enumerate(templates.kernels):
-        sides = []
-        for side in kernel:
-            # Correlation is convolution with the kernel rotated by 180 degrees.
-            turned = [fft.rfft2(side[::-1, ::-1, i], size) for i in (0, 1)]
-            total = spectra[0] * turned[0] + spectra[1] * turned[1]
-            sides.append(fft.irfft2(total, size)[window])
-        merit = np.minimum(*sides)
-        better = merit > best
-        best[better] = merit[better]
-        which[better] = m
+    ring_scores(best, which, padded, taps, near, np.float32(least))
     return best, which
 
 
