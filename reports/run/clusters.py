@@ -94,7 +94,7 @@ def pools(run: RunData) -> tuple[Pool, ...]:
     alike: dict[str, list[str]] = {}
     done = set(run.rows["scenario"])
     for name, spec in run.manifest.scenarios.items():
-        if name in done and image_set(spec):
+        if name in done:
             alike.setdefault(all_but_body(spec), []).append(name)
     found = []
     for names in alike.values():

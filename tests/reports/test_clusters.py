@@ -1,4 +1,4 @@
-"""Sequences on sets of images: what is independent is the set, by closed forms and scipy."""
+"""What is independent in a run, by closed forms and scipy: data bases, real images, and sets of rendered images."""
 
 import numpy as np
 import pytest
@@ -16,10 +16,82 @@ from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.records import RATIO, SEQUENCE, find
 from reports.statistics.measured import MEAN, measure, measure_deviation
 from reports.statistics.measures import measure_run
-from reports.statistics.paired import BETTER, SIGN_TEST
+from reports.statistics.paired import BETTER, SIGN_TEST, paired_records
 
 STARTS = 6
 POOL = "sphere, {} sets of images"
+OURS, OTHER = "landmark-harris", "other"
+
+
+def student_mean(values):
+    """The mean of (n,) independent numbers with Student's interval, of its logarithm."""
+    values = np.asarray(values, dtype=float)
+    mean, n = values.mean(), len(values)
+    half = t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) / mean
+    return pytest.approx((mean, mean * np.exp(-half), mean * np.exp(half)), rel=1e-6)
+
+
+def add_trial(builder, trial, landmarks, *, estimator=OURS, error_m=1.0, **columns):
+    """Add a trial of a number of landmarks, with further columns of its row."""
+    builder.trial(trial, ([9, 0, 0], 1), ([error_m, 0, 0], 1), estimator=estimator, n_landmarks=landmarks)
+    builder.tables["rows"][-1].update(columns)
+
+
+def landmarks_of(run, estimator=OURS, scenario="itokawa"):
+    """Mean number of landmarks with its interval, and of how many trials."""
+    found = find(
+        measure_run(run), scenario=scenario, estimator=estimator, stage="final", measure="n_landmarks", statistic="mean"
+    )
+    return (found.value, found.low, found.high), (found.n_ok, found.n)
+
+
+@pytest.mark.parametrize("levels", [(40, 44, 50, 52, 64), (49, 51)])
+def test_trials_of_several_data_bases_are_as_many_numbers_as_these(builder, levels):
+    """Thirty trials of which those of one data base are equal: the interval is that of five, or two, numbers."""
+    for trial in range(30):
+        number = trial % len(levels)
+        add_trial(builder, trial, levels[number], database=number)
+    measured, counts = landmarks_of(read_run(builder.write()))
+    assert (measured, counts) == (student_mean(levels), (30, 30))
+
+
+def test_trials_of_one_data_base_are_independent(builder):
+    landmarks = (40, 44, 50, 52, 64, 66)
+    for trial, number in enumerate(landmarks):
+        add_trial(builder, trial, number, database=0)
+    assert landmarks_of(read_run(builder.write()))[0] == student_mean(landmarks)
+
+
+def test_an_estimator_without_a_data_base_has_independent_trials(builder):
+    landmarks = (40, 44, 50, 52, 64, 66)
+    for trial, number in enumerate(landmarks):
+        add_trial(builder, trial, (49, 51)[trial % 2], database=trial % 2)
+        add_trial(builder, trial, number, estimator=OTHER)
+    run = read_run(builder.write())
+    assert landmarks_of(run)[0] == student_mean((49, 51))
+    assert landmarks_of(run, OTHER)[0] == student_mean(landmarks)
+
+
+def test_a_pair_of_estimators_of_which_one_has_data_bases_is_compared_by_these(builder):
+    """Of 18 trials with six data bases, five data bases are better: 6 signs decide, not 18."""
+    for trial in range(18):
+        add_trial(builder, trial, 50, estimator="first")
+        add_trial(builder, trial, 50, error_m=0.5 if trial % 6 else 2.0, database=trial % 6)
+    records = paired_records(read_run(builder.write(estimators=["first", OURS])))
+    share = find(records, estimator=OURS, reference="first", measure="position_difference_m", statistic=BETTER)
+    assert (share.value, share.n_ok, share.n) == (5 / 6, 6, 18)
+
+
+def test_realisations_of_real_images_are_as_many_numbers_as_images(builder):
+    """Four images with three realisations each; a rendered scenario beside them has independent trials."""
+    images, rendered = (40, 44, 50, 66), (40, 44, 50, 52, 64, 66)
+    for trial in range(12):
+        add_trial(builder, trial, images[trial // 3], image=f"{trial // 3}.png")
+    for trial, number in enumerate(rendered):
+        add_trial(builder, trial, number, scenario="rendered")
+    run = read_run(builder.write(scenarios={name: {"name": name} for name in ("itokawa", "rendered")}))
+    assert landmarks_of(run) == (student_mean(images), (12, 12))
+    assert landmarks_of(run, scenario="rendered") == (student_mean(rendered), (6, 6))
 
 
 def spec(seed, **keys):
@@ -76,6 +148,16 @@ def test_two_sets_of_equal_starts_are_two_numbers(builder):
     assert (mean.low, mean.high) == pytest.approx(4.5 * np.exp([-half, half]), rel=1e-6)
     assert (median.value, median.low, median.high) == (4.5, None, None)
     assert pooled(run, "95th percentile").value is None
+
+
+def test_a_scenario_without_images_beside_those_with_sets_has_independent_trials(builder):
+    """Two bodies that images show, and a third whose tracks are simulated."""
+    simulated = (4.0, 5.0, 6.0, 8.0, 9.0, 10.0)
+    scenarios = {f"sphere-{i}": spec(i) for i in range(2)} | {"sphere-2": spec(2, sequence={"images": None})}
+    run = written(builder, {"one": [[4.0] * 6, [5.0] * 6, simulated]}, scenarios=scenarios)
+    found = find(measure_run(run), scenario="sphere-2", measure="error_after_1_m", statistic="mean")
+    assert (found.value, found.low, found.high) == student_mean(simulated)
+    assert (pooled(run, "mean").value, pooled(run, "mean").n) == (4.5, 12)
 
 
 def test_equal_starts_give_the_interval_of_the_sets(builder):
@@ -145,6 +227,11 @@ def test_scenarios_that_differ_in_more_than_the_body_are_no_pool(builder):
     (pool,) = pools(written(builder, errors, scenarios=scenarios))
     assert (pool.scenarios, pool.sets) == (("sphere-0", "sphere-1"), 2)
     assert pools(written(builder, errors, scenarios={**scenarios, "sphere-1": simulated})) == ()
+
+
+def test_a_scenario_without_rows_yet_is_in_no_pool(builder):
+    run = written(builder, {"one": np.ones((1, STARTS))}, scenarios={f"sphere-{i}": spec(i) for i in range(2)})
+    assert pools(run) == ()
 
 
 def test_other_conditions_on_the_same_images_are_the_same_set(builder):
