@@ -1,4 +1,4 @@
-"""Cores, memory, processor and package versions of this machine, and the threads of a worker process."""
+"""Cores, memory, processor and package versions of this machine."""
 
 from __future__ import annotations
 
@@ -12,11 +12,6 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import cv2
-from threadpoolctl import threadpool_limits
-
-from renderers.mitsuba3 import limit_threads
-from renderers.mitsuba3.variant import CUDA, gpu_names
 from scenarios.limits import installed_memory_bytes
 
 PACKAGES = (
@@ -44,44 +39,9 @@ def sharing_cores(among: int) -> Iterator[None]:
         _sharing.reset(token)
 
 
-def workers(asked: int | None, variant: str) -> int:
-    """Return the number of worker processes: as requested, or by default one for each GPU or each core."""
-    if asked is not None:
-        return asked
-    return max(1, len(gpu_names())) if variant == CUDA else cores()
-
-
 def memory_gib() -> float:
     """Installed memory, GiB."""
     return installed_memory_bytes() / 2**30
-
-
-def use_threads(jobs: int) -> None:
-    """Limit the threads of this worker to cores / jobs, as more threads than cores are much slower.
-
-    BLAS gets one thread: matrices are small here, and OpenBLAS's threads spin while they wait, which made landmark
-    recognition ten times slower on a busy machine.
-    """
-    _share_cores(max(1, cores() // max(1, jobs)))
-    # Not kept in a cache: `one_blas_thread` may have ended since, or another library with a BLAS been loaded.
-    threadpool_limits(limits=1, user_api="blas")
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Give matrices one thread, and afterwards as many as before.
-
-    BLAS adds up the parts of long vectors and large matrices that its threads worked out, so that the last bits of a
-    product depend on how many there are.
-    """
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield
-
-
-@lru_cache(maxsize=1)
-def _share_cores(threads: int) -> None:
-    limit_threads(threads)
-    cv2.setNumThreads(threads)
 
 
 def load() -> float:

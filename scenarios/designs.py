@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
+import numpy as np
 from pydantic import JsonValue
-from scipy.linalg import hadamard
 
 from scenarios.spec.campaign import GridSpec
 
@@ -62,13 +62,13 @@ def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     The rows of a Hadamard matrix of order 2^m, at least the number of factors, and their negatives (fold-over). Main
     effects are orthogonal to each other and to two-factor interactions. The first run has all factors low.
     """
-    order = 1
-    while order < factors:
-        order *= 2
+    matrix = np.ones((1, 1))
+    while len(matrix) < factors:
+        matrix = np.block([[matrix, matrix], [matrix, -matrix]])
     # Columns of a Hadamard matrix are orthogonal. The fold-over cancels the product of two columns with any third one:
     # main effects are clear of two-factor interactions.
-    matrix = hadamard(order)[:, :factors]
-    return tuple(tuple(bool(sign < 0) for sign in row) for half in (matrix, -matrix) for row in half)
+    columns = matrix[:, :factors]
+    return tuple(tuple(bool(sign < 0) for sign in row) for half in (columns, -columns) for row in half)
 
 
 def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> GridCell:

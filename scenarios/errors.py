@@ -1,8 +1,9 @@
-"""Exceptions of boresight, and the printable form of messages."""
+"""Exceptions of boresight, and the printable form of messages and paths."""
 
 from __future__ import annotations
 
 import traceback
+from pathlib import Path
 
 _LONGEST = 2000
 
@@ -20,6 +21,14 @@ class BoresightError(Exception):
 
 class MachineError(BoresightError):
     """A fault of the machine, not of the input (disk full, process killed): the same command continues afterwards."""
+
+
+def display(path: Path) -> str:
+    """Return a path relative to the working directory if it lies below it, in full otherwise."""
+    try:
+        return path.resolve().relative_to(Path.cwd()).as_posix()
+    except (OSError, ValueError):
+        return str(path)
 
 
 def printable(text: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from scenarios.draw import draw_direction
 from scenarios.geometry import Camera, Pose
@@ -85,6 +84,9 @@ def onboard_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Gene
     The assumed body axes differ from the true ones by a tilt of the pole about a random equatorial axis and by a
     phase error about the pole. The position of the body's origin in the camera frame is unchanged.
     """
+    # Imported here: `boresight list` reads what is on board, and scipy takes 0.3 s.
+    from scipy.spatial.transform import Rotation
+
     tilt_rad, phase_rad = _angle_rad(onboard.pole_error_deg, rng), _angle_rad(onboard.rotation_error_deg, rng)
     axis = draw_direction(_EQUATOR_RAD, rng)
     # Right of R_cam_body: the error is in body axes, where the pole is z.

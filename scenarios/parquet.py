@@ -42,10 +42,8 @@ class TableLayout(NamedTuple):
     is_text: Callable[[str], bool | None]
 
 
-def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
+def read_table(folder: Path, layout: TableLayout) -> pa.Table:
     """Read the files ``*.parquet`` of a folder (at least one) as one table, in the order of their names.
-
-    Metadata of pandas in the files is ignored.
 
     Raises
     ------
@@ -53,7 +51,20 @@ def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
         If a file is damaged, does not have the layout, or would expand to far more than its size.
     """
     with _explained(folder):
-        frame: pd.DataFrame = _table(folder, sorted(folder.glob("*.parquet")), layout).to_pandas(ignore_metadata=True)
+        return _table(folder, sorted(folder.glob("*.parquet")), layout)
+
+
+def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
+    """Read a folder as `read_table` does, as a frame; metadata of pandas in the files is ignored.
+
+    Raises
+    ------
+    BoresightError
+        As `read_table`.
+    """
+    table = read_table(folder, layout)
+    with _explained(folder):
+        frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
         return frame
 
 
@@ -66,7 +77,7 @@ def read_where(path: Path, layout: TableLayout, values: Mapping[str, object]) ->
     Raises
     ------
     BoresightError
-        As `read_frame`.
+        As `read_table`.
     """
     with _explained(path):
         table = _table(path, [path], layout)
@@ -82,7 +93,7 @@ def read_column(path: Path, name: str) -> list[Any]:
     Raises
     ------
     BoresightError
-        As `read_frame`.
+        As `read_table`.
     """
     with _explained(path):
         (table,) = _tables([path], [name])
@@ -179,6 +190,7 @@ def _unfolded_bytes(file: pq.ParquetFile, path: Path) -> int:
 
 def _text_bytes(path: Path, texts: list[str]) -> int:
     """Sum the lengths of the values of text columns without expanding their dictionaries."""
-    columns = pq.read_table(path, columns=texts, read_dictionary=texts, partitioning=None).columns
+    with pq.ParquetFile(path, read_dictionary=texts) as file:
+        columns = file.read(columns=texts, use_threads=False).columns
     chunks = [chunk for column in columns for chunk in column.chunks]
     return sum(int(pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)).as_py() or 0) for c in chunks)

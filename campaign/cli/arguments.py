@@ -91,7 +91,7 @@ def _runs(commands: Commands) -> None:
     run.set_defaults(handler="runs:run_command")
     status = commands.add_parser("status", help="say how far a run is")
     status.add_argument("run", help="a run folder, or a campaign's name")
-    status.set_defaults(handler="runs:status_command")
+    status.set_defaults(handler="status:status_command")
     report = commands.add_parser("report", help="write the report of a run")
     report.add_argument("run", help="a run folder, or a campaign's name")
     _add_worst(report)

@@ -17,9 +17,8 @@ from ruamel.yaml import YAML
 
 from campaign.cli.terminal import console
 from campaign.machine import cores
-from campaign.runs.check import check_campaign, check_scenario
+from campaign.runs.read import CATALOG, campaign_names, read_campaign
 from campaign.runs.requirements import data_needed, rate_of
-from campaign.runs.resolve import CATALOG, campaign_names, resolve
 from campaign.trial.kind import kind_names
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
@@ -132,9 +131,9 @@ def _campaign_entry(loaded: LoadedCampaign) -> Entry:
 def show_command(arguments: argparse.Namespace) -> int:
     """Print a campaign or a scenario as YAML, every default filled in."""
     if _is_campaign(arguments.name):
-        campaign = resolve(arguments.name, arguments.overrides)
+        campaign = read_campaign(arguments.name, arguments.overrides)
         shown = {
-            "campaign": json.loads(canonical_json(campaign.spec)),
+            "campaign": json.loads(canonical_json(campaign.loaded.spec)),
             "scenarios": [json.loads(canonical_json(s.spec)) for s in campaign.scenarios],
         }
     else:
@@ -149,6 +148,10 @@ def show_command(arguments: argparse.Namespace) -> int:
 
 def validate_command(arguments: argparse.Namespace) -> int:
     """Check a campaign or a scenario file as a run does before anything is built."""
+    # Imported here: they load kinds of trial and estimators, 1.5 s, which the other commands do without.
+    from campaign.runs.check import check_campaign, check_scenario
+    from campaign.runs.resolve import resolve
+
     if _is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides)
         check_campaign(campaign, campaign.spec.trials)

@@ -13,7 +13,7 @@ from pathlib import Path
 from campaign.cli.arguments import ALL_PAPERS
 from campaign.cli.terminal import NamedLines, ProgressListener, console
 from campaign.draft import as_draft, kept
-from campaign.machine import sharing_cores, workers
+from campaign.machine import sharing_cores
 from campaign.papers import PAPERS
 from campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from campaign.pool.workers import in_order
@@ -22,13 +22,13 @@ from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
+from campaign.threads import workers
 from renderers.mitsuba3 import choose_variant
 from reports.pages.console import rich_table
 from reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
 from reports.schema.labels import count_of
 from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
-from scenarios.load.find import display
+from scenarios.errors import BoresightError, display
 
 _IN_PART = 3
 """Exit code: done, without the runs that could not be read."""

@@ -16,8 +16,7 @@ from reports.pages.view3d import write_recording, write_view3d
 from reports.run.data import read_run
 from reports.schema.named_figure import file_stem
 from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
-from scenarios.load.find import display
+from scenarios.errors import BoresightError, display
 
 
 def inspect_command(arguments: argparse.Namespace) -> int:

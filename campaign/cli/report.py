@@ -15,8 +15,7 @@ from reports.pages.build import write_report
 from reports.pages.console import console_table
 from reports.run.outcomes import reason_lines
 from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
-from scenarios.load.find import display
+from scenarios.errors import BoresightError, display
 
 
 def report_command(arguments: argparse.Namespace) -> int:

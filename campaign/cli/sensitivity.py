@@ -6,13 +6,13 @@ import argparse
 from dataclasses import replace
 
 from campaign.cli.terminal import ProgressListener, console
-from campaign.machine import workers
 from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
 from campaign.runs.sensitivity import analyse, make_design, parse_over
 from campaign.runs.until import CONTROLS, STATISTICS
+from campaign.threads import workers
 from renderers.mitsuba3 import choose_variant
 from reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
 from reports.compare.metrics import choose_metric
@@ -21,8 +21,7 @@ from reports.run.data import read_run
 from reports.run.limits import short_line
 from reports.schema.tables import kind_schema
 from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
-from scenarios.load.find import display
+from scenarios.errors import BoresightError, display
 
 
 def sensitivity_command(arguments: argparse.Namespace) -> int:

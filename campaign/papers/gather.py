@@ -10,7 +10,8 @@ from typing import Any
 
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.newest import start_of
-from campaign.runs.resolve import campaign_names, reload
+from campaign.runs.read import campaign_names
+from campaign.runs.resolve import reload
 from campaign.store import RunFolder
 from reports.kinds import Content
 from reports.pages.content import content_of

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
+from campaign.runs.read import CATALOG, campaign_names
 from campaign.runs.request import RUNS
-from campaign.runs.resolve import CATALOG, campaign_names
 from reports.figures.provenance import add_provenance, with_trial_counts
 from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure

@@ -20,11 +20,11 @@ from campaign.kinds.single_image.examples import (
     median_trial,
     second_look,
 )
-from campaign.machine import workers
 from campaign.papers.gather import FinishedRun
 from campaign.papers.page import Paper, PaperFigure, Runs
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
+from campaign.threads import workers
 from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild
 from reports.figures import (
     draw_alignment_panels,

@@ -15,7 +15,6 @@ from typing import Protocol, cast
 from campaign.draft import drafted
 from campaign.handles import Handle, target_of
 from campaign.imaging.world import believed
-from campaign.machine import one_blas_thread
 from campaign.products import crater_database, descriptors, landmark_database, maplets
 from campaign.products.databases import (
     content_key,
@@ -24,6 +23,7 @@ from campaign.products.databases import (
     with_database_knowledge,
     with_database_seed,
 )
+from campaign.threads import one_blas_thread
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain_write_error

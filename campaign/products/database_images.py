@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from campaign.imaging.image_store import ImageStore
 from campaign.imaging.world import open_world, typical_range_m
-from campaign.machine import use_threads
 from campaign.pool.workers import in_order
+from campaign.threads import use_threads
 from scenarios.draw import Stream, draw_aimed_view, draw_lit_view, generator
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario

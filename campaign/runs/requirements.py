@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenarios.bodies import EMBEDDED
 from scenarios.cache import default_cache
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedCampaign, LoadedScenario, load_scenario
 from scenarios.onboard import onboard_spec
+from scenarios.spec.body import EMBEDDED_NAMES
 
 _KIND, _FILE = "rates", "rate.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -56,7 +56,7 @@ def _scenarios(campaign: LoadedCampaign) -> Iterator[LoadedScenario]:
 def _of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
     spec, dirs = scenario.spec, scenario.search_dirs
     for shape in dict.fromkeys((spec.body.shape, onboard_spec(spec).body.shape)):
-        if shape not in EMBEDDED:
+        if shape not in EMBEDDED_NAMES:
             yield Need(shape, _is_there(find_data_file, shape, dirs, "shapes"))
     if spec.images is not None:
         yield Need(f"{spec.images.folder}/", _is_there(find_data_folder, spec.images.folder, dirs, "images"))

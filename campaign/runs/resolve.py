@@ -4,25 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from campaign.resolved import ResolvedCampaign, Versions
+from campaign.runs.read import read_campaign
 from campaign.trial.kind import Kind, kind_named
 from estimators.registry import base_of, needed_sensors
-from scenarios.designs import GridCell, GridVariation, grid_cells
 from scenarios.errors import BoresightError
-from scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
+from scenarios.load import LoadedCampaign, LoadedScenario
 from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
 from scenarios.spec.scenario import ScenarioSpec
-
-CATALOG = Path(__file__).parents[1] / "catalog"
-
-
-def campaign_names() -> list[str]:
-    """Return the names of the campaigns that come with boresight."""
-    return names_in(CATALOG)
 
 
 def resolve(
@@ -37,15 +29,9 @@ def resolve(
     BoresightError
         If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
     """
-    loaded = load_campaign(name_or_path, CATALOG)
-    spec = loaded.spec
+    read = read_campaign(name_or_path, overrides)
+    loaded, spec, scenarios = read.loaded, read.loaded.spec, read.scenarios
     kind = _kind_of(loaded)
-    found = [read_source(loaded, source, overrides) for source in sources(spec)]
-    scenarios = tuple(scenario for scenario, _ in found)
-    variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
-    names = [s.spec.name for s in scenarios]
-    if len(set(names)) != len(names):
-        raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
     if spec.databases > 1:
         _check_databases(loaded, kind, scenarios)
     versions = _versions(spec, loaded)
@@ -57,7 +43,7 @@ def resolve(
         spec.seed if seed is None else seed,
         versions,
         variant,
-        variations,
+        read.variations,
         tuple(overrides),
         root=loaded.root,
     )
@@ -82,35 +68,6 @@ def _check_databases(loaded: LoadedCampaign, kind: Kind, scenarios: Sequence[Loa
             )
     if not kind.databases:
         raise BoresightError(f"{key}: 1 is all that a campaign of {kind.name} has: leave the key out")
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
-
-    file: str
-    cell: GridCell | None
-
-
-def sources(campaign: CampaignSpec) -> list[Source]:
-    """List where the scenarios of a campaign come from, each in all variations of its grid, in their order."""
-    every = (None,) if campaign.grid is None else grid_cells(campaign.grid)
-    return [Source(file, cell) for file in campaign.scenarios for cell in every]
-
-
-def read_source(
-    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | ConfigEntry]
-) -> tuple[LoadedScenario, GridVariation | None]:
-    """Read one scenario of a campaign."""
-    cell = source.cell
-    named = () if cell is None else zip(cell.levels.items(), cell.overrides, strict=True)
-    levels = [loaded.level(axis, level, one) for (axis, level), one in named]
-    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
-    if cell is None:
-        return one, None
-    base = one.spec.name
-    own_name = "-".join(filter(None, (base, cell.suffix)))
-    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), GridVariation(base, cell.levels)
 
 
 def _versions(spec: CampaignSpec, loaded: LoadedCampaign | None = None) -> Versions:

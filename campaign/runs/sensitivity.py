@@ -12,7 +12,7 @@ from SALib.sample import sobol
 from scipy.stats import qmc
 
 from campaign.resolved import ResolvedCampaign
-from campaign.runs.resolve import CATALOG, read_source, sources
+from campaign.runs.read import CATALOG, read_source, sources
 from reports.compare.global_sensitivity import (
     Sensitivity,
     VariedKey,

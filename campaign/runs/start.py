@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from campaign.machine import workers
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, Cluster, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import Listener, run_campaign
 from campaign.store import RunFolder
+from campaign.threads import workers
 from campaign.trial.kind import Records
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError

@@ -18,13 +18,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field
 
-from reports.run.data import refuse_older
-from reports.schema.tables import TABLES, layout, schema
+from reports.schema.tables import TABLES, layout, refuse_older, schema
 from scenarios import checksums
 from scenarios.atomic import make_folder, write_atomically, write_text
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
-from scenarios.parquet import read_column, read_frame, read_where
+from scenarios.parquet import read_column, read_table, read_where
 from scenarios.reading import held_to, plain_json, unreadable
 
 if TYPE_CHECKING:
@@ -265,12 +264,15 @@ class RunFolder:
         BoresightError
             If it is not what was stored, or cannot be read as such a table.
         """
-        folder = self.path / name
+        frame: pd.DataFrame = self.arrow(name).to_pandas(ignore_metadata=True)
+        return frame
+
+    def arrow(self, name: str) -> pa.Table:
+        """Read one stored table as `table` does, but as a table of Arrow, without pandas."""
         refuse_damaged(self.path, name)
-        if not any(folder.glob("*.parquet")):
-            empty: pd.DataFrame = schema(name).empty_table().to_pandas()
-            return empty
-        return read_frame(folder, layout(name))
+        if not any((self.path / name).glob("*.parquet")):
+            return schema(name).empty_table()
+        return read_table(self.path / name, layout(name))
 
     def of_trial(self, name: str, scenario: str, estimator: str, trial: int) -> pa.Table:
         """Read what one stored table holds of a trial, in the order in which it was stored.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from reports.schema.column import names
-from reports.schema.tables import ALL_ROW_COLUMNS, FORMAT_VERSION, TABLES, columns_of, layout
+from reports.schema.tables import ALL_ROW_COLUMNS, TABLES, columns_of, layout, refuse_older
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError, printable
 from scenarios.known import Known, known_on_board
@@ -243,22 +243,6 @@ def _with_all_columns(rows: pd.DataFrame) -> pd.DataFrame:
     whole = {name: rows[name].astype(float) for name in ("n_landmarks", "database")}
     texts = {name: rows[name].astype(object).where(rows[name].notna(), "").astype(str) for name in ("image", "reason")}
     return rows.assign(**whole, **texts)
-
-
-def refuse_older(manifest: object, path: Path) -> None:
-    """Refuse a run that is stored in another format than this version of boresight reads.
-
-    Raises
-    ------
-    BoresightError
-        If its format is not the one that this version reads.
-    """
-    stored = manifest.get("format", "unknown") if isinstance(manifest, Mapping) else FORMAT_VERSION
-    if stored != FORMAT_VERSION:
-        raise BoresightError(
-            f"{path.parent}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
-            " campaign again, into another folder (--out)"
-        )
 
 
 def _read_manifest(path: Path) -> Manifest:

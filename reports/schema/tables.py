@@ -6,16 +6,18 @@ Raise FORMAT_VERSION when a column is renamed, moved, or changes its meaning.
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from itertools import chain
+from pathlib import Path
 
 import pyarrow as pa
 
 from reports.schema import common
 from reports.schema import kinds as _kinds
 from reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
+from scenarios.errors import BoresightError
 from scenarios.parquet import TableLayout
 
 FORMAT_VERSION = 3
@@ -91,3 +93,19 @@ def is_error(name: str) -> bool:
     """Whether a measure is an error: smaller is better."""
     known = measures().get(name)
     return known is not None and known.error
+
+
+def refuse_older(manifest: object, path: Path) -> None:
+    """Refuse a run that is stored in another format than this version of boresight reads.
+
+    Raises
+    ------
+    BoresightError
+        If its format is not the one that this version reads.
+    """
+    stored = manifest.get("format", "unknown") if isinstance(manifest, Mapping) else FORMAT_VERSION
+    if stored != FORMAT_VERSION:
+        raise BoresightError(
+            f"{path.parent}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
+            " campaign again, into another folder (--out)"
+        )

@@ -12,6 +12,7 @@ from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.readers.icq import cube_lattice, cube_quads, weld_seams
 from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
+from scenarios.spec.body import EMBEDDED_NAMES
 
 __all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"]
 
@@ -224,5 +225,5 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(
-    {"contact-binary": contact_binary, "sphere": sphere, "apophis-sphere": apophis_sphere, "eros-like": eros_like}
+    dict(zip(EMBEDDED_NAMES, (contact_binary, sphere, apophis_sphere, eros_like), strict=True))
 )

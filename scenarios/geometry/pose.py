@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from scenarios.errors import BoresightError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
 
@@ -68,13 +71,13 @@ class Pose:
         cls, quat_wxyz: FloatArray, translation_m: FloatArray, to_frame: str = "cam", from_frame: str = "body"
     ) -> Pose:
         """Build from a quaternion in the order (w, x, y, z), normalised here."""
-        rotation = Rotation.from_quat(np.asarray(quat_wxyz, dtype=np.float64), scalar_first=True).as_matrix()
+        rotation = _rotations().from_quat(np.asarray(quat_wxyz, dtype=np.float64), scalar_first=True).as_matrix()
         return cls(rotation, translation_m, to_frame, from_frame)
 
     @property
     def quat_wxyz(self) -> FloatArray:
         """The rotation as a unit quaternion (w, x, y, z) with w >= 0."""
-        return Rotation.from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
+        return _rotations().from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
 
     @property
     def camera_position_m(self) -> FloatArray:
@@ -113,7 +116,7 @@ class Pose:
         ``R' = exp(w) R`` and ``t' = t + d``, both in ``to_frame``. The two are independent: a rotation of the
         body about its own origin does not move that origin in the camera.
         """
-        delta = Rotation.from_rotvec(np.asarray(rotation_rad, dtype=np.float64)).as_matrix()
+        delta = _rotations().from_rotvec(np.asarray(rotation_rad, dtype=np.float64)).as_matrix()
         return Pose(
             delta @ self.rotation,
             self.translation_m + np.asarray(translation_m, dtype=np.float64),
@@ -123,7 +126,14 @@ class Pose:
 
     def angle_to(self, other: Pose) -> float:
         """Return the angle, rad, of the rotation that takes one attitude to the other."""
-        return float(Rotation.from_matrix(self.rotation @ other.rotation.T).magnitude())
+        return float(_rotations().from_matrix(self.rotation @ other.rotation.T).magnitude())
+
+
+def _rotations() -> type[Rotation]:
+    """Return scipy's class, imported when it is first needed: all schemas import this module, and scipy takes 0.3 s."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
 
 
 def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:

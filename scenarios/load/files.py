@@ -11,10 +11,10 @@ from typing import Literal, TypeVar
 
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, display
 from scenarios.load.entry import ConfigEntry, describe, entry_of
 from scenarios.load.explain import explain
-from scenarios.load.find import display, exists, find, name_of, names_in, read
+from scenarios.load.find import exists, find, name_of, names_in, read
 from scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec

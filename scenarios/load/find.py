@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import os
 from pathlib import Path
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, display
 from scenarios.load.entry import ConfigEntry, shortened
 from scenarios.load.yaml_text import parse_yaml
 
@@ -20,7 +21,7 @@ def names_in(catalog: Path) -> list[str]:
 
 def name_of(path: Path) -> str:
     """Return the default name of a file: ``my-scene`` for ``my_scene.yaml``."""
-    return path.stem.replace("_", "-")
+    return _named(path.name)[0]
 
 
 def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
@@ -45,9 +46,9 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
     """
     known = _by_name(catalog)
     beside = _by_name(near) if near is not None else {}
-    for names in (known, beside):
+    for folder, names in ((catalog, known), (near or Path(), beside)):
         if name_or_path.replace("_", "-") in names:
-            return names[name_or_path.replace("_", "-")]
+            return folder / names[name_or_path.replace("_", "-")]
     path = (near or Path()) / name_or_path
     if not exists(path):
         raise BoresightError(_not_found(name_or_path, path, list(known), what))
@@ -93,16 +94,19 @@ def read(path: Path) -> ConfigEntry:
     return root
 
 
-def display(path: Path) -> str:
-    """Return a path relative to the working directory if it lies below it, in full otherwise."""
+def _named(file: str) -> tuple[str, str]:
+    """Split a file name into the name of what it holds, and the suffix."""
+    stem, suffix = os.path.splitext(file)  # noqa: PTH122  no paths are made: this is asked for every file that is read
+    return stem.replace("_", "-"), suffix
+
+
+def _by_name(folder: Path) -> dict[str, str]:
+    """Return the file names of a folder by the names of what they hold."""
     try:
-        return path.resolve().relative_to(Path.cwd()).as_posix()
-    except (OSError, ValueError):
-        return str(path)
-
-
-def _by_name(folder: Path) -> dict[str, Path]:
-    return {name_of(path): path for path in sorted(folder.glob("*")) if path.suffix in SUFFIXES}
+        names = sorted(os.listdir(folder))  # noqa: PTH208
+    except OSError:
+        names = []
+    return {name: file for file in names for name, suffix in [_named(file)] if suffix in SUFFIXES}
 
 
 def _not_found(name_or_path: str, path: Path, known: list[str], what: str) -> str:

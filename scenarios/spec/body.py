@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel, is_none
 
+EMBEDDED_NAMES = ("contact-binary", "sphere", "apophis-sphere", "eros-like")
+"""Names of the built-in bodies of `scenarios.bodies.embedded`."""
+
 
 class SizesSpec(SpecModel):
     """A range of diameters."""

@@ -20,8 +20,9 @@ from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
 from campaign.cli.terminal import ProgressListener
+from campaign.runs.read import CATALOG, campaign_names
 from campaign.runs.requirements import data_needed
-from campaign.runs.resolve import CATALOG, campaign_names, resolve
+from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from campaign.trial.kind import kind_named, kind_names
 from estimators.registry import estimator_names

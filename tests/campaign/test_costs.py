@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from tiny_campaign import run, write_campaign
 
+from campaign.runs.read import CATALOG, campaign_names
 from campaign.runs.requirements import Rate, data_needed, rate_of, remember
-from campaign.runs.resolve import CATALOG, campaign_names
 from scenarios.load import load_campaign
 
 

@@ -7,9 +7,10 @@ import time
 
 import pytest
 
-from campaign import machine
-from campaign.machine import cores, workers
+from campaign import threads
+from campaign.machine import cores
 from campaign.pool import workers as parallel
+from campaign.threads import workers
 from renderers.mitsuba3 import variant
 from renderers.mitsuba3.variant import CUDA, LLVM
 
@@ -44,4 +45,4 @@ def test_there_are_as_many_workers_as_gpus_or_cores(monkeypatch):
     assert [variant.gpu_of_worker(place)[variant.VISIBLE_GPUS] for place in range(3)] == ["0", "1", "0"]
     monkeypatch.setattr(variant, "nvidia_gpus", lambda: (0, "the NVIDIA driver finds no GPU"))
     assert variant.gpu_of_worker(0) == {}
-    assert machine.workers(None, CUDA) == 1
+    assert threads.workers(None, CUDA) == 1

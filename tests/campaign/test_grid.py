@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from tiny_campaign import SCENE, compute
 
-from campaign.runs.resolve import CATALOG, campaign_names, reload, resolve
+from campaign.runs.read import CATALOG, campaign_names
+from campaign.runs.resolve import reload, resolve
 from reports.pages.build import write_report
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign

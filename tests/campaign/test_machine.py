@@ -12,7 +12,7 @@ import sys
 import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
 import campaign.runs.worker
-from campaign.machine import use_threads
+from campaign.threads import use_threads
 use_threads(int(sys.argv[1]))
 blas = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 print(drjit.thread_count(), cv2.getNumThreads(), *blas)

@@ -53,12 +53,29 @@ def test_the_whole_names_places_and_exit_codes(capsys):
     assert "130  interrupted" in said
 
 
-def test_help_imports_no_heavy_library():
-    heavy = ["scipy", "pandas", "numba", "pyarrow", "matplotlib", "cv2", "mitsuba", "pydantic"]
+def loaded_by(words: list[str]) -> set[str]:
+    """Run a command in another process; return which heavy libraries it imported."""
+    heavy = ["scipy", "pandas", "numba", "pyarrow", "matplotlib", "cv2", "mitsuba", "astropy", "joblib", "pydantic"]
     code = (
         "import sys\nfrom campaign.cli import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        f"print(sorted(set({heavy!r}) & sys.modules.keys()))"
+        f"try:\n    main({words!r})\nexcept SystemExit:\n    pass\n"
+        f"print(*sorted(set({heavy!r}) & sys.modules.keys()))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_help_imports_no_heavy_library():
+    assert loaded_by(["--help"]) == set()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["list"], ["show", "rowell2015-simulated"], ["show", "knowledge-design"], ["show", "itokawa-2km-lambert"]],
+)
+def test_reading_files_imports_only_the_library_of_their_models(words):
+    assert loaded_by(words) == {"pydantic"}
+
+
+def test_status_imports_only_what_reads_a_run(tiny_run):
+    assert loaded_by(["status", str(tiny_run.folder)]) == {"pyarrow", "pydantic"}

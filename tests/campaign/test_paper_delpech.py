@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from tiny_campaign import compute
 
 from campaign.cli import main
-from campaign.runs.resolve import CATALOG
+from campaign.runs.read import CATALOG
 
 TRIALS = 2
 RUN = ("ba-trace", "ekf-trace", "ba-landmarks", "ba-views", "comparison")

@@ -13,10 +13,10 @@ import trimesh
 from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
-from campaign.machine import use_threads
 from campaign.products import BuiltAssets, landmark_database, product_key
 from campaign.products.database_images import IN_THIS_PROCESS
 from campaign.products.landmark_database import landmark_candidates
+from campaign.threads import use_threads
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from estimators.maplets.build import MapletOptions, build_maplets

@@ -12,7 +12,7 @@ from test_paper_cheng import CHAIN, CRATERED, ORBIT
 from tiny_campaign import SCENE, compute
 from tiny_pairs import PAIRS
 
-from campaign.runs.resolve import CATALOG
+from campaign.runs.read import CATALOG
 from reports.kinds import Content
 from reports.pages.content import read_content
 from reports.published import Comparison, load_published

@@ -12,7 +12,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from campaign.runs.resolve import campaign_names, resolve
+from campaign.runs.read import campaign_names
+from campaign.runs.resolve import resolve
 from campaign.trial.kind import kind_named
 from scenarios.known import known_on_board, merged
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from campaign.runs.resolve import CATALOG
+from campaign.runs.read import CATALOG
 from estimators.craters.registry import crater_detector_names, crater_matcher_names
 from estimators.orbit.registry import orbit_estimator_names
 from estimators.registry import estimator_names

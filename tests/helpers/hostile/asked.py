@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
-from campaign.runs.resolve import CATALOG as CAMPAIGNS
+from campaign.runs.read import CATALOG as CAMPAIGNS
 from estimators.landmark.robust.estimator import ConsensusOptions
 from estimators.options import parse_options
 from estimators.slam.options import BundleOptions

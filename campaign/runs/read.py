@@ -1,0 +1,74 @@
+"""Campaigns and their scenarios as they are written, without the code that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from scenarios.designs import GridCell, GridVariation, grid_cells
+from scenarios.errors import BoresightError
+from scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
+from scenarios.spec.campaign import CampaignSpec
+
+CATALOG = Path(__file__).parents[1] / "catalog"
+
+
+def campaign_names() -> list[str]:
+    """Return the names of the campaigns that come with boresight."""
+    return names_in(CATALOG)
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFiles:
+    """A campaign, its scenarios, and the place in its grid of each that has one, by name."""
+
+    loaded: LoadedCampaign
+    scenarios: tuple[LoadedScenario, ...]
+    variations: Mapping[str, GridVariation]
+
+
+def read_campaign(name_or_path: str, overrides: Sequence[str] = ()) -> CampaignFiles:
+    """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
+
+    Raises
+    ------
+    BoresightError
+        If a file, a key or a value is wrong, or two scenarios share a name.
+    """
+    loaded = load_campaign(name_or_path, CATALOG)
+    found = [read_source(loaded, source, overrides) for source in sources(loaded.spec)]
+    names = [scenario.spec.name for scenario, _ in found]
+    if len(set(names)) != len(names):
+        raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
+    variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
+    return CampaignFiles(loaded, tuple(scenario for scenario, _ in found), variations)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
+
+    file: str
+    cell: GridCell | None
+
+
+def sources(campaign: CampaignSpec) -> list[Source]:
+    """List where the scenarios of a campaign come from, each in all variations of its grid, in their order."""
+    every = (None,) if campaign.grid is None else grid_cells(campaign.grid)
+    return [Source(file, cell) for file in campaign.scenarios for cell in every]
+
+
+def read_source(
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | ConfigEntry]
+) -> tuple[LoadedScenario, GridVariation | None]:
+    """Read one scenario of a campaign."""
+    cell = source.cell
+    named = () if cell is None else zip(cell.levels.items(), cell.overrides, strict=True)
+    levels = [loaded.level(axis, level, one) for (axis, level), one in named]
+    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
+    if cell is None:
+        return one, None
+    base = one.spec.name
+    own_name = "-".join(filter(None, (base, cell.suffix)))
+    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), GridVariation(base, cell.levels)
