@@ -242,12 +242,13 @@ def sequence_measures(run: RunData) -> list[Record]:
 
 
 def timing_measures(run: RunData) -> list[Record]:
-    """Measure the wall time of each stage of a trial."""
+    """Measure the wall time of each stage of a trial; n_ok counts the trials that have a time of it."""
     records = []
     for group, members in groups(run):
         own = run.table("timings")[run.table("timings")["scenario"].isin(members)]
+        rows = run.rows.loc[run.rows["scenario"].isin(members), "estimator"].value_counts()
         for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
             total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-            key = _RecordKey(group, str(estimator), str(stage), len(total))
+            key = _RecordKey(group, str(estimator), str(stage), int(rows.get(estimator, len(total))))
             records += key.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
     return records

@@ -266,24 +266,15 @@ def test_bars_of_one_set_are_not_drawn(builder):
 
 def test_vision_is_told_of_pools(builder):
     errors = {"one": np.ones((2, STARTS))}
-    for seed, features in ((0, 1800), (1, 2200)):
+    for seed, features, kept_right in ((0, 1800, 0.9), (1, 2200, 0.45)):
         for trial in range(STARTS):
-            numbers = dict.fromkeys(
-                (
-                    "n_matches",
-                    "right_share",
-                    "n_kept",
-                    "kept_right_share",
-                    "n_tracks",
-                    "n_wrong",
-                    "error_px",
-                    "sigma_px",
-                ),
-                1.0,
-            )
+            numbers = dict.fromkeys(("n_tracks", "n_wrong", "error_px", "sigma_px"), 1.0)
+            numbers |= {"n_matches": 100, "right_share": 0.9, "n_kept": 80, "kept_right_share": kept_right}
             key = {"trial": trial, "scenario": f"sphere-{seed}", "estimator": "one", "frame": 0}
             builder.add("vision", **key, n_features=features, repeatability=0.9, **numbers)
     records = vision_records(written(builder, errors))
+    lost = find(records, scenario=POOL.format(2), measure="lost_right_share", statistic="mean")
+    assert lost.value == pytest.approx(40.0), "of 90 right matches 72 are kept, and 36 on the other body"
     pool = find(records, scenario=POOL.format(2), measure="features_per_image", statistic="mean")
     half = t.ppf(0.975, 1) * 200.0 / 2000.0
     assert (pool.value, pool.n_ok) == (2000.0, 12)

@@ -8,9 +8,11 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
-from reports.kinds.sequence.contrasts import ratio_records, reduction_records
+from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
 from reports.published import Comparison, PublishedValue
 from reports.run.data import RunData
+from reports.schema.records import find
+from reports.statistics.measures import timing_measures
 from reports.statistics.paired import BETTER, SIGN_TEST
 
 RNG = np.random.default_rng(5)
@@ -65,6 +67,22 @@ def test_a_reduction_is_from_a_scenario_or_from_an_estimator(against):
     sigma = 100 * 0.4 * np.sqrt(2.0 / len(COMMON)) * COMMON.std() / COMMON.mean()
     assert (record.high - record.low) / (2 * 1.96 * sigma) == pytest.approx(1.0, abs=0.15)
     assert record.unit == "%"
+
+
+def test_the_ratio_of_cycle_times_is_that_of_the_trials_that_compile_nothing():
+    """The first of seven trials compiles for 0.4 s a cycle, and the last of one estimator failed: it has no time."""
+    run = run_of({("a", "one"): COMMON[:7], ("a", "two"): COMMON[:7]})
+    times = {"one": [0.4, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3], "two": [6e-3] * 7}
+    rows = [
+        {"scenario": "a", "estimator": name, "trial": trial, "stage": "cycle", "seconds": seconds}
+        for name, own in times.items()
+        for trial, seconds in enumerate(own)
+    ]
+    run = RunData(run.folder, run.manifest, run.rows, {**run.tables, "timings": pd.DataFrame(rows)})
+    ratio = next(record for record in cycle_ratio_records(run) if record.estimator == "one")
+    assert (ratio.value, ratio.statistic, ratio.n_ok, ratio.n) == (pytest.approx(0.75), "median", 6, 6)
+    timed = find(timing_measures(run), estimator="one", stage="cycle", statistic="median")
+    assert (timed.value, timed.n_ok, timed.n) == (pytest.approx(4.5e-3), 6, 7)
 
 
 def test_the_sign_test_is_over_trials():

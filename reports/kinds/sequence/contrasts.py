@@ -19,7 +19,7 @@ from reports.run.clusters import clusters_of, groups, pooled_scenarios
 from reports.run.data import RunData, select
 from reports.schema.records import RATIO, REDUCTION, Record
 from reports.schema.tables import unit_of
-from reports.statistics.measured import MEAN, Measured, cluster_interval
+from reports.statistics.measured import MEAN, MEDIAN, Measured, cluster_interval, measure
 from reports.statistics.paired import BETTER, SIGN_TEST, sign_test
 
 FloatArray = NDArray[np.float64]
@@ -95,12 +95,12 @@ class _PairedErrors:
         errors = both.loc[known, [error, f"{error}_other"]].to_numpy(dtype=np.float64)
         return cls(errors, clusters_of(run, both[known]), len(both))
 
-    def measured(self, of_means: Callable[[FloatArray], FloatArray], positive: bool = False) -> Measured:
-        """Evaluate ``of_means`` of the two mean errors (..., 2); of what can only be above 0, no wild interval."""
+    def measured(self, of_means: Callable[[FloatArray], FloatArray]) -> Measured:
+        """Evaluate ``of_means`` of the two mean errors (..., 2)."""
         if len(self.errors) < 2:
             return Measured(None)
         numbers = np.column_stack([self.errors, np.ones(len(self.errors))])
-        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]), positive)
+        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]))
         return Measured(float(of_means(self.errors.mean(axis=0))), *interval)
 
 
@@ -126,7 +126,10 @@ def ratio_records(run: RunData) -> Iterator[Record]:
 
 
 def cycle_ratio_records(run: RunData) -> Iterator[Record]:
-    """Set the mean cycle time of every estimator of sequences over that of every other one, on the same trials."""
+    """Set the mean cycle time of every estimator of sequences over that of every other one, trial by trial.
+
+    The median over the trials: those in which a worker compiles a method take a hundred times as long.
+    """
     if run.table("epochs").empty:
         return
     pooled, cycles = pooled_scenarios(run), run.table("timings")[run.table("timings")["stage"] == _CYCLE]
@@ -139,9 +142,9 @@ def cycle_ratio_records(run: RunData) -> Iterator[Record]:
             both = side.both(one, other)
             if not (both.errors > 0.0).all():  # a method tells its times itself, and may not measure them
                 continue
-            measured = both.measured(_ratio, positive=True)
+            (measured,) = measure(_ratio(both.errors), both.clusters, (MEDIAN,))
             yield Record(
-                name, one, RATIO, other, _CYCLE_RATIO, unit_of(_CYCLE_RATIO), MEAN.name, measured.value, measured.low,
+                name, one, RATIO, other, _CYCLE_RATIO, unit_of(_CYCLE_RATIO), MEDIAN.name, measured.value, measured.low,
                 measured.high, len(both.errors), both.n,
             )  # fmt: skip
 

@@ -25,6 +25,7 @@ _MEASURES = {
     "right_share": "right_share",
     "n_kept": "kept_per_image",
     "kept_right_share": "kept_right_share",
+    "lost_right": "lost_right_share",
     "survival": "track_survival_share",
     "n_tracks": "tracks_per_image",
     "n_wrong": "wrong_per_image",
@@ -45,10 +46,16 @@ def vision_records(run: RunData) -> list[Record]:
     for group, members in groups(run):
         shown = run.table("vision")[run.table("vision")["scenario"].isin(members)]
         for estimator in dict.fromkeys(shown["estimator"]):
-            frames = shown[shown["estimator"] == estimator]
+            frames = _with_lost(shown[shown["estimator"] == estimator])
             trials = frames.groupby(["scenario", "trial"], as_index=False)[[*_MEASURES]].mean()
             records += _records(group, str(estimator), trials, clusters_of(run, trials))
     return records
+
+
+def _with_lost(frames: pd.DataFrame) -> pd.DataFrame:
+    """Add the share of the right matches of each frame that were not kept."""
+    right, kept = frames["n_matches"] * frames["right_share"], frames["n_kept"] * frames["kept_right_share"]
+    return frames.assign(lost_right=1.0 - kept / right.where(right > 0.0))
 
 
 def _records(group: str, estimator: str, trials: pd.DataFrame, clusters: NDArray[np.generic]) -> Iterator[Record]:

@@ -47,6 +47,7 @@ _VISION = (
     share("right_share", "right ones among the matches", detail=False),
     Measure(name="kept_per_image", label="matches that agree with one motion"),
     share("kept_right_share", "right ones among those that agree", detail=False),
+    share("lost_right_share", "right matches that do not agree with it", detail=False),
     share("track_survival_share", "tracks of the frame before that go on", detail=False),
     Measure(name="tracks_per_image", label="tracks seen in a frame"),
     Measure(name="wrong_per_image", label="tracks more than 3 px off"),
