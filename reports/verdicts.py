@@ -16,7 +16,7 @@ from reports.schema.common import POSE_COLUMNS
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
 from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Record, find
-from reports.schema.tables import measure_label
+from reports.schema.tables import measure_label, unit_of
 from reports.statistics.intervals import wilson
 
 _OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})
@@ -124,7 +124,7 @@ def _of_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim, t
         estimator=term.estimator or claim.estimator,
         stage=term.stage or claim.stage,
         measure=term.measure or claim.measure,
-        statistic=term.statistic or claim.statistic,
+        statistic=term.statistic or claim.compared_statistic,
         reference=term.against or claim.against,
     )
 
@@ -271,7 +271,8 @@ def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
 def claim_values(item: ComparedClaim) -> str:
     """Print our side of a claim: values in its order, how many are solved, or why it is not measured."""
     if item.claim.solves and item.ours and item.ours[0]:
-        return f"{item.claim.solves} solves {counts(item.ours[0])}"
+        bound = "" if item.claim.within is None else f" to within {item.claim.within:g} {unit_of(item.claim.measure)}"
+        return f"{item.claim.solves} solves {counts(item.ours[0])}{bound}"
     names = [term.label for term in item.claim.order]
     values = item.claim.unmeasured or ordered_values(item.ours, names)
     return f"{values}; {item.claim.unjudged}" if item.claim.unjudged else values

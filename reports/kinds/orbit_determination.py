@@ -10,15 +10,16 @@ from reports.figures.axes import band_label
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.kinds import Content, ReportKind, Tables
 from reports.kinds.designs import REPORT as DESIGN_REPORT
+from reports.published import Comparison, within_statistic
 from reports.run.clusters import clusters_of
-from reports.run.data import RunData, select
+from reports.run.data import TRIAL_KEY, RunData, in_order_of, select
 from reports.schema.grid import Grid, value_of_ended
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import Record, find
 from reports.schema.tables import unit_of
 from reports.statistics.consistency import AT_EPOCH, consistency_grid
-from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure
+from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, share_of
 from reports.tables import diagnostic_grid, timing_grid
 from reports.verdicts import ComparedValue, comparison_grid
 
@@ -35,8 +36,8 @@ _NOTE = (
 )
 
 
-def orbit_records(run: RunData) -> list[Record]:
-    """Measure what the trials come to, under the stage ``orbit``."""
+def orbit_records(run: RunData, comparison: Comparison | None) -> list[Record]:
+    """Measure what the trials come to, under the stage ``orbit``, and in how many a paper's bound is kept."""
     records: list[Record] = []
     if run.table("orbits").empty:
         return records
@@ -55,7 +56,22 @@ def orbit_records(run: RunData) -> list[Record]:
                     )
                     for statistic, one in zip(statistics, found, strict=True)
                 ]  # fmt: skip
+        records += _within_bounds(run, scenario, estimator, comparison)
     return records
+
+
+def _within_bounds(run: RunData, scenario: str, estimator: str, comparison: Comparison | None) -> Iterator[Record]:
+    """Count the trials, of all, whose error keeps a bound of a published statement."""
+    rows = select(run.rows, scenario, estimator)
+    bounds = {(claim.measure, claim.within) for claim in (comparison.claims if comparison else ()) if claim.within}
+    for name, bound in sorted(bounds):
+        errors = in_order_of(rows, run.table("orbits").set_index(TRIAL_KEY)[name])
+        share = share_of(errors <= bound, clusters_of(run, rows))
+        percent = (None if end is None else 100.0 * end for end in (share.value, share.low, share.high))
+        yield Record(
+            scenario, estimator, ORBIT, "", name, "%", within_statistic(bound), *percent,
+            int((errors <= bound).sum()), len(rows),
+        )  # fmt: skip
 
 
 def orbit_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
@@ -157,7 +173,7 @@ def brief(content: Content) -> Tables:
 
 
 REPORT = ReportKind(
-    records=lambda run, comparison: orbit_records(run),
+    records=orbit_records,
     tables=lambda content: orbit_grids(content.records, content.compared, content.run),
     brief=brief,
     figures=lambda content: orbit_figures(content.run),

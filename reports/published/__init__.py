@@ -147,6 +147,9 @@ class PublishedClaim(_Model):
         Label of the estimator that "is functional": it solves nine trials of ten at least, which is our reading.
     share
         The share of trials that it solves at least, in place of nine of ten; 1 for "all".
+    within
+        The true error, by ``measure`` and in its unit, up to which a trial counts as solved; without it the trials that
+        the estimator itself calls solved.
     unmeasured
         Why no stored row of ours can decide it.
     unjudged
@@ -166,6 +169,7 @@ class PublishedClaim(_Model):
     statistic: str = "median"
     solves: str = ""
     share: float = Field(0.9, gt=0, le=1)
+    within: float | None = Field(None, gt=0)
     unmeasured: str = ""
     unjudged: str = ""
     scenario: str = ""
@@ -186,7 +190,19 @@ class PublishedClaim(_Model):
             raise ValueError("order: one value has none")
         if self.unjudged and not self.order:
             raise ValueError("unjudged says why an order has no verdict: give the order")
+        if self.within is not None and not self.solves:
+            raise ValueError("within says up to which error a trial is solved: give solves")
         return self
+
+    @property
+    def compared_statistic(self) -> str:
+        """The statistic of our values."""
+        return self.statistic if self.within is None else within_statistic(self.within)
+
+
+def within_statistic(bound: float) -> str:
+    """Return the statistic of a record that counts the trials with an error up to a bound."""
+    return f"within {bound:g}"
 
 
 class Comparison(_Model):

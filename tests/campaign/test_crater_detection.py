@@ -173,6 +173,10 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert listed.value == pytest.approx(100.0 * wrong / len(found))
     assert beyond.value == pytest.approx(100.0 * (1.0 - len(hits) / len(found)))
     assert listed.value < false.value < beyond.value
+    shape = find(records, estimator="blobs", measure="best_axes_error_px", statistic="median")
+    best = found[(found["rank"] < 12) & (found["crater"] >= 0)]
+    assert shape.value == pytest.approx(np.median(best[["major_error_px", "minor_error_px"]].abs()))
+    assert shape.n == 2 * len(best)
     text = (done / "report" / "report.md").read_text()
     # (30^-2 - 120^-2) / (20^-2 - 120^-2) of the population, and 1 - (30^-2 - 120^-2) / (25.2^-2 - 120^-2).
     assert (

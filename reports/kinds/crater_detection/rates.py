@@ -111,11 +111,12 @@ def _records(one: DetectorResults) -> Iterator[Record]:
     error = found["centre_error_px"].to_numpy(dtype=np.float64)
     yield _share(one, "best_within_1px_share", error[good] <= 1.0, unit[good])
     yield from _errors(one, "best_centre_error_px", error[good], unit[good])
-    axes = found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
+    axes = np.abs(found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64))
+    yield from _errors(one, "best_axes_error_px", axes[good].ravel(), np.repeat(unit[good], 2))
     for prefix, which in (("", "detectable"), ("clean_", "clean")):
         seen = found[which].to_numpy(dtype=bool) & ~false
         yield from _errors(one, f"{prefix}centre_error_px", error[seen], unit[seen])
-        yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(unit[seen], 2))
+        yield from _errors(one, f"{prefix}axes_error_px", axes[seen].ravel(), np.repeat(unit[seen], 2))
 
 
 def counted_detections(found: pd.DataFrame) -> BoolArray:

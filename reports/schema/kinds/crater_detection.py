@@ -81,6 +81,7 @@ SCHEMA = KindSchema(
         share("best_false_alarm_share", "false alarms among the 12 most confident of an image"),
         share("best_within_1px_share", "centres within 1 px among those of these 12 that are matched", detail=False),
         plain("best_centre_error_px", "centre error of these 12"),
+        plain("best_axes_error_px", "error of a semi-axis of these 12"),
         plain(COMMON_CENTRE_ERROR, "centre error of the craters that all methods found", error=True),
         Measure(name="axes_error_px", label="error of a semi-axis of detectable craters"),
         Measure(name="clean_centre_error_px", label="centre error of clean craters"),
