@@ -42,8 +42,9 @@ def one_line(error: object) -> str:
 
 
 def text_of(error: BaseException) -> str:
-    """Return an error as one line: the message of a `BoresightError`, type and message of any other."""
-    return one_line(error if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0])
+    """Return an error as one printable line: the message of a `BoresightError`, type and message of any other."""
+    said = error if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0]
+    return printable(one_line(said))
 
 
 def _shown(line: str) -> str:

@@ -133,7 +133,8 @@ class VisionFrontEnd(Protocol):
     def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
         """Yield the frames in the order of time.
 
-        Before each frame, ``predict`` is called with that frame without its tracks.
+        Before each frame is made, ``predict`` is called with that frame without its tracks. Another call yields the
+        frames that were made before again.
         """
         ...
 

@@ -90,6 +90,17 @@ def guarding(**changes: Any) -> Iterator[None]:
         _GUARD.reset(token)
 
 
+@contextmanager
+def unmoved() -> Iterator[None]:
+    """Restore the working directory, which a method may change, at exit."""
+    here = os.open(".", os.O_RDONLY)
+    try:
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)
+
+
 def guarded(call: Call, work: Callable[[], T]) -> T:
     """Call a method under the current `Guard` and return its result.
 

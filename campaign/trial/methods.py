@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import chdir, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import NoReturn, TypeVar
 
+from campaign.pool.guard import unmoved
 from campaign.products import MissingProduct
 from campaign.resolved import ResolvedCampaign
 from estimators.contract import ImageRenderer, NoProductError
@@ -71,7 +72,7 @@ def built(
         If ``make`` raises one of the kind ``refused``, which ends the run.
     """
     try:
-        with chdir("."):
+        with unmoved():
             return make()
     except (KeyboardInterrupt, refused):
         raise
@@ -114,7 +115,7 @@ def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario) -> None:
     for entry in campaign.spec.estimators:
         nothing = _NothingYet(onboard_camera(scenario.spec))
         try:
-            with chdir("."), located(campaign, entry.label):
+            with unmoved(), located(campaign, entry.label):
                 estimator_class(entry.name).from_options(entry.options, nothing)
         except KeyboardInterrupt:
             raise

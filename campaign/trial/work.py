@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Callable
-from contextlib import chdir
 from dataclasses import dataclass
 from typing import TypeVar
 
 from campaign.pool.captured import CapturedOutput
-from campaign.pool.guard import STOPPED, Call, StoppedError, guarded
+from campaign.pool.guard import STOPPED, Call, StoppedError, guarded, unmoved
 from campaign.trial.kind import Record, Records
 from estimators.contract import NoProductError
 from scenarios.errors import printable
@@ -81,8 +80,7 @@ class Work:
         sound: T | None = None
         captured = CapturedOutput()
         try:
-            # A method may change the working directory; that of the run stays.
-            with chdir("."), captured.capturing():
+            with unmoved(), captured.capturing():
                 sound = self._sound(work, check)
         except GaveUpError as failure:
             row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}

@@ -14,12 +14,14 @@ from campaign.kinds.sequence.score import check_sequence
 from campaign.kinds.single_image.score import check
 from campaign.pool.guard import Call
 from campaign.trial.crater_score import check_detections
+from campaign.trial.methods import built
 from campaign.trial.work import GaveUpError, Work
 from estimators.contract import Estimate, Stage
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame
+from scenarios.spec.campaign import EstimatorSpec
 from scenarios.tracks import TrackFrame, TrackSequence
 
 HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
@@ -163,6 +165,14 @@ def test_what_a_method_raises_is_a_row_with_its_reason(error, reason):
     records = WORK.judged(work, lambda answer: None, _never)
     assert records["rows"] == [{"range_m": 5.0, "status": "error", "reason": reason, "n_landmarks": 0}]
     assert "in work\n    raise error\n" in records["tracebacks"][0]["traceback"]
+
+
+def test_why_a_method_cannot_be_built_is_one_printable_line():
+    def make():
+        raise ValueError("\x1b[2J\ngone")
+
+    unbuilt = built(EstimatorSpec(name="mine", label="mine"), "scene", make)
+    assert unbuilt.reason.startswith(r"mine cannot be built for scene: ValueError: \x1b[2J gone; ")
 
 
 def test_an_interruption_stays_one():

@@ -272,7 +272,7 @@ class Stops:
 
 def test_what_an_estimator_of_orbits_is_given_leads_to_no_truth_and_is_its_own(tmp_path):
     given = []
-    records = OrbitTrials("small", orbit_world(), {"a": Stops(given), "b": Stops(given)}, SEED).run(range(1))
+    records = OrbitTrials("small", orbit_world(), {"a": Stops(given), "b": Stops(given)}, SEED).trial(0)
     assert all("InterruptedError" in row["reason"] for row in records["rows"])
     assert len(reached(*given)) > 50
     assert ways_to_the_truth(tmp_path, *given) == []

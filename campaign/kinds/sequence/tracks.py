@@ -103,8 +103,8 @@ class Watch:
 
     @property
     def sequence(self) -> TrackSequence:
-        """What an estimator gets: frames without tracks, and a front end that makes them; a copy of its own."""
-        return replace(own_copy(self._blind), front_end=GuidedFrontEnd(self))
+        """Frames without tracks, and a front end that makes them."""
+        return replace(self._blind, front_end=GuidedFrontEnd(self))
 
     def unmade(self, index: int) -> TrackFrame | None:
         """Return a copy of a frame without its tracks if a prediction is needed to make it."""
