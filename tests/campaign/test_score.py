@@ -34,6 +34,18 @@ def test_foretold_errors_are_the_rms_of_errors_drawn_from_the_covariance():
         assert told[name.replace("sigma", "bound")] == pytest.approx(0.5 * told[name])
 
 
+def test_a_pose_that_turns_about_the_camera_leaves_its_position_where_it_is():
+    """The translation error w x t goes with the rotation error w: the camera's place in the body has no error."""
+    by_rotation = np.vstack([np.eye(3), -np.cross(TRUE.translation_m, np.eye(3)).T])
+    w = np.array([1e-6, -2e-6, 3e-6])
+    np.testing.assert_allclose((by_rotation @ w)[3:], np.cross(w, TRUE.translation_m), rtol=1e-12)
+    assert pose_error(TRUE.perturbed(w, (by_rotation @ w)[3:]), TRUE)["position_error_m"] < 1e-7
+    told = consistency(TRUE, TRUE, by_rotation @ by_rotation.T, None)
+    assert told["position_sigma_m"] < 1e-4
+    alone = consistency(TRUE, TRUE, np.diag([1.0, 1, 1, 0, 0, 0]), None)
+    assert alone["position_sigma_m"] == pytest.approx(np.sqrt(2.0) * np.linalg.norm(TRUE.translation_m))
+
+
 def test_a_covariance_that_is_none_or_singular_has_no_nees():
     assert consistency(TRUE, TRUE, None, None)["nees"] is None
     assert consistency(TRUE, TRUE, np.diag([0.0, 1, 1, 1, 1, 1]), None)["nees"] is None

@@ -13,8 +13,9 @@ from tiny_campaign import Heard, run
 from campaign.runs import until as module
 from campaign.runs.request import RunRequest
 from campaign.runs.resolve import resolve
-from campaign.runs.until import looks, parse_until, run_until
+from campaign.runs.until import looks, parse_until, run_until, widest
 from renderers.mitsuba3 import choose_variant
+from reports.run.data import read_run
 from reports.statistics.measured import MEDIAN, measure
 from scenarios.errors import BoresightError
 
@@ -62,7 +63,7 @@ def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monke
     monkeypatch.setattr(module, "_FIRST_LOOK", 10)
     folder = tmp_path / "run"
     shutil.copytree(tiny_run.folder, folder)
-    for block in sorted((folder / "rows").glob("*.parquet"))[2:] if trials == 20 else ():
+    for block in sorted((folder / "rows").glob("*.parquet"))[1:] if trials == 20 else ():
         block.unlink()
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     condition = parse_until(f"ci(position_error_m, median) < {width}", "single-image")
@@ -71,6 +72,23 @@ def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monke
     pd.testing.assert_frame_equal(rows, whole[whole["trial"] < trials])
     (note,) = json.loads((folder / "manifest.json").read_text())["notes"]
     assert word in note
+
+
+def test_a_look_is_at_the_first_trials_alone_whatever_is_stored(tiny_run):
+    """The widest of two estimators' intervals over 10 of 24 stored trials, by hand."""
+    condition = parse_until("ci(position_error_m, median) < 1", "single-image")
+    rows = pd.read_parquet(tiny_run.folder / "rows")
+    first, every = ({}, {})
+    for found, trials in ((first, 10), (every, 24)):
+        for label, own in rows[(rows["trial"] < trials) & (rows["status"] == "ok")].groupby("estimator"):
+            errors = own.sort_values("trial")["position_error_m"].to_numpy()
+            interval = measure(errors, np.arange(len(errors)), (MEDIAN,))[0]
+            found[label] = interval.high - interval.low
+    run_data = read_run(tiny_run.folder)
+    for found, trials in ((first, 10), (every, 24)):
+        label = max(found, key=found.get)
+        assert widest(run_data, condition, trials, list(found)) == (pytest.approx(found[label]), f"{label}, scene")
+    assert max(first.values()) > 1.2 * max(every.values())
 
 
 def stops(rng, runs, width, points, further=1):

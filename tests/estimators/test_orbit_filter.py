@@ -188,6 +188,51 @@ def test_wrong_numbers_are_edited_and_shared_ones_split():
     assert split >= shared > 0
 
 
+def test_sightings_beyond_four_sigmas_are_edited_and_no_others(clean):
+    """Ten sightings of landmarks that are seen often, displaced by 8 sigmas: three times the limit would be 12."""
+    data = clean[1]
+    pictures, known = data.pictures, data.knowledge
+    counts = np.bincount(pictures.landmark)
+    moved = np.flatnonzero(counts[pictures.landmark] >= 8)[::7][:10]
+    off_axis = np.linalg.norm(pictures.uv_px - [known.camera.cx_px, known.camera.cy_px], axis=1)
+    sigma = np.hypot(known.noise_px, known.attitude_sigma_rad * off_axis / np.sqrt(2.0))
+    uv = pictures.uv_px.copy()
+    uv[moved, 0] += 8.0 * sigma[moved]
+    orbit = BatchFilter().determine(replace(data, pictures=replace(pictures, uv_px=uv))).orbit
+    lengths = np.linalg.norm(orbit.residuals_px, axis=1) / sigma
+    assert len(moved) == 10
+    assert (lengths[moved] < 12.0).all()
+    assert not orbit.used[moved].any()
+    assert orbit.used[np.setdiff1d(np.flatnonzero(lengths <= 4.0), moved)].all()
+    assert not orbit.used[lengths > 4.0].any()
+
+
+def test_hubers_loss_has_its_edge_at_the_limit_times_the_scale():
+    """At scale 3 and limit 2 the edge is 6: squares below, straight lines beyond, in units of the scale."""
+    robust, lengths = HuberLoss(2.0, 3.0), np.array([0.0, 3.0, 5.9, 6.1, 60.0])
+    np.testing.assert_allclose(robust.weights(lengths), [1 / 9, 1 / 9, 1 / 9, 6 / 6.1 / 9, 0.1 / 9])
+    for length, cost in zip(lengths, [0.0, 0.5, 0.5 * 5.9**2 / 9, (18 + 6 * 0.1) / 9, (18 + 6 * 54) / 9], strict=True):
+        assert robust.cost(np.array([length])) == pytest.approx(cost)
+    assert LEAST_SQUARES.cost(lengths) == pytest.approx(0.5 * np.sum(lengths**2))
+
+
+def test_a_robust_fit_takes_its_scale_from_the_residuals(clean):
+    """Pixels and attitudes noisier than believed: the cost is that of Huber's loss at the scale of the residuals."""
+    data = clean[1]
+    quiet = replace(
+        data, knowledge=replace(data.knowledge, noise_px=data.knowledge.noise_px / 3, attitude_sigma_rad=1e-9)
+    )
+    arc, solution = _arc(quiet)
+    solution, adjusted, _ = BatchFilter()._fit_robustly(arc, solution)
+    linear = adjusted.linear
+    scale = np.median(linear.lengths) / np.sqrt(2.0 * np.log(2.0))
+    assert 3.0 < scale < 4.0
+    costs = [
+        linearise(arc.model, arc.prior(), linear.unknowns, HuberLoss(2.0, s)).cost for s in (0.9 * scale, 1.6 * scale)
+    ]
+    assert costs[1] < linear.cost < costs[0]
+
+
 def test_solar_pressure_that_is_held_wrong_costs_accuracy_that_residuals_do_not_show():
     world = orbit_world(light={"area_to_mass_m2_kg": 0.05}, knowledge={"light_sigma": 0.1})
     truth, data = draw_orbit(world, 5, 2)
