@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from reports.figures.style import BLUE, VERMILION, FloatArray, grid_figure, styled
+from reports.schema.grid import shortest
 
 
 @styled
@@ -30,7 +31,7 @@ def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figu
     for axes, (name, sample) in zip(panels.ravel(), offsets.items(), strict=False):
         _draw_panel(axes, sample)
         sigma = np.sqrt(np.trace(np.atleast_2d(np.cov(sample.T))) / 2.0) if len(sample) > 1 else 0.0
-        axes.set_title(f"{name}\nn = {len(sample)}, $\\sigma$ = {sigma:.2g} px", fontsize=8.5)
+        axes.set_title(f"{name}\nn = {len(sample)}, $\\sigma$ = {shortest(sigma, 2)} px", fontsize=8.5)
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="$\\Delta u$, px")
     for axes in panels.ravel()[len(offsets) :]:
         axes.set_visible(False)

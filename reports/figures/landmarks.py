@@ -26,6 +26,7 @@ from reports.figures.style import (
     step_histogram,
     styled,
 )
+from reports.schema.grid import shortest
 
 DEGREES_OF_FREEDOM = 3
 # The range of the theoretical distribution. Wrong matches reach values a hundred times larger and would hide it.
@@ -65,7 +66,7 @@ def draw_landmark_errors(
 
 def _draw_sample(axes: Axes, sample: FloatArray, edges: FloatArray, unit: str, label: str, frequency: str) -> None:
     median = float(np.median(sample))
-    name = f"observed: median {median:.3g} {unit}".rstrip() + f" (n = {len(sample)})"
+    name = f"observed: median {shortest(median)} {unit}".rstrip() + f" (n = {len(sample)})"
     beyond = step_histogram(axes, sample, edges, label=name, **_FILL)
     axes.axvline(median, ymax=0.85, color=BLUE, linewidth=0.9, linestyle=":")
     label += beyond_text(beyond, float(edges[-1]), unit)
@@ -96,7 +97,7 @@ def draw_landmark_counts(
     edges = np.arange(counts.min() - 0.5, counts.max() + width + 0.5, width)
     median = float(np.median(counts))
     axes.hist(counts, bins=edges.tolist(), color=BLUE, alpha=0.25, edgecolor=BLUE, linewidth=0.8, histtype="stepfilled")
-    axes.axvline(median, color=BLUE, linewidth=1.4, label=f"median {median:.3g} (n = {len(counts)})")
+    axes.axvline(median, color=BLUE, linewidth=1.4, label=f"median {shortest(median)} (n = {len(counts)})")
     if published_median is not None:
         label = f"median of the paper {published_median:.3g}"
         axes.axvline(published_median, color=GREY, linestyle="--", linewidth=1.4, label=label)
@@ -133,7 +134,7 @@ def draw_count_comparison(
     for i, (name, sample) in enumerate(counts.items()):
         colour = SERIES_COLOURS[i % len(SERIES_COLOURS)]
         median = float(np.median(sample))
-        label = f"{name}: median {median:.3g} (n = {len(sample)})"
+        label = f"{name}: median {shortest(median)} (n = {len(sample)})"
         style = LINE_STYLES[i % len(LINE_STYLES)]
         step_histogram(axes, sample, edges, label=label, color=colour, linestyle=style, linewidth=1.5)
         axes.axvline(median, ymax=0.75, color=colour, linewidth=0.9, linestyle=":")

@@ -25,6 +25,7 @@ from reports.figures.style import (
     raise_top,
     styled,
 )
+from reports.schema.grid import shortest
 
 _MOST_BARS = 60
 
@@ -52,7 +53,7 @@ def draw_count_histogram(
     axes.hist(counts, edges.tolist(), color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.4)
     median, mean = float(np.median(counts)), float(counts.mean())
     axes.axvline(median, color=GREY, linestyle=":", label=f"median {median:g}")
-    axes.axvline(mean, color=GREY, linestyle="--", label=f"mean {mean:.3g}")
+    axes.axvline(mean, color=GREY, linestyle="--", label=f"mean {shortest(mean)}")
     for value in published.values():
         mark_on_axis(axes, value, "black")
     if published:

@@ -31,6 +31,7 @@ from reports.figures.style import (
     step_histogram,
     styled,
 )
+from reports.schema.grid import shortest
 
 _PANELS = (
     ("attitude_error_deg", "attitude error, deg", "deg", "frequency per degree"),
@@ -107,7 +108,7 @@ def _draw_methods(
     for method, sample in methods.items():
         line = {"color": drawn[method].colour, "linestyle": drawn[method].line, "linewidth": 1.5}
         share = 100.0 * np.count_nonzero(sample > edges[-1]) / max(len(sample), 1)
-        median = f"{np.median(sample):.3g}" if len(sample) else "none"
+        median = shortest(float(np.median(sample))) if len(sample) else "none"
         beyond = f" ({share:.0f} %)" if share >= _SHARE_TOLD else ""
         step_histogram(axes, sample, edges, label=f"{method}: {median}{beyond}", **line)
     axes.set_xlim(0.0, edges[-1])

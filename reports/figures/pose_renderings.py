@@ -21,6 +21,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
+from reports.schema.grid import shortest
 
 POSE_COLOURS = {"prior": ORANGE, "estimate": BLUE, "truth": GREEN}
 _MARGIN = 0.08
@@ -55,23 +56,25 @@ def draw_pose_renderings(
 ) -> Figure:
     """Draw the outline of the body at each pose over the image, and below it the image less the rendering.
 
-    All residuals share one colour scale.
+    All residuals share one colour scale. Those within the rounding of the image's float32 are 0.
     """
     (left, right), (top, bottom) = _body_window(image, renderings)
     aspect = min(max((bottom - top) / (right - left), 0.4), 1.6)
     width_in = 3.3 * len(renderings) + 0.7
     figure, panels = grid_figure(2, len(renderings), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
-    limit = max((float(np.percentile(np.abs(one.residual), _SPREAD_PERCENT)) for one in renderings), default=0.0) or 1.0
-    for k, one in enumerate(renderings):
+    rounding = float(np.finfo(np.float32).eps * np.abs(image).max(initial=0.0))
+    residuals = [np.where(np.abs(one.residual) > rounding, one.residual, 0.0) for one in renderings]
+    limit = max((float(np.percentile(np.abs(one), _SPREAD_PERCENT)) for one in residuals), default=0.0) or 1.0
+    for k, (one, residual) in enumerate(zip(renderings, residuals, strict=True)):
         over, below = panels[0, k], panels[1, k]
         show_image(over, image)
         outline(over, one.body, POSE_COLOURS[one.name])
         shown = below.imshow(
-            one.residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
+            residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
         )
         over.set_title(one.heading, color=POSE_COLOURS[one.name])
-        rms = float(np.sqrt(np.mean(one.residual[one.body] ** 2))) if one.body.any() else float("nan")
-        below.set_title(f"image less rendering: RMS {rms:.3g} on the body")
+        rms = float(np.sqrt(np.mean(residual[one.body] ** 2))) if one.body.any() else float("nan")
+        below.set_title(f"image less rendering: RMS {shortest(rms)} on the body")
         for axes in (over, below):
             axes.set(xlim=(left, right), ylim=(bottom, top))
             hide_axes(axes)

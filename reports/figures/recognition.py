@@ -25,6 +25,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
+from reports.schema.grid import shortest
 
 MATCH_SIGMAS = 6.0
 
@@ -102,7 +103,7 @@ def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
     axes.plot(*residual_px.T, "o", markersize=3.5, color=VERMILION, alpha=0.8)
     rms = float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else float("nan")
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    axes.plot(rms * np.cos(angle), rms * np.sin(angle), color=GREY, linewidth=0.9, label=f"RMS {rms:.2g} px")
+    axes.plot(rms * np.cos(angle), rms * np.sin(angle), color=GREY, linewidth=0.9, label=f"RMS {shortest(rms, 2)} px")
     reach = 1.1 * max(float(np.abs(residual_px).max(initial=0.0)), rms, 1e-9) if len(residual_px) else 1.0
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="column residual, px", ylabel="row residual, px")
     axes.set_aspect("equal")

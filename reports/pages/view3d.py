@@ -54,7 +54,7 @@ def write_recording(look: View3D, path: Path) -> None:
     try:
         import rerun
     except ImportError as error:
-        raise BoresightError("--rerun: rerun is not installed: pip install 'boresight[rerun]'") from error
+        raise BoresightError('--rerun: rerun is not installed: pip install -e ".[rerun]"') from error
     path.parent.mkdir(parents=True, exist_ok=True)
     # The name of a recording is drawn at random unless it is given.
     recording = rerun.RecordingStream("boresight", recording_id=path.stem, send_properties=False)

@@ -101,13 +101,24 @@ def _escape(cell: str) -> str:
     return cell.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
 
 
+_ROUNDING = 1e-12
+"""A number that is not larger is 0 to the rounding of what it was computed from."""
+
+
 def number(value: float | None) -> str:
-    """Print three significant digits (whole numbers from 100 on); ``-`` for no value."""
+    """Print three significant digits (whole numbers from 100 on; 0 for rounding errors); ``-`` for no value."""
     if value is None:
         return NO_VALUE
-    if value == 0 or abs(value) >= 100:
+    if abs(value) < _ROUNDING:
+        return "0"
+    if abs(value) >= 100:
         return f"{value:.0f}"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def shortest(value: float, digits: int = 3) -> str:
+    """Print significant digits in the shortest form, for labels; 0 for rounding errors."""
+    return f"{0.0 if abs(value) < _ROUNDING else value:.{digits}g}"
 
 
 def value_of(record: Record | None, interval: bool = False) -> str:
@@ -118,6 +129,8 @@ def value_of(record: Record | None, interval: bool = False) -> str:
         return str(int(record.value))
     if record.statistic == "value":
         interval = False
+    if record.statistic == "sign test p" and record.value < 1e-3:
+        return "< 0.001"
     scale, unit = (1.0, "") if record.unit != "s" else (1.0, " s") if record.value >= 1 else (1e3, " ms")
     value = f"{number(scale * record.value)}{unit}"
     if not interval or record.low is None or record.high is None:

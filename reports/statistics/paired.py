@@ -220,13 +220,10 @@ def paired_grid(records: Sequence[Record]) -> Grid | None:
         def get(measure: str, statistic: str, interval: bool = False) -> str:
             return value_of(find(records, **key, measure=measure, statistic=statistic), interval)
 
-        def chance(measure: str) -> str:
-            found = find(records, **key, measure=measure, statistic=SIGN_TEST)
-            p = None if found is None else found.value
-            return "< 0.001" if p is not None and p < 1e-3 else value_of(found)
-
         differences = [
-            cell for name in names for cell in (get(name, MEDIAN.name, interval=True), get(name, BETTER), chance(name))
+            cell
+            for name in names
+            for cell in (get(name, MEDIAN.name, interval=True), get(name, BETTER), get(name, SIGN_TEST))
         ]
         rates = (get(FAILURE_RATE, OWN), get(FAILURE_RATE, THEIRS), get(FAILURE_RATE, DIFFERENCE, interval=True))
         return (line.scenario, line.estimator, line.reference, counts(line), *differences, *rates)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest, bootstrap, t
+from terminal_text import terminal_lines
 
 from reports.kinds.designs.tables import DesignData, Outcome
 from reports.kinds.sequence.contrasts import ratio_records
@@ -281,3 +282,14 @@ def test_vision_is_told_of_pools(builder):
     assert (pool.low, pool.high) == pytest.approx(2000.0 * np.exp([-half, half]), rel=1e-6)
     alone = find(records, scenario="sphere-1", measure="features_per_image", statistic="mean")
     assert (alone.value, alone.low) == (2200.0, None)
+
+
+def test_the_terminal_shows_the_errors_of_sequences(builder):
+    run = written(builder, {"one": np.full((1, STARTS), 4.0), "two": np.full((1, STARTS), 7.0)}, grid=None)
+    lines = terminal_lines(run.folder)
+    assert lines[0].rstrip() == "Median errors, sphere-0"
+    assert lines[1].split() == ["estimator", "trials", "1", "revolution", "m", "2", "revolutions", "m"]
+    cells = {line.split()[0]: line.split()[1:] for line in lines[3:5]}
+    assert cells["one"][:2] == [f"{STARTS}/{STARTS}", "4.00"]
+    assert cells["two"][0] == f"{STARTS}/{STARTS}"
+    assert "14.0" in cells["two"]

@@ -26,6 +26,7 @@ from reports.figures import (
 )
 from reports.figures.centroid import one_sigma_ellipse
 from reports.figures.landmark_database import cluster_colours
+from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
 from reports.figures.recognition import MATCH_SIGMAS
 from reports.figures.style import render, shared_edges
 
@@ -288,6 +289,15 @@ def test_counts_of_several_sets_are_shares_and_medians_are_marked():
     assert marks == [15.0]
     dotted = sorted(line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == ":")
     assert dotted == [12.0, 14.5]
+
+
+def test_a_residual_of_rounding_errors_is_none():
+    image, body = np.full((20, 30), 0.4), np.ones((20, 30), dtype=bool)
+    noise = 4.66e-17 * np.random.default_rng(1).standard_normal((20, 30))
+    poses = [PoseRendering("truth", "truth", body, noise), PoseRendering("prior", "prior", body, noise + 0.01)]
+    figure = draw_pose_renderings(image, poses, "T")
+    titles = [axes.get_title() for axes in figure.axes if "RMS" in axes.get_title()]
+    assert titles == [f"image less rendering: RMS {rms} on the body" for rms in ("0", "0.01")]
 
 
 def test_methods_keep_their_colours_and_axes_in_all_rows():

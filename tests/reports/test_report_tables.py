@@ -18,7 +18,16 @@ LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
 
 @pytest.mark.parametrize(
     ("value", "printed"),
-    [(20.94, "20.9"), (0.0581, "0.0581"), (2.0, "2.00"), (119.4, "119"), (0.0, "0"), (-3.456, "-3.46"), (None, "-")],
+    [
+        (20.94, "20.9"),
+        (0.0581, "0.0581"),
+        (2.0, "2.00"),
+        (119.4, "119"),
+        (0.0, "0"),
+        (-3.456, "-3.46"),
+        (4.66e-17, "0"),
+        (None, "-"),
+    ],
 )
 def test_numbers_have_three_digits(value, printed):
     assert number(value) == printed

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from reports.kinds import Content, ReportKind, Tables
 from reports.kinds.designs import REPORT as DESIGN_REPORT
 from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
-from reports.kinds.sequence.tables import sequence_figures, sequence_grid, sequence_grids
+from reports.kinds.sequence.tables import sequence_brief, sequence_figures, sequence_grid, sequence_grids
 from reports.kinds.sequence.vision import vision_records
-from reports.kinds.single_image import pose_brief
 from reports.published import Comparison
 from reports.run.clusters import pools
 from reports.run.data import RunData
@@ -26,7 +25,7 @@ def records(run: RunData, comparison: Comparison | None) -> Iterable[Record]:
 def brief(content: Content) -> Tables:
     """List what the terminal shows: of a grid of scenarios its axes, and before them what is pooled."""
     if content.run.manifest.grid is None:
-        return pose_brief(content)
+        return list(sequence_brief(content.records))
     own = [pool.name for pool in pools(content.run)]
     pooled = sequence_grid([record for record in content.records if record.scenario in own])
     return [pooled, *DESIGN_REPORT.brief(content)]

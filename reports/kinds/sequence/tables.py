@@ -36,6 +36,7 @@ _RATIO_NOTE = (
     "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
     " 95 % interval; both follow the same tracks. Below 1 the line's estimator is the better."
 )
+_BRIEF = {"error_after_1_m": "1 revolution m", "error_after_2_m": "2 revolutions m", "landmark_rmse_m": "landmarks m"}
 _NOTE = (
     "A landmark RMSE is over the landmarks that a frame sees, all frames of a sequence together; new ones are those"
     " that the frame is the first to see. As seen last: each landmark once, as estimated when it was seen for the last"
@@ -117,6 +118,23 @@ def sequence_grid(records: Sequence[Record]) -> Grid | None:
         for line in lines
     )
     return Grid("Sequences", heads, rows, frozenset({0, 1, 2, 7}), _NOTE) if rows else None
+
+
+def sequence_brief(records: Sequence[Record]) -> Iterator[Grid]:
+    """Tabulate the medians of each scenario for the terminal, a line for each estimator."""
+    found = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name and r.measure in _BRIEF]
+    for scenario in dict.fromkeys(r.scenario for r in found):
+        own = [r for r in found if r.scenario == scenario]
+        shown = {name: head for name, head in _BRIEF.items() if any(r.measure == name for r in own)}
+        rows = tuple(
+            (
+                label,
+                counts(next(r for r in own if r.estimator == label)),
+                *(value_of_ended(find(own, estimator=label, measure=name), interval=True) for name in shown),
+            )
+            for label in dict.fromkeys(r.estimator for r in own)
+        )
+        yield Grid(f"Median errors, {scenario}", ("estimator", "trials", *shown.values()), rows, frozenset({0}))
 
 
 def _other(records: Sequence[Record], line: Record, statistic: str) -> Record | None:
