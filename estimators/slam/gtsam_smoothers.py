@@ -40,7 +40,7 @@ def load_gtsam() -> Any:
         return import_module("gtsam")
     except ImportError as error:
         raise BoresightError(
-            f"gtsam: cannot be imported ({error}); install it: pip install 'boresight[gtsam]'"
+            f'gtsam: cannot be imported ({error}); install it: pip install -e ".[gtsam]"'
         ) from None
 
 

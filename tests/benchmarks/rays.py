@@ -111,7 +111,7 @@ def _beside_embreex(mesh: TriangleMesh, rays: RaySet, render: Any, rounds: int) 
     try:
         scenes, meshes = import_module("embreex.rtcore_scene"), import_module("embreex.mesh_construction")
     except ImportError as error:
-        return Absent(WORK, f"embreex: cannot be imported ({error}); install it: pip install 'boresight[speed]'")
+        return Absent(WORK, f'embreex: cannot be imported ({error}); install it: pip install -e ".[speed]"')
     tree = scenes.EmbreeScene()
     kept = meshes.TriangleMesh(tree, mesh.vertices_m.astype(np.float32), mesh.faces.astype(np.int32))
     along = np.ascontiguousarray(np.broadcast_to(rays.sun, rays.starts_m.shape))

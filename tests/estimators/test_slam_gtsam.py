@@ -24,7 +24,7 @@ from scenarios.errors import BoresightError
 @pytest.mark.parametrize("name", ["gtsam-fixed-lag", "gtsam-isam2"])
 def test_missing_package_is_named_with_its_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gtsam", None)
-    with pytest.raises(BoresightError, match=r"gtsam: cannot be imported .* pip install 'boresight\[gtsam\]'"):
+    with pytest.raises(BoresightError, match=r'gtsam: cannot be imported .* pip install -e "\.\[gtsam\]"'):
         sequence_estimator_class(name).from_options({})
 
 

@@ -87,7 +87,7 @@ def test_very_many_damaged_files_give_a_value_or_lines(tmp_path, name):
 @pytest.mark.long
 def test_inputs_that_follow_the_code_give_a_value_or_lines(tmp_path):
     """Atheris: edits that reach new lines of ours and of the parsers in Python are edited further."""
-    pytest.importorskip("atheris", reason="atheris is absent: pip install 'boresight[fuzz]'")
+    pytest.importorskip("atheris", reason='atheris is absent: pip install -e ".[fuzz]"')
     done = python("-m", "hostile.atheris_run", "--runs", MANY, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert [line.partition(":")[0] for line in done.stdout.splitlines()] == list(TARGETS)

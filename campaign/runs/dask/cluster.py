@@ -25,7 +25,7 @@ try:
     from campaign.runs.dask.work import run_block_there
 except ImportError as error:
     raise BoresightError(
-        f"--backend dask: {error.name} is not installed: pip install 'boresight[dask]', here and where the workers are"
+        f'--backend dask: {error.name} is not installed: pip install -e ".[dask]", here and where the workers are'
     ) from error
 
 _PATIENCE_S = 30.0
