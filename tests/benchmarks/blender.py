@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,12 +34,13 @@ class Cycles:
     """A running Blender that holds the scene."""
 
     version: str
+    scene: SpeedScene
     folder: Path
     to: IO[str]
     answers: IO[str]
 
     def render(self, view: int, samples: int) -> Seconds:
-        """Render a view, and tell how long Blender took for that alone."""
+        """Render the window of a view with the body, and tell how long Blender took for that alone."""
         answer = self._ask(f"{view} {samples}")
         return Seconds(answer["cpu"], answer["wall"])
 
@@ -47,7 +48,9 @@ class Cycles:
         """Render a view; radiance factor (H, W)."""
         file = self.folder / "image.npy"
         self._ask(f"{view} {samples} {file}")
-        return np.asarray(np.load(file), dtype=np.float32)
+        image = np.zeros((SIZE_PX, SIZE_PX), dtype=np.float32)
+        image[self.scene.window(view).slices] = np.load(file)
+        return image
 
     def _ask(self, line: str) -> dict[str, Any]:
         try:
@@ -95,7 +98,7 @@ def cycles(python: Path | None, scene: SpeedScene, threads: int) -> Iterator[Cyc
                 if blender.stdin is None or blender.stdout is None:
                     raise BoresightError("Blender: its process has no pipes")
                 version = str(_answer(blender.stdout, folder)["version"])
-                yield Cycles(version, folder, blender.stdin, blender.stdout)
+                yield Cycles(version, scene, folder, blender.stdin, blender.stdout)
             finally:
                 blender.kill()
 
@@ -106,6 +109,7 @@ def _write(file: Path, scene: SpeedScene, threads: int) -> None:
         vertices_m=scene.mesh.vertices_m,
         faces=scene.mesh.faces,
         T_body_camera=np.array([_blender_pose(view) for view in scene.views]),
+        windows=np.array([astuple(scene.window(k)) for k in range(len(scene.views))]),
         sun_dir_body=SUN_DIR_BODY,
         size_px=SIZE_PX,
         fov_rad=FOV_RAD,

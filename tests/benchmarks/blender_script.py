@@ -1,9 +1,10 @@
 """Blender's side of the comparison of images: run by an interpreter that has ``bpy``, and by nothing else here.
 
-Reads lines ``VIEW SAMPLES [FILE]`` from standard input, renders that view, and answers each with a line of JSON: the
-seconds of the render alone. With a FILE the image is then written there, as EXR and read back, for a comparison. The
-argument is a folder with ``scene.npz``: vertices (V, 3) and faces (F, 3); cameras (K, 4, 4) to the body's axes, in
-Blender's own (x right, y up, z back); the direction towards the Sun (3,); size, field, albedo and threads.
+Reads lines ``VIEW SAMPLES [FILE]`` from standard input, renders the window of that view with the body, and answers each
+with a line of JSON: the seconds of the render alone. With a FILE the window is then written there, as EXR and read
+back, for a comparison. The argument is a folder with ``scene.npz``: vertices (V, 3) and faces (F, 3); cameras (K, 4, 4)
+to the body's axes, in Blender's own (x right, y up, z back); their windows (K, 4) as first column and row, width and
+height; the direction towards the Sun (3,); size, field, albedo and threads.
 """
 
 import json
@@ -65,15 +66,25 @@ def configure(scene: Any, size_px: int, threads: int) -> None:
     cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_auto_tile = False
     cycles.max_bounces = 0
     cycles.light_sampling_threshold = 0.0
+    cycles.use_light_tree = False  # there is one light
     cycles.pixel_filter_type = "BOX"
     render.use_persistent_data = True
     render.use_compositing = render.use_sequencer = False
     render.threads_mode, render.threads = "FIXED", threads
     render.resolution_x = render.resolution_y = size_px
     render.resolution_percentage = 100
+    render.use_border = render.use_crop_to_border = True
     scene.view_settings.view_transform = "Raw"
     render.image_settings.file_format = "OPEN_EXR"
     render.image_settings.color_mode, render.image_settings.color_depth = "RGB", "32"
+
+
+def set_window(scene: Any, window: Any) -> None:
+    """Restrict the picture to first column and row, width and height; Blender counts rows from the bottom."""
+    column, row, width, height = window.tolist()
+    render, size = scene.render, scene.render.resolution_x
+    render.border_min_x, render.border_max_x = column / size, (column + width) / size
+    render.border_min_y, render.border_max_y = 1.0 - (row + height) / size, 1.0 - row / size
 
 
 def keep_image(scene: Any, file: Path) -> None:
@@ -101,6 +112,7 @@ def main(folder: Path) -> None:
     for line in sys.stdin:
         view, samples, *file = line.split(maxsplit=2)
         camera.matrix_world = Matrix(stored["T_body_camera"][int(view)].tolist())
+        set_window(scene, stored["windows"][int(view)])
         scene.cycles.samples = int(samples)
         cpu, wall = time.process_time(), time.perf_counter()
         bpy.ops.render.render()

@@ -14,6 +14,7 @@ from benchmarks.scene import ALBEDO, FOV_RAD, SAMPLES, SIZE_PX, SUN_DIR_BODY, Sp
 from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
 from renderers.mitsuba3 import Variant, choose_variant, limit_threads
+from renderers.mitsuba3.rays import PixelWindow
 from renderers.mitsuba3.scene import build_shape
 from renderers.mitsuba3.variant import load_mitsuba
 from scenarios.errors import BoresightError
@@ -38,7 +39,7 @@ def plain_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
         yield Absent(WORK, f"the variant {variant.name} takes minutes for Mitsuba's own images")
         return
     view, renderer = scene.views[0], scene.renderer(variant)
-    plain = plain_mitsuba(scene, view, variant)
+    plain = plain_mitsuba(scene, variant)
     alike = agreement(renderer.render(view), plain())
     if alike < LEAST_CORRELATION:
         raise BoresightError(f"our image and plain Mitsuba's correlate by {alike:.4f} only: their times say nothing")
@@ -46,8 +47,12 @@ def plain_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
     yield Ratio(WORK, "plain Mitsuba", "cpu", ours.cpu, theirs.cpu, agreement=f"correlation {alike:.4f}")
 
 
-def plain_mitsuba(scene: SpeedScene, view: View, variant: Variant) -> Any:
-    """Return a function that renders a view as Mitsuba's handbook does: radiance factor (H, W)."""
+def plain_mitsuba(scene: SpeedScene, variant: Variant) -> Any:
+    """Return a function that renders the first view as Mitsuba's handbook does: radiance factor (H, W).
+
+    Its film is cropped to the window of the body, which is what we trace.
+    """
+    window = scene.window(0)
     mi = load_mitsuba(variant)
     bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": ALBEDO}})
     world = mi.load_dict(
@@ -60,17 +65,19 @@ def plain_mitsuba(scene: SpeedScene, view: View, variant: Variant) -> Any:
                 "direction": [float(-x) for x in SUN_DIR_BODY],
                 "irradiance": {"type": "rgb", "value": float(np.pi)},
             },
-            "camera": _camera(mi, view),
+            "camera": _camera(mi, scene.views[0], window),
         }
     )
 
     def render() -> NDArray[np.float32]:
-        return np.array(mi.render(world, spp=SAMPLES), dtype=np.float32)[..., 0]
+        image = np.zeros((SIZE_PX, SIZE_PX), dtype=np.float32)
+        image[window.slices] = np.array(mi.render(world, spp=SAMPLES), dtype=np.float32)[..., 0]
+        return image
 
     return render
 
 
-def _camera(mi: Any, view: View) -> dict[str, object]:
+def _camera(mi: Any, view: View, window: PixelWindow) -> dict[str, object]:
     pose = np.eye(4)
     pose[:3, :3] = view.T_cam_body.rotation.T @ np.diag([-1.0, -1.0, 1.0])  # Mitsuba's x is left, its y up
     pose[:3, 3] = view.T_cam_body.camera_position_m
@@ -87,6 +94,10 @@ def _camera(mi: Any, view: View) -> dict[str, object]:
             "type": "hdrfilm",
             "width": SIZE_PX,
             "height": SIZE_PX,
+            "crop_offset_x": window.column,
+            "crop_offset_y": window.row,
+            "crop_width": window.width,
+            "crop_height": window.height,
             "rfilter": {"type": "box"},
             "pixel_format": "luminance",
         },

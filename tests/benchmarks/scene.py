@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.mitsuba3 import MitsubaRenderer, Variant
+from renderers.mitsuba3.rays import PixelWindow, body_window
 from scenarios.bodies import load_body
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
 from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import LambertSpec
@@ -29,6 +31,13 @@ class SpeedScene:
 
     mesh: TriangleMesh
     views: tuple[View, ...]
+
+    def window(self, view: int) -> PixelWindow:
+        """Return the part of a view that we trace, and that peers are asked for."""
+        found = body_window(self.views[view], self.mesh.vertices_m)
+        if found is None:
+            raise BoresightError(f"view {view} of the scene of the comparisons: the body is out of sight")
+        return found
 
     def renderer(self, variant: Variant, samples: int = SAMPLES) -> MitsubaRenderer:
         """Return our renderer of the body, in Lambert's reflectance."""

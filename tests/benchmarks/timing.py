@@ -18,12 +18,7 @@ class Seconds:
         """Return the lesser of each."""
         return Seconds(min(self.cpu, other.cpu), min(self.wall, other.wall))
 
-    def __add__(self, other: Seconds) -> Seconds:
-        """Add what was done one after the other."""
-        return Seconds(self.cpu + other.cpu, self.wall + other.wall)
 
-
-NOTHING = Seconds(0.0, 0.0)
 Timed = Callable[[], Seconds]
 
 

@@ -130,7 +130,10 @@ for line in sys.stdin:
     if samples == "9":
         sys.exit("no such view")
     if file:
-        np.save(file[0], stored["T_body_camera"][int(view)].astype(np.float32))
+        column, row, width, height = stored["windows"][int(view)]
+        image = np.zeros((height, width), dtype=np.float32)
+        image.flat[:16] = stored["T_body_camera"][int(view)].ravel()
+        np.save(file[0], image)
     print(json.dumps({{"cpu": float(samples), "wall": len(stored["faces"])}}), flush=True)
 """
 
@@ -151,7 +154,10 @@ def test_blender_answers_in_its_own_process(tetrahedron, tmp_path):
     with cycles(python, tetrahedron, 2) as blender:
         assert blender.version == "5.0"
         assert blender.render(0, 4) == Seconds(4.0, 4.0)
-        pose = blender.image(0, 4)
+        image = blender.image(0, 4)
+        rows, columns = tetrahedron.window(0).slices
+        pose = image[rows, columns].flat[:16].reshape(4, 4)
+        assert np.count_nonzero(image) == np.count_nonzero(pose), "the window alone is drawn"
         # Blender's camera looks along -z with y up: from (9, 0, 0) at the origin, z of the body up.
         np.testing.assert_allclose(pose, [[0, 0, 1, 9], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], atol=1e-6)
         with pytest.raises(BoresightError, match="Blender: no such view; make a virtual"):
@@ -163,9 +169,10 @@ def test_a_blender_that_ignores_how_many_samples_are_asked_for_is_not_timed(tetr
     python = tmp_path / "python"
     renderer = tetrahedron.renderer(choose_variant(), 64)
     np.save(tmp_path / "same.npy", renderer.render(tetrahedron.views[0]))
-    pose, image = 'stored["T_body_camera"][int(view)].astype(np.float32)', f'np.load("{tmp_path}/same.npy")'
-    assert pose in FAKE_BLENDER
-    same = FAKE_BLENDER.replace(pose, image)
+    line = 'image.flat[:16] = stored["T_body_camera"][int(view)].ravel()'
+    assert line in FAKE_BLENDER
+    whole = f'np.load("{tmp_path}/same.npy")'
+    same = FAKE_BLENDER.replace(line, f"image = {whole}[row : row + height, column : column + width]")
     python.write_text(textwrap.dedent(same).format(python=sys.executable).lstrip())
     python.chmod(0o755)
     monkeypatch.setattr(images, "speed_scene", lambda *_: tetrahedron)
