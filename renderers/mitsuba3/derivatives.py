@@ -79,7 +79,7 @@ class _Samples:
         self.sun = opaque(mi, view.sun_dir_body)
         rays = ray_bundle(view, tracer.radius_m, (window.column, window.row))
         origin, direction = tracer.camera_rays(mi, rays, window)
-        hit, normal, lit = tracer.trace(mi, origin, direction, self.sun)
+        hit, normal, lit = tracer.trace(mi, origin, direction, self.sun, tracer.coherent(view))
         self.normal, albedo = tracer.shading(mi, hit, normal)
         self.point = mi.Vector3f(origin + direction * hit.t)
         # An albedo of 0 marks samples in shadow, which have no derivative.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderers.mitsuba3 import MitsubaRenderer, register_bsdfs
+from renderers.mitsuba3 import MitsubaRenderer, register_bsdfs, wavefront
 from renderers.mitsuba3.scene import mesh_on_device
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
@@ -80,6 +80,21 @@ def test_image_is_that_of_a_plain_mitsuba_scene(llvm, tmp_path, rock, looking, b
     assert np.median(difference[inside]) < 0.003 * peak
     assert np.percentile(difference, 99) < 0.05 * peak
     assert ours.sum() == pytest.approx(theirs.sum(), rel=2e-3)
+
+
+def test_small_facets_are_traced_ray_by_ray_to_the_same_image(llvm, ball, looking, monkeypatch):
+    """In packets or not: facets of 1.5 distances between samples, and of 3."""
+    view = looking(CAMERA, [1500.0, 0.0, 0.0], [1.0, 0.6, 0.2])
+    facet_m = np.sqrt(4.0 * np.pi * 250.0**2 / len(ball.faces))
+    far = looking(CAMERA, [250.0 + 272.2 * facet_m / 1.5, 0.0, 0.0], SUN)  # 272.2 px: the camera's focal length
+    one, four = (MitsubaRenderer(ball, LambertSpec(), samples, variant=llvm) for samples in (1, 4))
+    assert not one._tracer.coherent(far)
+    assert four._tracer.coherent(far)
+    images = []
+    for limit in (0.0, np.inf):
+        monkeypatch.setattr(wavefront, "_COHERENT_FACET", limit)
+        images.append(four.render(view))
+    assert (images[0] != images[1]).mean() < 1e-3
 
 
 @pytest.mark.parametrize("camera", [CAMERA, ODD], ids=["square", "odd"])
