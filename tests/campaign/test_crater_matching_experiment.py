@@ -19,6 +19,7 @@ from campaign.kinds.crater_matching.trial import (
 )
 from campaign.runs.check import check_campaign
 from campaign.runs.resolve import resolve
+from campaign.trial.crater_score import check_listed
 from campaign.trial.kind import Bench
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
@@ -30,6 +31,7 @@ from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose, View, look_at
 from scenarios.geometry.ellipse import fit_conics
+from scenarios.load import load_scenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.craters import RenderedLooksSpec
@@ -230,6 +232,14 @@ def test_a_wrong_section_is_one_clear_error(campaign_file, tmp_path, change, sai
     (tmp_path / "tiny-matching.yaml").write_text(_CAMPAIGN)
     with pytest.raises(BoresightError, match=said):
         resolve(str(tmp_path / "tiny-matching.yaml"))
+
+
+def test_a_truth_without_most_craters_is_refused_where_they_would_be_false_alarms_but_not_here() -> None:
+    """A match of craters that are not listed counts for nothing."""
+    few = load_scenario(str(Path(__file__).parents[1] / "before_after" / "campaigns" / "pairs-rendered.yaml"))
+    with pytest.raises(BoresightError, match="57 % of the craters of 12 px or more would not be listed"):
+        check_listed(few)
+    CraterMatching.check_scenario(few)
 
 
 def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_file, tmp_path) -> None:

@@ -23,7 +23,6 @@ from campaign.kinds.crater_matching.pairs import (
 from campaign.pool.guard import Call
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
-from campaign.trial.crater_score import check_listed
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, located, methods
 from campaign.trial.work import Work
@@ -91,11 +90,9 @@ class CraterMatching:
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
-        """Refuse a missing section, and images of no craters or of craters that are mostly not listed."""
-        if _section(scenario).images is not None:
-            if scenario.spec.craters is None:
-                raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
-            check_listed(scenario)
+        """Refuse a missing section, and images of no craters."""
+        if _section(scenario).images is not None and scenario.spec.craters is None:
+            raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
 
     @classmethod
     def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
