@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from campaign.cli.terminal import console
 from campaign.machine import cores
 from campaign.runs.read import CATALOG, campaign_names, read_campaign
-from campaign.runs.requirements import data_needed, rate_of
+from campaign.runs.requirements import needs, rate_of
 from campaign.trial.kind import kind_names
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
@@ -106,11 +106,11 @@ def list_command(_: argparse.Namespace) -> int:
     """List campaigns, scenarios and estimators."""
     out = console()
     campaigns = [_campaign_entry(load_campaign(name, CATALOG)) for name in campaign_names()]
-    print_entries(out, ("campaign", "trials", "time here", "data"), campaigns)
+    print_entries(out, ("campaign", "trials", "time here", "needs"), campaigns)
     out.print(
         f"\ntrials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of"
-        " the last run on this machine; - where there was none. data: what is read from the data folder"
-        " (boresight fetch --list).\n"
+        " the last run on this machine; - where there was none. needs: what is read from the data folder"
+        " (boresight fetch --list), and packages that are optional.\n"
     )
     scenarios = [Entry((name, ""), load_scenario(name).spec.description) for name in scenario_names()]
     print_entries(out, ("scenario", ""), scenarios)
@@ -120,12 +120,12 @@ def list_command(_: argparse.Namespace) -> int:
 
 
 def _campaign_entry(loaded: LoadedCampaign) -> Entry:
-    """Tell of a campaign its size, its cost here and its data."""
+    """Describe a campaign by its size, its cost here and its needs."""
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
     size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
     time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
-    return Entry((spec.name, size, time, ", ".join(map(str, data_needed(loaded))) or "-"), spec.title)
+    return Entry((spec.name, size, time, ", ".join(map(str, needs(loaded))) or "-"), spec.title)
 
 
 def show_command(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Requirements of a campaign on this machine: files of the data folder, and time by the rate of its last run here.
+"""Requirements of a campaign on this machine: data, packages, and time by the rate of its last run here.
 
 The rate is stored in the cache.
 """
@@ -9,8 +9,10 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
+from estimators.slam.registry import EXTRAS
 from scenarios.cache import default_cache
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.errors import BoresightError
@@ -27,19 +29,22 @@ _OF_DATA = ("body", "onboard", "images")
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """A file or a folder, as a scenario names it, and whether it is there."""
+    """A file or a folder, as a scenario names it, or a package; whether it is there, and how to install it if not."""
 
     name: str
     found: bool
+    remedy: str = ""
 
     def __str__(self) -> str:
         """Name it, and say if it is missing."""
-        return self.name if self.found else f"{self.name} (missing)"
+        return self.name if self.found else f"{self.name} (missing{self.remedy})"
 
 
-def data_needed(campaign: LoadedCampaign) -> tuple[Need, ...]:
-    """List what the scenarios of a campaign, and those of its grid, read from the data folder, each once."""
+def needs(campaign: LoadedCampaign) -> tuple[Need, ...]:
+    """List what the scenarios of a campaign and of its grid read from the data folder, and further packages."""
     found = {need.name: need for scenario in _scenarios(campaign) for need in _of_scenario(scenario)}
+    for extra in dict.fromkeys(EXTRAS[one.name] for one in campaign.spec.estimators if one.name in EXTRAS):
+        found[extra] = Need(extra, find_spec(extra) is not None, f': pip install -e ".[{extra}]"')
     return tuple(found.values())
 
 

@@ -39,9 +39,7 @@ def load_gtsam() -> Any:
     try:
         return import_module("gtsam")
     except ImportError as error:
-        raise BoresightError(
-            f'gtsam: cannot be imported ({error}); install it: pip install -e ".[gtsam]"'
-        ) from None
+        raise BoresightError(f'gtsam: cannot be imported ({error}); install it: pip install -e ".[gtsam]"') from None
 
 
 class Factors:

@@ -22,4 +22,7 @@ _ESTIMATORS: Registry[SequenceEstimator] = Registry(
     group="boresight.sequence_estimators",
     parts=("name", "version", "from_options", "follow"),
 )
+EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam"}
+"""Estimators that need an extra of the installation, and the package of the same name that it installs."""
+
 sequence_estimator_names, sequence_estimator_class = _ESTIMATORS.names, _ESTIMATORS.find

@@ -21,7 +21,7 @@ from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 from campaign.cli import main
 from campaign.cli.terminal import ProgressListener
 from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.requirements import data_needed
+from campaign.runs.requirements import needs
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from campaign.trial.kind import kind_named, kind_names
@@ -65,11 +65,11 @@ def test_list_reads_like_a_manual_in_a_terminal(capsys, monkeypatch, width):
         first = next(i for i, line in enumerate(lines) if line.split(" ", 1)[0] == name)
         after = next(i for i in range(first + 1, len(lines)) if not lines[i].startswith(" "))
         entry = lines[first:after]
-        for need in data_needed(loaded):
+        for need in needs(loaded):
             assert any(need.name in line for line in entry), "no name is cut"
         below = [line for line in entry if line.startswith("    ") and line[4] != " "]
         assert " ".join(map(str.strip, below)) == loaded.spec.title
-        assert len(entry) - len(below) == 1 or data_needed(loaded), "one line, but for long names of data"
+        assert len(entry) - len(below) == 1 or needs(loaded), "one line, but for long names of data"
 
 
 @pytest.mark.parametrize("name", campaign_names())
