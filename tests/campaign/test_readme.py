@@ -122,3 +122,28 @@ def test_headline_campaigns_draw_several_data_bases():
     databases = {spec.name: spec.databases for spec in specs if kind_named(spec.experiment).databases}
     names = ("cheng2003-detection", "cheng2003-orbit", "compare-mismatched", "trade-craters")
     assert databases == dict.fromkeys(names, 5)
+
+
+TEXTS = ("README.md", "CHANGELOG.md", "ARCHITECTURE.md", "CONTRIBUTING.md")
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_texts_name_files_and_modules_that_exist(name: str) -> None:
+    text, root = (README.parent / name).read_text(encoding="utf-8"), README.parent
+    files = re.findall(r"`((?:scenarios|renderers|estimators|reports|campaign|tests)/[a-z_/0-9]+\.py)`", text)
+    modules = [f"{module.replace('.', '/')}.py" for module in re.findall(r"python -m (\w+(?:\.\w+)+)", text)]
+    places = (root, root / "tests", root / "tests" / "helpers")
+    gone = [one for one in (*files, *modules) if not any((place / one).is_file() for place in places)]
+    assert gone == []
+
+
+def test_hints_name_extras_as_a_checkout_installs_them() -> None:
+    root = README.parent
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    places = ("scenarios", "renderers", "estimators", "reports", "campaign", "tests/benchmarks", "tests/fuzz")
+    texts = [root / one for one in TEXTS] + [path for one in places for path in (root / one).rglob("*.py")]
+    hints = [(path.name, hint) for path in texts for hint in re.findall(r"pip install ([^`\n]*)", path.read_text())]
+    assert [where for where, hint in hints if "boresight" in hint] == []
+    named = {extra for _, hint in hints for found in re.findall(r"\.\[([\w,]+)\]", hint) for extra in found.split(",")}
+    assert named >= {"dask", "gtsam", "rerun", "fuzz"}
+    assert named <= set(extras)
