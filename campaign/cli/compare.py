@@ -8,7 +8,7 @@ from campaign.cli.arguments import COMPARISONS
 from campaign.cli.terminal import console
 from campaign.runs.newest import find_run
 from reports.compare import compare_runs, write_comparison
-from reports.pages.console import rich_parts
+from reports.pages.rich_tables import rich_parts
 from scenarios.errors import BoresightError
 
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")

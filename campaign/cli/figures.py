@@ -24,7 +24,7 @@ from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
 from campaign.threads import workers
 from renderers.mitsuba3 import choose_variant
-from reports.pages.console import rich_table
+from reports.pages.rich_tables import rich_table
 from reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
 from reports.schema.labels import count_of
 from scenarios.atomic import explain_write_error

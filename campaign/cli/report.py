@@ -4,42 +4,53 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import asdict
 
-from campaign.cli.terminal import console
+from campaign.cli.printed import Printed, PrintedGrid, digests, keep, print_report, source_of
 from campaign.inspection.build import worst_figures
 from campaign.inspection.show import show_of
 from campaign.runs.newest import find_run
 from campaign.runs.resolve import reload
 from campaign.store import RunFolder
+from reports.kinds import brief_grids
 from reports.pages.build import write_report
-from reports.pages.console import console_table
 from reports.run.outcomes import reason_lines
 from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError, display
+from scenarios.errors import BoresightError
 
 
 def report_command(arguments: argparse.Namespace) -> int:
     """Write the report of a run and print its table."""
-    print_report(find_run(arguments.run), arguments.worst)
+    folder = find_run(arguments.run)
+    print_report(write(folder, arguments.worst, source_of(folder, arguments.worst)), folder)
     return 0
 
 
-def print_report(folder: RunFolder, worst: int) -> None:
-    """Write the report of a run, with pictures of so many of its worst trials, and print its table."""
-    out = console()
-    files = write_report(folder.path, extra=_trial_figures(folder, worst))
-    out.print(console_table(files.content))
-    for line in reason_lines(files.content.run):
-        out.print(line)
+def write(folder: RunFolder, worst: int, source: str) -> Printed:
+    """Write the report of a run, with pictures of so many of its worst trials; return what is printed of it.
+
+    It is kept with the ``source`` of the report, unless pictures of trials are missing that a later start may make.
+    """
+    missing: list[str] = []
+    files = write_report(folder.path, extra=_trial_figures(folder, worst, missing))
+    lines = [f"no figure of single trials: {why}" for why in missing]
+    lines += reason_lines(files.content.run)
     said = folder.table("said").drop_duplicates(["scenario", "trial", "estimator"])
     if len(said):
         counted = ", ".join(f"{name} in {n:,}" for name, n in said["estimator"].value_counts().items())
-        out.print(f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it")
-    out.print(f"report: {display(files.html)}")
+        lines.append(
+            f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it"
+        )
+    grids = tuple(PrintedGrid(**asdict(grid)) for grid in brief_grids(files.content))
+    written = (files.html, files.markdown, *files.tables, *files.rows, *files.figures)
+    printed = Printed(source=source, files=digests(files.folder, written), grids=grids, lines=tuple(lines))
+    if not missing:
+        keep(files.folder, printed)
+    return printed
 
 
-def _trial_figures(folder: RunFolder, worst: int) -> Iterator[NamedFigure]:
-    """Draw typical trials and the worst, unless code, data or machine can no longer make them again."""
+def _trial_figures(folder: RunFolder, worst: int, missing: list[str]) -> Iterator[NamedFigure]:
+    """Draw typical trials and the worst; if code, data or machine can no longer make them again, add why."""
     manifest = folder.read_manifest() or {}
     why = (
         "the run was made by another version of boresight or of its data:"
@@ -54,4 +65,4 @@ def _trial_figures(folder: RunFolder, worst: int) -> Iterator[NamedFigure]:
             return
     except BoresightError as error:
         why = str(error)
-    console().print(f"no figure of single trials: {why}")
+    missing.append(why)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import shlex
 
+from campaign.cli.printed import print_report, printed_before, source_of
 from campaign.cli.terminal import ProgressListener, console
 from campaign.imaging.image_store import store_is_on, store_switched
 from campaign.runs.request import Cluster
 from campaign.runs.start import start
+from campaign.store import RunFolder
 from reports.schema.labels import count_of
 from scenarios.errors import BoresightError, display
 
@@ -42,11 +44,20 @@ def run_command(arguments: argparse.Namespace) -> int:
         if arguments.no_report:
             out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
-            # Matplotlib and the reports, 1 s to import, are needed only here.
-            from campaign.cli.report import print_report
-
-            print_report(folder, arguments.worst)
+            _report(folder, arguments.worst)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
+
+
+def _report(folder: RunFolder, worst: int) -> None:
+    """Write the report and print its tables; one that would be the same is not made again."""
+    source = source_of(folder, worst)
+    printed = printed_before(folder, source)
+    if printed is None:
+        # Matplotlib and the reports, 1 s to import, are needed only here.
+        from campaign.cli.report import write
+
+        printed = write(folder, worst, source)
+    print_report(printed, folder)
 
 
 def _cluster(arguments: argparse.Namespace) -> Cluster | None:

@@ -16,7 +16,7 @@ from campaign.threads import workers
 from renderers.mitsuba3 import choose_variant
 from reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
 from reports.compare.metrics import choose_metric
-from reports.pages.console import rich_parts
+from reports.pages.rich_tables import rich_parts
 from reports.run.data import read_run
 from reports.run.limits import short_line
 from reports.schema.tables import kind_schema
