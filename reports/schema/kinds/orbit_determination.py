@@ -76,6 +76,6 @@ SCHEMA = KindSchema(
     databases_note=(
         "Positions and prominence of the craters were drawn {n} times; trials have them in turn. Intervals take that"
         " draw for what is independent (Student's t over the draws), so that they include the variation between them."
-        " The body and its a priori shape are the same in all trials."
+        " The body and its a priori shape are the same in all trials of a scenario."
     ),
 )
