@@ -67,9 +67,9 @@ def _within_bounds(run: RunData, scenario: str, estimator: str, comparison: Comp
     for name, bound in sorted(bounds):
         errors = in_order_of(rows, run.table("orbits").set_index(TRIAL_KEY)[name])
         share = share_of(errors <= bound, clusters_of(run, rows))
-        percent = (None if end is None else 100.0 * end for end in (share.value, share.low, share.high))
+        value, low, high = (None if end is None else 100.0 * end for end in (share.value, share.low, share.high))
         yield Record(
-            scenario, estimator, ORBIT, "", name, "%", within_statistic(bound), *percent,
+            scenario, estimator, ORBIT, "", name, "%", within_statistic(bound), value, low, high,
             int((errors <= bound).sum()), len(rows),
         )  # fmt: skip
 
