@@ -65,12 +65,12 @@ def _within_bounds(run: RunData, scenario: str, estimator: str, comparison: Comp
     rows = select(run.rows, scenario, estimator)
     bounds = {(claim.measure, claim.within) for claim in (comparison.claims if comparison else ()) if claim.within}
     for name, bound in sorted(bounds):
-        errors = in_order_of(rows, run.table("orbits").set_index(TRIAL_KEY)[name])
-        share = share_of(errors <= bound, clusters_of(run, rows))
+        within = in_order_of(rows, run.table("orbits").set_index(TRIAL_KEY)[name]) <= bound
+        share = share_of(within, clusters_of(run, rows))
         value, low, high = (None if end is None else 100.0 * end for end in (share.value, share.low, share.high))
         yield Record(
             scenario, estimator, ORBIT, "", name, "%", within_statistic(bound), value, low, high,
-            int((errors <= bound).sum()), len(rows),
+            int(within.sum()), len(rows),
         )  # fmt: skip
 
 
