@@ -18,7 +18,7 @@ from reports.schema.grid import NO_VALUE, Grid, counts, value_of
 from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure
 from reports.schema.records import Record
-from reports.schema.tables import measure_label
+from reports.schema.tables import measure_label, unit_of
 from reports.verdicts import (
     VERDICT_RULE,
     ComparedClaim,
@@ -126,7 +126,10 @@ def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> Pa
 
 def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
     claim = item.claim
-    how = claim.unmeasured or ("trials solved" if claim.solves else f"order of the {claim.statistic}s")
+    solved = (
+        "trials solved" if claim.within is None else f"% of trials within {claim.within:g} {unit_of(claim.measure)}"
+    )
+    how = claim.unmeasured or (solved if claim.solves else f"order of the {claim.statistic}s")
     quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
     names = tuple(term.label for term in claim.order)
     return PaperLine(

@@ -7,11 +7,11 @@ from typing import cast
 import pytest
 
 from reports.kinds import Content
-from reports.papers.page import paper_lines
+from reports.papers.page import paper_grid, paper_lines
 from reports.published import load_published
 from reports.run.data import RunData
 from reports.schema.records import Record
-from reports.verdicts import compare
+from reports.verdicts import compare, compare_claims
 
 
 def made_by(labels: list[str]) -> Content:
@@ -32,3 +32,12 @@ def test_estimators_are_named_where_there_are_several(labels, ends):
     lines = [line for line in paper_lines("a run", content.comparison, content, labels) if line.ours != (None,)]
     assert [line.quantity.removeprefix("RMS position error over the arc, ") for line in lines] == ends
     assert [line.ours[0].value for line in lines if line.ours[0]] == [10.0 + k for k in range(len(labels))]
+
+
+def test_a_share_of_trials_within_a_bound_says_so():
+    comparison = load_published("cheng2003-orbit")
+    within = Record("eros", "batch-filter", "orbit", "", "arc_rms_m", "%", "within 100", 75.0, 53.0, 89.0, 15, 20)
+    content = Content(cast("RunData", None), (within,), comparison, (), compare_claims([within], comparison), ())
+    (line,) = [one for one in paper_lines("a run", comparison, content, []) if one.ours == (within,)]
+    assert (line.statistic, line.verdict) == ("% of trials within 100 m", "differs (lower)")
+    assert paper_grid([line]).keep("ours [95 %]", "ok").rows == (("75.0 [53.0, 89.0]", "15/20"),)
