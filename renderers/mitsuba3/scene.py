@@ -99,7 +99,9 @@ class FacetScene:
         parameters["vertex_positions"] = corners_m.ravel()
         parameters["faces"] = np.arange(3 * len(corners_m), dtype=np.uint32)
         parameters.update()
-        return cls(mi.load_dict({"type": "scene", "part": shape}), corners_m)
+        # In the robust mode Embree builds the tree without spatial splits, which take longer than they save for the rays
+        # of one image.
+        return cls(mi.load_dict({"type": "scene", "part": shape, "embree_use_robust_intersections": True}), corners_m)
 
     def first_hits(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> tuple[SingleArray, IndexArray]:
         """Distances (N,), m, inf for a miss, and facets (N,) of the first hits of rays (N, 3)."""

@@ -79,7 +79,7 @@ class TiledRenderer:
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     ground: CrateredSurface
     brdf: BrdfSpec
