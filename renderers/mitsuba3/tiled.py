@@ -17,7 +17,7 @@ from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
 from scenarios.craters.ray_culling import RayProjection, candidate_facets
-from scenarios.craters.tiles import may_face
+from scenarios.craters.tiles import may_face, overlap
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -243,18 +243,16 @@ def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
 
 def tiles_casting(ground: CrateredSurface, view: View) -> IndexArray:
     """Tiles near the frame with facets that may face the Sun: a ray leaves the body only through such a facet."""
-    facing = may_face(ground.cones, view.sun_dir_body, _SINGLE)
+    sun = np.broadcast_to(view.sun_dir_body, (len(ground.cones), 3))
+    facing = may_face(ground.cones, sun, np.full(len(sun), _SINGLE))
     return np.flatnonzero(facing & _near_frame(ground, view, _SHADOWS_PX))
 
 
 def _near_frame(ground: CrateredSurface, view: View, margin_px: float) -> BoolArray:
     """(T,) whether the bounding box of a tile's corners in the image overlaps the frame, extended by a margin."""
     seen = view.camera.project(view.T_cam_body.transform(ground.corners_m))
-    a, b, c = (seen[corners] for corners in ground.tiling.mesh.faces.T)
-    size = np.array([view.camera.width_px, view.camera.height_px])
-    # A corner without a pixel is NaN and compares as False: the tile is outside the lens's field or behind the camera.
-    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    return np.asarray(((high > -margin_px) & (low < size + margin_px)).all(axis=1))
+    size = np.array([view.camera.width_px, view.camera.height_px], dtype=np.float64)
+    return np.asarray(overlap(ground.tiling.layout.faces, seen, size, margin_px))
 
 
 def renderer_version(spec: ScenarioSpec) -> tuple[str, int]:

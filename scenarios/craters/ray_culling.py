@@ -19,7 +19,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 _Point = tuple[float, float, float]  # on the projection plane, and distance along its third axis
 
-_RAYS_A_CELL = 2  # on average
+_RAYS_A_CELL = 1  # on average
 # Single precision of the tracer displaces a ray by some 1e-7 of the body's radius; the tolerance is 40 times that.
 _SLACK = 4e-6
 # The origin of a ray is a point on a facet and is known to rounding: ten times that.
@@ -59,15 +59,19 @@ class RayProjection:
 
     def of_directions(self, directions: FloatArray) -> FloatArray:
         """Return points and start depths (N, 3) of the rays of a pencil along (N, 3), which start at the origin."""
-        rays = np.asarray(directions @ self.axes.T, dtype=np.float64)
+        rays = np.empty(directions.shape)
+        _project(rays, directions, self.axes, np.zeros(3))
         # Perspective: slopes at unit depth. The camera is the start of all rays, at depth 0.
-        rays[:, :2] /= rays[:, 2:]
+        rays[:, 0] /= rays[:, 2]
+        rays[:, 1] /= rays[:, 2]
         rays[:, 2] = 0.0
         return rays
 
     def of_points(self, points_m: FloatArray) -> FloatArray:
         """Return points and start depths (N, 3) of parallel rays from points (N, 3)."""
-        return np.asarray((points_m - self.origin_m) @ self.axes.T, dtype=np.float64)
+        rays = np.empty(points_m.shape)
+        _project(rays, points_m, self.axes, self.origin_m)
+        return rays
 
 
 def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> SingleArray:
@@ -76,8 +80,8 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
     The selection is conservative: it contains every facet that a single-precision tracer could hit. Rays with NaN are
     ignored.
     """
-    rays = rays[np.isfinite(rays).all(axis=1)]
-    if not len(rays) or not len(tiles):
+    cells = _sorted_by_cell(rays)
+    if cells is None or not len(tiles):
         return np.empty((0, 3, 3), dtype=np.float32)
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
     radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
@@ -90,7 +94,7 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
         fan.origin_m,
         fan.pencil,
         slack_m,
-        _sorted_by_cell(rays),
+        cells,
         ground.tiling.layout,
     )
     return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
@@ -107,8 +111,11 @@ class _Cells(NamedTuple):
     n_rows: int
 
 
-def _sorted_by_cell(rays: FloatArray) -> _Cells:
-    low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
+def _sorted_by_cell(rays: FloatArray) -> _Cells | None:
+    """Sort finite rays into cells; None if there is no finite ray."""
+    rays, low, high = _finite_rays(rays)
+    if not len(rays):
+        return None
     # Cells of as many rays; the second bound keeps a grid about rays on a line from having more columns than rays, the
     # third is for a single point.
     step = max(
@@ -119,6 +126,29 @@ def _sorted_by_cell(rays: FloatArray) -> _Cells:
     n_columns, n_rows = (int(n) for n in np.floor((high - low) / step) + 1)
     start, order = _sorted_into_cells(rays, low, step, n_columns, n_rows)
     return _Cells(rays[order], start, low, step, n_columns, n_rows)
+
+
+@kernel
+def _project(out: FloatArray, vectors: FloatArray, axes: FloatArray, origin: FloatArray) -> None:
+    """Write the components (N, 3) of vectors (N, 3) from an origin along axes (3, 3)."""
+    for k in range(len(vectors)):
+        x, y, z = vectors[k, 0] - origin[0], vectors[k, 1] - origin[1], vectors[k, 2] - origin[2]
+        for d in range(3):
+            out[k, d] = axes[d, 0] * x + axes[d, 1] * y + axes[d, 2] * z
+
+
+@kernel
+def _finite_rays(rays: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the rays without those that are not finite, and the least and largest place (2,) on the plane."""
+    kept, count = np.empty(rays.shape), 0
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for k in range(len(rays)):
+        if np.isfinite(rays[k, 0]) and np.isfinite(rays[k, 1]) and np.isfinite(rays[k, 2]):
+            for d in range(2):
+                low[d], high[d] = min(low[d], rays[k, d]), max(high[d], rays[k, d])
+            kept[count] = rays[k]
+            count += 1
+    return kept[:count], low, high
 
 
 @kernel

@@ -45,12 +45,36 @@ def normal_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
     return cones
 
 
-def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray | float) -> BoolArray:
-    """(T,) whether a facet of a tile may face unit directions (T, 3) or (3,), which are uncertain by ``slack_rad``."""
-    towards = np.einsum("ti,ti->t", cones[:, :3], np.broadcast_to(directions, (len(cones), 3)))
-    # A normal at the angle `beyond` from the mean can face a direction up to 90 deg + beyond from the mean.
-    beyond = np.arccos(np.clip(cones[:, 3], -1.0, 1.0)) + slack_rad
-    return np.asarray((beyond >= 0.5 * np.pi) | (towards > -np.sin(beyond)))
+@kernel
+def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray) -> BoolArray:
+    """(T,) whether a facet of a tile may face unit directions (T, 3), which are uncertain by ``slack_rad`` (T,)."""
+    found = np.empty(len(cones), dtype=np.bool_)
+    for t in range(len(cones)):
+        towards = 0.0
+        for x in range(3):
+            towards += cones[t, x] * directions[t, x]
+        # A normal at the angle `beyond` from the mean can face a direction up to 90 deg + beyond from the mean.
+        beyond = np.arccos(min(max(cones[t, 3], -1.0), 1.0)) + slack_rad[t]
+        found[t] = beyond >= 0.5 * np.pi or towards > -np.sin(beyond)
+    return found
+
+
+@kernel
+def overlap(faces: IndexArray, corners_px: FloatArray, size_px: FloatArray, margin_px: float) -> BoolArray:
+    """(T,) whether the bounding boxes of tiles with corners (V, 2) overlap a frame, extended by a margin.
+
+    A corner without a pixel is NaN: its tile is outside the lens's field or behind the camera.
+    """
+    found = np.empty(len(faces), dtype=np.bool_)
+    for t in range(len(faces)):
+        a, b, c = corners_px[faces[t, 0]], corners_px[faces[t, 1]], corners_px[faces[t, 2]]
+        found[t] = True
+        for d in range(2):
+            # NaN compares as False.
+            high = a[d] > -margin_px or b[d] > -margin_px or c[d] > -margin_px
+            low = a[d] < size_px[d] + margin_px or b[d] < size_px[d] + margin_px or c[d] < size_px[d] + margin_px
+            found[t] &= high and low and not np.isnan(a[d] + b[d] + c[d])
+    return found
 
 
 @kernel

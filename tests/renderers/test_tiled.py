@@ -11,6 +11,7 @@ from renderers.mitsuba3.tiled import tiles_casting, tiles_seen
 from scenarios.craters import Rims, crater_truth
 from scenarios.craters.ray_culling import RayProjection, candidate_facets
 from scenarios.craters.rims import RIM_POINTS
+from scenarios.craters.tiles import overlap
 from scenarios.geometry import TriangleMesh, View, project_circles
 from scenarios.spec.brdf import LambertSpec
 
@@ -56,6 +57,50 @@ def test_every_facet_that_rays_meet_is_found_and_few_others(renderer: TiledRende
     # Mitsuba decides in single precision which of two facets at a common edge it met.
     assert np.mean([np.ascontiguousarray(row).tobytes() in have for row in met]) > 0.999
     assert len(met) < len(found) < 4 * len(met)  # those behind others too, before and on the far side
+
+
+@pytest.mark.parametrize("pencil", [True, False])
+def test_candidates_hold_all_facets_that_contain_a_ray(renderer: TiledRenderer, pencil: bool) -> None:
+    """Against each facet and ray in turn; some rays are not finite, and parallel rays start in the ground."""
+    view, ground = small_view(200.0, 85.0, 18.0), renderer.ground
+    points = renderer.first_points(view, np.random.default_rng(3).uniform([0, 0], [160, 120], (400, 2)))
+    assert 50 < np.isnan(points[:, 0]).sum() < 350
+    if pencil:
+        fan = RayProjection.of_view(view)
+        rays = fan.of_directions(points - view.T_cam_body.camera_position_m)
+    else:
+        fan = RayProjection.of_parallel(view.sun_dir_body)
+        rays = fan.of_points(points)
+    tiles = np.arange(len(ground.tiling.mesh.faces))
+    corners = ground.vertices_m[ground.tiling.facets(tiles)]
+    seen = (corners.astype(float) - fan.origin_m) @ fan.axes.T
+    if pencil:
+        seen[..., :2] /= seen[..., 2:]
+    a, b, c = np.moveaxis(seen, 1, 0)
+    needed = np.zeros(len(corners), dtype=bool)
+    for x, y, from_m in rays[np.isfinite(rays).all(axis=1)]:
+        # Signed areas of the triangles that the point makes with the sides are barycentric coordinates.
+        w = np.stack(
+            [(q[:, 0] - x) * (r[:, 1] - y) - (q[:, 1] - y) * (r[:, 0] - x) for q, r in ((b, c), (c, a), (a, b))]
+        )
+        inside = (w > 0.0).all(axis=0) | (w < 0.0).all(axis=0)
+        inside[inside] = (w[:, inside] * seen[inside, :, 2].T).sum(axis=0) / w[:, inside].sum(axis=0) > from_m
+        needed |= inside
+    have = {row.tobytes() for row in candidate_facets(ground, tiles, fan, rays).reshape(-1, 9)}
+    assert needed.sum() > 100
+    assert all(np.ascontiguousarray(row).tobytes() in have for row in corners[needed].reshape(-1, 9))
+    assert len(have) < 3 * needed.sum()
+
+
+def test_tiles_overlap_the_frame_by_their_bounding_boxes() -> None:
+    rng = np.random.default_rng(6)
+    corners = rng.uniform(-150.0, 250.0, (300, 2))
+    corners[::17] = np.nan
+    faces = rng.integers(0, 300, (2000, 3))
+    boxes = corners[faces]
+    expected = ((boxes.max(axis=1) > -5.0) & (boxes.min(axis=1) < np.array([85.0, 65.0]))).all(axis=1)
+    assert 300 < expected.sum() < 1700
+    assert np.array_equal(overlap(faces, corners, np.array([80.0, 60.0]), 5.0), expected)
 
 
 def test_sun_rays_are_blocked_by_the_facets_found_as_by_all(renderer: TiledRenderer, whole: MitsubaRenderer) -> None:
