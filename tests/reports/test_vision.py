@@ -37,6 +37,7 @@ def test_means_are_over_the_frames_of_a_trial_and_then_over_trials(builder):
     assert means["track_survival_share"] == pytest.approx((70 + 80) / 2)
     assert means["tracks_per_image"] == pytest.approx(25)
     assert means["wrong_per_image"] == pytest.approx((1 + 2) / 2)
+    assert means["lost_right_share"] == pytest.approx(0.0), "40 of 50 matches are right, and 40 right ones are kept"
 
 
 def test_estimators_of_the_same_tracks_share_a_line_and_lines_go_with_the_work(builder):
@@ -49,6 +50,7 @@ def test_estimators_of_the_same_tracks_share_a_line_and_lines_go_with_the_work(b
         "matches",
         "right",
         "matches",
+        "right",
         "right",
         "tracks",
         "tracks",
