@@ -33,8 +33,10 @@ def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, jobs, out):
     (info / "entry_points.txt").write_text("[boresight.estimators]\nmoves = moving:Moves\n")
     write_campaign(here, "scenarios: [scene]\nestimators: [moves, prior]\ntrials: 12\nseed: 5\n", SCENE)
     asked = ["--jobs", jobs, "--worst", 1, "--out", out]
-    done = boresight("run", "tiny.yaml", *asked, cwd=here, PYTHONPATH=f"{site}:{Path(__file__).parents[2]}")
+    path = f"{site}:{Path(__file__).parents[2]}"
+    done = boresight("run", "tiny.yaml", *asked, cwd=here, PYTHONPATH=path, BORESIGHT_CACHE="cache")
     assert done.returncode == 0, done.stderr
     named = next(line.removeprefix("report: ") for line in done.stdout.splitlines() if line.startswith("report: "))
     assert (here / named).is_file(), named
     assert {"manifest.json", "rows", "checksums", "report"} <= {path.name for path in (here / out).iterdir()}
+    assert list((here / "cache" / "images").glob("*")), "nor what is written to a cache in a relative folder"

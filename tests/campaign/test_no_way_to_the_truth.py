@@ -33,6 +33,7 @@ from campaign.runs.runner import run_campaign
 from campaign.store import RunFolder
 from campaign.trial.methods import able
 from estimators.craters.matching.vote import VoteMatcher
+from estimators.registry import estimator_class
 from renderers.mitsuba3 import choose_variant
 from scenarios.cache import default_cache
 from scenarios.craters import CraterTruth
@@ -197,6 +198,8 @@ def all_that_is_given(monkeypatch, module, file, out, trials=1):
     """Run a campaign; return, for each call of a method, the method and what it was given."""
     given: list[tuple[object, ...]] = []
     monkeypatch.setattr(module, "able", lambda method: Recorder(able(method), given))
+    if module is single_image:  # the one kind whose methods get assets when they are built
+        monkeypatch.setattr(module, "estimator_class", lambda name: Recorder(estimator_class(name), given))
     campaign = resolve(str(file), seed=SEED, variant=choose_variant().name)
     run_campaign(campaign, RunRequest(out, trials, 1), Heard())
     rows = RunFolder(out).table("rows")
