@@ -15,6 +15,7 @@ from rich.table import Table
 from campaign.cli.arguments import PEERS
 from campaign.cli.terminal import console
 from campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
+from campaign.runs.check import check_campaign
 from campaign.runs.resolve import resolve
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import write_text
@@ -33,6 +34,7 @@ def bench_command(arguments: argparse.Namespace) -> int:
     out = console()
     earlier = {} if arguments.against is None else read_ratios(arguments.against)
     campaign = resolve(arguments.name, arguments.overrides, variant=choose_variant(arguments.variant).name)
+    check_campaign(campaign, campaign.spec.trials)
     with tempfile.TemporaryDirectory(prefix="boresight-bench-") as folder:
         found = benchmark(campaign, arguments.blocks, Path(folder), out.print)
     out.print(_table(found, earlier))

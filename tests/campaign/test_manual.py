@@ -1,15 +1,18 @@
-"""The manual: every command has a page, its examples are valid, and ``--help`` imports no heavy library."""
+"""The manual: every command has a page, its examples run, and ``--help`` imports no heavy library."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
+import shutil
 import subprocess
 import sys
 
 import pytest
+from mission_data import needs_data
+from tiny_campaign import CAMPAIGN, TRIALS, write_campaign
 
-from campaign.cli.main import handler, make_parser, manual
+from campaign.cli.main import main, make_parser, manual
 
 PAGES, WHOLE = manual().commands, manual().whole
 
@@ -26,12 +29,70 @@ def test_every_command_has_a_page():
     assert set(PAGES) == set(commands())
 
 
-@pytest.mark.parametrize("example", [*EXAMPLES, *FIRST])
-def test_every_example_is_a_command_that_is_understood(example):
+class ReachedError(Exception):
+    """An example that takes long is about to begin: all that it names was read and checked."""
+
+
+LONG = (
+    "campaign.runs.start.Start.go",
+    "campaign.cli.sensitivity.run_campaign",
+    "campaign.cli.figures.run_missing",
+    "campaign.cli.bench.benchmark",
+    "benchmarks.door.speed_table",
+    "campaign.cli.fetch.fetch",
+)
+
+
+NEEDS_EROS = needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters")
+
+
+@pytest.fixture(scope="module")
+def place(cache, tmp_path_factory):
+    """Return a folder that holds the files and the runs that the examples name."""
+    folder = tmp_path_factory.mktemp("manual")
+    one = CAMPAIGN.replace("scenarios: [scene]", "scenarios: [scene]\ntrials: 2").replace(f"trials: {TRIALS}\n", "")
+    write_campaign(folder, one).rename(folder / "my_campaign.yaml")
+    (folder / "before.json").write_text('{"stages": []}')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for words in (
+            "quickstart --trials 8 --out runs/quickstart-1a2b3c4d",
+            "delpech2015-smoke --trials 2",
+            "my_campaign.yaml --out runs/a",
+            "my_campaign.yaml --out runs/b --set brdf.kind=lommel-seeliger",
+        ):
+            assert main(["run", *words.split(), "--jobs", "1", "--no-report"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(
+            one,
+            marks=needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters") if " craters" in one else (),
+        )
+        for one in dict.fromkeys((*EXAMPLES, *FIRST))
+    ],
+)
+def test_every_example_runs(place, cache, tmp_path, monkeypatch, example):
+    """Run it to its end or, where it would take long, to where all its input is read and checked."""
+
+    def reached(*arguments, **named):
+        raise ReachedError
+
     program, *words = shlex.split(example)
     assert program == "boresight"
-    parsed = make_parser().parse_args(words, argparse.Namespace(command=""))
-    assert callable(handler(parsed.handler))
+    for name in LONG:
+        monkeypatch.setattr(name, reached)
+    monkeypatch.chdir(place)
+    if "--clear" in words:
+        shutil.copytree(cache / words[-1], tmp_path / words[-1])
+        monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path))
+    try:
+        assert main(words) == 0
+    except ReachedError:
+        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch")
 
 
 @pytest.mark.parametrize("name", sorted(PAGES))
