@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
+from estimators.slam.compiled import tracks as kernels
+from estimators.slam.compiled.problem import floats
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.spec.base import SpecModel
 from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
@@ -177,9 +179,12 @@ def check_connected(shared: int, needed: int) -> None:
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
     """Raise LostError if the position's largest sigma exceeds ``limit`` times the median distance to the landmarks."""
-    # An unknown scale is an uncertainty along one direction, whichever it is: the largest eigenvalue.
-    sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     distance = median_distance(points_m, position_m)
+    # An unknown scale is an uncertainty along one direction, whichever it is: the largest eigenvalue. The trace bounds
+    # it from above, and nearly always decides.
+    if covariance_m2[0, 0] + covariance_m2[1, 1] + covariance_m2[2, 2] < (limit * distance) ** 2:
+        return
+    sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     if sigma > limit * distance:
         raise LostError(
             f"the scale is no longer observable: the position is uncertain by {sigma:.3g} m"
@@ -189,19 +194,12 @@ def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: Flo
 
 def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
     """Return the median distance (m) of points (n, 3) from a position."""
-    squares = np.sort(((points_m - position_m) ** 2).sum(axis=1))
-    return float(np.sqrt(squares[(len(squares) - 1) // 2 : len(squares) // 2 + 1]).mean())
+    return kernels.median_distance(floats(points_m), floats(position_m))
 
 
 def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
     """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
-    table = np.asarray(keys, dtype=np.int64)
-    if len(table) == 0:
-        return np.full(len(wanted), -1, dtype=np.int64)
-    place = np.searchsorted(table, wanted)
-    # searchsorted returns len(table) for keys beyond the last.
-    found = table[np.minimum(place, len(table) - 1)] == wanted
-    return np.where(found, place, -1).astype(np.int64)
+    return kernels.lookup(np.array(keys, dtype=np.int64), np.array(wanted, dtype=np.int64))
 
 
 def _check_estimate(estimate: FrameEstimate) -> None:

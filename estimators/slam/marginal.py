@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.compiled import descent
+from estimators.slam.compiled import marginal as kernels
+from estimators.slam.compiled.problem import floats
 from estimators.slam.normal import VariableOrdering, normal_equations
 from estimators.slam.problem import Adjustment, QuadraticPrior, State
-from estimators.slam.solver import reduced_system
 
 BoolArray = NDArray[np.bool_]
 
@@ -94,26 +94,6 @@ def _outside_part(problem: Adjustment, retained: Retained) -> Adjustment:
     return replace(part, free_points=constrained, kept_points=constrained & retained.points)
 
 
-def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
-    """Return the part of ``problem`` that is removed with a view and the landmarks marked in ``lost`` (L,).
-
-    It has all measurements of that view and of those landmarks, and the prior. The remaining landmarks are kept in its
-    reduced system.
-    """
-    seen, measured, moved = problem.pixels, problem.distances, problem.motions
-    # All pixels of a lost landmark go with it, also those in views that remain: its variable no longer exists.
-    removed = (seen.view == view) | lost[seen.point]
-    ranged = (measured.view == view) | lost[measured.point]
-    motion = (moved.start == view) | (moved.end == view)
-    return replace(
-        problem,
-        pixels=seen.subset(removed),
-        distances=measured.subset(ranged),
-        motions=moved.subset(motion),
-        kept_points=problem.free_points & ~lost,
-    )
-
-
 def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArray) -> QuadraticPrior:
     """Marginalise a view and the landmarks marked in ``lost`` (L,), linearised at ``state``.
 
@@ -124,20 +104,12 @@ def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArr
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
-    part = departing_part(problem, view, lost)
-    # Landmarks that no removed measurement sees would be eliminated as zero blocks, which have no inverse.
-    part = replace(part, free_points=part.free_points & constrained_points(part))
-    matrix, right, view_slots, point_slots = reduced_system(part, state)
-    slots = point_slots[lost & (point_slots >= 0)]  # the old prior couples these, so they are not eliminated yet
-    if view_slots[view] >= 0:
-        slots = np.append(slots, view_slots[view])
-    out = np.zeros(len(matrix), dtype=np.bool_)
-    out.reshape(-1, 3)[slots] = True
-    # The right-hand side of the normal equations is minus the gradient.
-    information, gradient = eliminate_rows(matrix, -right, out)
-    views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
-    points = np.flatnonzero(part.free_points & ~lost)
-    return without_empty_variables(QuadraticPrior(views, points, _values(state, views, points), information, gradient))
+    at = floats(state.positions_m), floats(state.points_m)
+    known, views, points, information, gradient = kernels.marginalise(problem.flat, *at, view, lost)
+    if not known:
+        raise np.linalg.LinAlgError("the eliminated variables are not determined")
+    origin = np.concatenate([state.positions_m[views], state.points_m[points]])
+    return QuadraticPrior(views, points, origin, information, gradient)
 
 
 def eliminate_rows(
@@ -150,16 +122,10 @@ def eliminate_rows(
     numpy.linalg.LinAlgError
         If they are not determined.
     """
-    if not out.any():
-        return information, gradient
-    # Eliminated rows first; stable, so that the remaining rows keep their order and the sums their rounding.
-    order, count = np.argsort(~out, kind="stable"), int(np.count_nonzero(out))
-    matrix, right = information[order][:, order], gradient[order]
-    # Elimination pivot by pivot shows an undetermined variable by a pivot that is not positive; an inverse would return
-    # large numbers instead.
-    if not descent.eliminate(matrix, right, count):
+    known, left, right = kernels.without(information, gradient, out)
+    if not known:
         raise np.linalg.LinAlgError("the eliminated variables are not determined")
-    return matrix[count:, count:].copy(), right[count:].copy()
+    return left, right
 
 
 def constrained_points(part: Adjustment) -> BoolArray:
@@ -170,10 +136,6 @@ def constrained_points(part: Adjustment) -> BoolArray:
     if part.prior is not None:
         constrained[part.prior.points] = True
     return constrained
-
-
-def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.concatenate([state.positions_m[views], state.points_m[points]])
 
 
 def without_empty_variables(prior: QuadraticPrior) -> QuadraticPrior:

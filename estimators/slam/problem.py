@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.compiled.problem import BOOL, INDEX, FlatProblem, floats, plain
 from scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
@@ -101,7 +103,11 @@ class QuadraticPrior:
         return np.asarray((here - self.origin_m).ravel(), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
+_NO_PRIOR = QuadraticPrior(_none(), _none(), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
 class Adjustment:
     """Least-squares problem of views with known attitude and landmarks in Cartesian coordinates.
 
@@ -133,6 +139,40 @@ class Adjustment:
     kept_points: BoolArray | None = None
     frozen: State | None = None
 
+    @cached_property
+    def flat(self) -> FlatProblem:
+        """The problem as the arrays of the kernels; raises ValueError as `pinhole_of` does."""
+        seen, ranged, moved = self.pixels, self.distances, self.motions
+        prior = _NO_PRIOR if self.prior is None else self.prior
+        frozen = _NO_STATE if self.frozen is None else self.frozen
+        kept = np.zeros(len(self.free_points), dtype=np.bool_) if self.kept_points is None else self.kept_points
+        return FlatProblem(
+            pinhole=pinhole_of(self.camera),
+            attitudes=floats(self.R_cam_body),
+            seen_view=plain(seen.view, INDEX),
+            seen_point=plain(seen.point, INDEX),
+            seen_px=floats(seen.uv_px),
+            seen_sigma_px=floats(seen.sigma_px),
+            ranged_view=plain(ranged.view, INDEX),
+            ranged_point=plain(ranged.point, INDEX),
+            range_m=floats(ranged.range_m),
+            range_sigma_m=floats(ranged.sigma_m),
+            motion_start=plain(moved.start, INDEX),
+            motion_end=plain(moved.end, INDEX),
+            motion_m=floats(moved.displacement_m),
+            motion_information=floats(moved.information),
+            prior_views=plain(prior.views, INDEX),
+            prior_points=plain(prior.points, INDEX),
+            prior_origin_m=floats(prior.origin_m),
+            prior_information=floats(prior.information),
+            prior_gradient=floats(prior.gradient),
+            frozen_positions_m=floats(frozen.positions_m),
+            frozen_points_m=floats(frozen.points_m),
+            free_views=plain(self.free_views, BOOL),
+            free_points=plain(self.free_points, BOOL),
+            kept_points=plain(kept, BOOL),
+        )
+
     def linearisation_point(self, state: State) -> State:
         """Return ``state`` with the frozen variables at their first estimates."""
         if self.frozen is None:
@@ -145,6 +185,19 @@ class Adjustment:
             np.where(np.isnan(frozen.positions_m), state.positions_m, frozen.positions_m),
             np.where(np.isnan(frozen.points_m), state.points_m, frozen.points_m),
         )
+
+
+def pinhole_of(camera: Camera) -> FloatArray:
+    """(4,) fx, fy, cx, cy, px.
+
+    Raises
+    ------
+    ValueError
+        If the camera has distortion: pixels must be corrected for the lens before tracking.
+    """
+    if camera.distortion is not None:
+        raise ValueError("the camera of an adjustment has distortion: correct the pixels for the lens first")
+    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.compiled import tracks as kernels
 from estimators.slam.contract import FrameEstimate
 from estimators.slam.following import LostError, lookup, median_distance
 from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
-from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
+from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise, place_view
 from scenarios.geometry import Camera
-from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
@@ -62,16 +63,14 @@ class SlamMap:
     def pixels(self, views: Sequence[int], tracks: Sequence[int]) -> PixelMeasurements:
         """Collect the pixels of ``tracks`` (sorted) in ``views``, numbered by their indices in the two lists."""
         frames = [self.frames[view] for view in views]
-        track = np.concatenate([frame.tracks for frame in frames])
-        sizes = [len(frame.tracks) for frame in frames]
-        point = lookup(tracks, track)
-        kept = point >= 0
-        return PixelMeasurements(
-            view=np.repeat(np.arange(len(views)), sizes)[kept],
-            point=point[kept],
-            uv_px=np.concatenate([frame.uv_px for frame in frames])[kept],
-            sigma_px=np.repeat([frame.sigma_px for frame in frames], sizes)[kept],
+        view, point, uv_px, sigma_px = kernels.select_pixels(
+            np.array(tracks, dtype=np.int64),
+            np.array([len(frame.tracks) for frame in frames]),
+            np.array([frame.sigma_px for frame in frames], dtype=np.float64),
+            np.concatenate([frame.tracks for frame in frames]),
+            np.concatenate([frame.uv_px for frame in frames]),
         )
+        return PixelMeasurements(view, point, uv_px, sigma_px)
 
     def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
         """Collect the distances that were measured from ``views`` to ``tracks`` (sorted)."""
@@ -97,14 +96,14 @@ class SlamMap:
         return Motions(
             start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
             end=np.array([slots[view] for view in ends], dtype=np.int64),
-            displacement_m=np.array([self.frames[view].motion_m for view in ends]),
-            information=np.array([self._motion_information(view) for view in ends]),
+            displacement_m=rows_of_3([self.frames[view].motion_m for view in ends]),
+            information=rows_of_3([self._motion_information(view) for view in ends]).reshape(-1, 3, 3),
         )
 
     def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
         """Collect the present estimates of ``views`` and ``tracks``."""
-        points = np.array([self.points_m[track] for track in tracks]).reshape(-1, 3)
-        return State(np.array([self.positions_m[view] for view in views]).reshape(-1, 3), points)
+        positions, points = [self.positions_m[view] for view in views], [self.points_m[track] for track in tracks]
+        return State(rows_of_3(positions), rows_of_3(points))
 
     def keep(self, state: State, views: Sequence[int], tracks: Sequence[int]) -> None:
         """Store the estimates of ``state``."""
@@ -145,7 +144,7 @@ class SlamMap:
 
     def attitudes(self, views: Sequence[int]) -> FloatArray:
         """(V, 3, 3) R_cam_body of ``views``."""
-        return np.array([self.frames[view].R_cam_body for view in views])
+        return rows_of_3([self.frames[view].R_cam_body for view in views]).reshape(-1, 3, 3)
 
     def seen_by(self, views: Sequence[int]) -> dict[int, list[int]]:
         """List for each track the views among ``views`` that saw it."""
@@ -171,7 +170,8 @@ class SlamMap:
     def ray(self, view: int, track: int) -> FloatArray:
         """(3,) unit direction from the camera to a landmark, body frame."""
         index = self._index(view)
-        return np.asarray(index.rays[index.rows[track]], dtype=np.float64)
+        ray: FloatArray = index.rays[index.rows[track]]
+        return ray
 
     def median_depth(self, view: int) -> float:
         """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m.
@@ -184,7 +184,7 @@ class SlamMap:
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]
         if known:
-            self.last_depth_m = median_distance(np.array(known), self.positions_m[view])
+            self.last_depth_m = median_distance(rows_of_3(known), self.positions_m[view])
             return self.last_depth_m
         # A gate may have refused all mapped landmarks of a frame: the last depth is near enough for tolerances and
         # guesses.
@@ -200,58 +200,61 @@ class SlamMap:
         Step 1 of the BA-SLAM steps in section 3.2 of Delpech et al. (2015). The landmarks are fixed, and so is the view
         before; the predicted motion is a measurement, which the paper uses as the initial position only.
         """
-        tracks = sorted(track for track in self._index(view).rows if track in self.points_m)
+        before_m, frame = self.positions_m[view - 1], self.frames[view]
+        mapped = [(row, track) for track, row in self._index(view).rows.items() if track in self.points_m]
         # Both positions are in body axes, each of its own epoch: the displacement includes the rotation of the body.
-        self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
+        self.positions_m[view] = before_m + frame.motion_m
         # No landmark of known position: the predicted position is all there is.
-        if not tracks:
+        if not mapped:
             return
-        views = [view - 1, view]
-        problem = Adjustment(
-            camera=self.camera,
-            R_cam_body=self.attitudes(views),
-            pixels=self.pixels(views, tracks),
-            free_views=np.array([False, True]),
-            free_points=np.zeros(len(tracks), dtype=np.bool_),
-            motions=self.motions(views),
-        )
-        solution = minimise(problem, self.state(views, tracks), rule)
-        self.positions_m[view] = solution.state.positions_m[1]
+        rows, points_m = [row for row, _ in mapped], rows_of_3([self.points_m[track] for _, track in mapped])
+        before = before_m, self._motion_information(view)
+        self.positions_m[view] = place_view(self.camera, frame, rows, points_m, before, rule)
 
     def triangulate_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]]) -> None:
         """Triangulate those of ``tracks`` that have no point; ``seen`` lists the views of each track."""
         depths_m: dict[int, float] = {}
+        batch: list[int] = []
         for track in tracks:
             if track not in self.points_m:
                 last = seen[track][-1]
                 if last not in depths_m:
+                    # The points so far count for the depth of another view.
+                    self._map_new(batch, seen, depths_m)
+                    batch = []
                     depths_m[last] = self.median_depth(last)
-                self.points_m[track] = self.triangulate(track, seen[track], depths_m[last])
+                batch.append(track)
+        self._map_new(batch, seen, depths_m)
 
-    def triangulate(self, track: int, views: Sequence[int], depth_m: float | None = None) -> FloatArray:
-        """(3,) midpoint triangulation: the point nearest to the lines of sight of ``views``, least squares.
+    def _map_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]], depths_m: Mapping[int, float]) -> None:
+        if tracks:
+            points = self._triangulated(
+                [(track, seen[track]) for track in tracks], [depths_m[seen[track][-1]] for track in tracks]
+            )
+            self.points_m.update(zip(tracks, points, strict=True))
 
-        The point at the median depth on the last line of sight is returned if the lines are parallel, or if a depth is
-        not within a factor of about 3 of ``depth_m`` (the median depth of the last view by default).
+    def triangulate(self, track: int, views: Sequence[int]) -> FloatArray:
+        """(3,) midpoint triangulation from ``views``; see `_triangulated`, with the median depth of the last view."""
+        point: FloatArray = self._triangulated([(track, views)], [self.median_depth(views[-1])])[0]
+        return point
+
+    def _triangulated(self, seen: Sequence[tuple[int, Sequence[int]]], depths_m: Sequence[float]) -> FloatArray:
+        """(n, 3) midpoint triangulation: the points nearest to the lines of sight of their views, least squares.
+
+        ``seen`` are tracks and the views of each. The point at ``depths_m`` on the last line of sight is returned if
+        the lines are parallel, or if a depth is not within a factor of about 3 of it.
         """
-        rays = np.array([self.ray(view, track) for view in views])
-        positions = np.array([self.positions_m[view] for view in views])
-        depth = self.median_depth(views[-1]) if depth_m is None else depth_m
-        near = positions[-1] + depth * rays[-1]
-        # No prior on the point.
-        unknown = np.zeros((1, 3, 3)), np.zeros((1, 3))
-        one_point = np.zeros(len(rays), dtype=np.int64)
-        (matrix,), (right,) = triangulation_equations(LinesOfSight(positions, rays), one_point, unknown)
+        rays = rows_of_3([self.ray(view, track) for track, views in seen for view in views])
+        origins = rows_of_3([self.positions_m[view] for _, views in seen for view in views])
+        begin = np.array(list(accumulate((len(views) for _, views in seen), initial=0)))
+        matrix, right = kernels.triangulation_equations(origins, rays, begin)
         # Of two lines at an angle a the least eigenvalue is 1 - cos a, about a^2 / 2: 1e-12 is a parallax of 1.4e-6
         # rad, far below the noise of any pixel.
-        if np.linalg.eigvalsh(matrix)[0] < 1e-12:
-            return np.asarray(near, dtype=np.float64)
-        point = np.linalg.solve(matrix, right)
-        depths = np.einsum("ki,ki->k", point - positions, rays)
-        # With a small parallax the noise of the pixels may put the point anywhere along the line, also behind the
-        # camera.
-        good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
-        return np.asarray(point if good else near, dtype=np.float64)
+        parallel = np.linalg.eigvalsh(matrix)[:, 0] < 1e-12
+        matrix[parallel] = np.eye(3)
+        points = np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0], dtype=np.float64)
+        kernels.place_implausible(points, parallel, origins, rays, begin, np.array(depths_m))
+        return points
 
     def _motion_information(self, view: int) -> FloatArray:
         """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""
@@ -270,7 +273,12 @@ class SlamMap:
         return kept
 
 
+def rows_of_3(values: Sequence[FloatArray]) -> FloatArray:
+    """(n, 3) arrays of three numbers, or of rows of three, below each other."""
+    return np.concatenate(values).reshape(-1, 3) if values else np.zeros((0, 3))
+
+
 def values_or_nan(values: Mapping[int, FloatArray], wanted: Sequence[int]) -> FloatArray:
     """(n, 3) values of the views or tracks ``wanted``; NaN where there is none."""
     nowhere = np.full(3, np.nan)
-    return np.array([values.get(key, nowhere) for key in wanted]).reshape(-1, 3)
+    return rows_of_3([values.get(key, nowhere) for key in wanted])

@@ -223,7 +223,8 @@ class WindowSmoother:
             oldest[problem.prior.points] = True
         newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
         # Refused pixels count as in view: the landmark may fit again in the next frame.
-        lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
+        in_view = set(newest[self.views[-1]].tracks.tolist())
+        lost = oldest & np.array([track not in in_view for track in tracks], dtype=np.bool_)
         # What remains of the oldest view's landmarks would enter the prior, which couples them all.
         excess = self._beyond_prior_size(number, oldest & ~lost)
         try:
@@ -259,6 +260,9 @@ class WindowSmoother:
         the error 1.4 times as large (10 sequences).
         """
         beyond = staying.copy()
+        if np.count_nonzero(staying) <= self.options.prior_landmarks:
+            beyond[:] = False
+            return beyond
         old = set() if self.prior is None else set(self.prior.points.tolist())
         # Landmarks of the prior first, then the oldest tracks.
         order = sorted(np.flatnonzero(staying).tolist(), key=lambda j: (number[j] not in old, number[j]))

@@ -13,8 +13,9 @@ from scipy.linalg import LinAlgError
 
 from estimators.slam.compiled import descent
 from estimators.slam.compiled import equations as kernels
-from estimators.slam.compiled.problem import flat, floats
-from estimators.slam.problem import Adjustment, State
+from estimators.slam.compiled.envelope import dense
+from estimators.slam.compiled.problem import floats
+from estimators.slam.problem import Adjustment, State, pinhole_of
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
 
@@ -28,7 +29,7 @@ RANK_TOLERANCE = 1e-11
 def residual_squares(problem: Adjustment, state: State) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     at = floats(state.positions_m), floats(state.points_m)
-    return np.asarray(kernels.residual_squares(flat(problem), *at), dtype=np.float64)
+    return np.asarray(kernels.residual_squares(problem.flat, *at), dtype=np.float64)
 
 
 def landmark_information(problem: Adjustment, state: State) -> FloatArray:
@@ -36,7 +37,7 @@ def landmark_information(problem: Adjustment, state: State) -> FloatArray:
     # Without frozen values all derivatives are taken at the state; a prior is not a measurement of one landmark alone.
     problem = replace(problem, frozen=None, prior=None)
     at = floats(state.positions_m), floats(state.points_m)
-    return np.asarray(kernels.landmark_information(flat(problem), *at), dtype=np.float64)
+    return np.asarray(kernels.landmark_information(problem.flat, *at), dtype=np.float64)
 
 
 def pixel_squares(
@@ -51,9 +52,10 @@ def pixel_squares(
     lines_m, own_m2
         (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
     """
-    pinhole = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
     seen = floats(frame.R_cam_body), floats(lines_m), floats(frame.uv_px[rows])
-    return np.asarray(kernels.pixel_squares(pinhole, *seen, float(frame.sigma_px), floats(own_m2)), np.float64)
+    return np.asarray(
+        kernels.pixel_squares(pinhole_of(camera), *seen, float(frame.sigma_px), floats(own_m2)), np.float64
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +83,27 @@ def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Adjustmen
     """
     start = floats(state.positions_m), floats(state.points_m)
     positions, points, value, iterations, converged = descent.minimise(
-        flat(problem), *start, rule.step_m, rule.iterations
+        problem.flat, *start, rule.step_m, rule.iterations
     )
     return AdjustmentSolution(State(positions, points), value, iterations, converged)
+
+
+def place_view(
+    camera: Camera,
+    frame: TrackFrame,
+    rows: list[int],
+    points_m: FloatArray,
+    before: tuple[FloatArray, FloatArray],
+    rule: StoppingRule,
+) -> FloatArray:
+    """(3,) position of a frame by its pixels in ``rows``, of known landmarks (k, 3), and its predicted motion.
+
+    ``before`` are the position of the frame before (3,) and the inverse covariance of the predicted motion (3, 3).
+    """
+    seen = floats(frame.R_cam_body), floats(frame.uv_px[rows]), float(frame.sigma_px), points_m
+    motion = floats(before[0]), floats(frame.motion_m), floats(before[1])
+    found = descent.place(pinhole_of(camera), *seen, motion, (rule.step_m, rule.iterations))
+    return np.asarray(found, dtype=np.float64)
 
 
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
@@ -94,10 +114,10 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
     undetermined scale too, so that its convergence does not show it. All directions count if a landmark that is
     eliminated is undetermined.
     """
-    known, values, _, found = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+    known, values, _, found = descent.reduced_at(problem.flat, floats(state.positions_m), floats(state.points_m))
     if not known:  # a landmark is not determined
-        return len(descent.dense(values, found.shape))
-    matrix = descent.dense(values, found.shape)
+        return len(dense(values, found.shape))
+    matrix = dense(values, found.shape)
     if not len(matrix):
         return 0
     # Relative to the largest one: all variables are metres, and rounding errors scale with the largest eigenvalue.
@@ -113,12 +133,11 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
-    # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
-    # landmarks.
-    known, matrix, _, ordering = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
-    if not known or not descent.factorise(matrix, ordering.shape):
+    at = floats(state.positions_m), floats(state.points_m)
+    known, covariance = descent.view_covariance(problem.flat, *at, view)
+    if not known:
         raise LinAlgError("the reduced matrix is not positive definite")
-    return np.asarray(descent.block_of_inverse(matrix, ordering.shape, ordering.view_slot[view]), dtype=np.float64)
+    return np.asarray(covariance, dtype=np.float64)
 
 
 def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
@@ -133,7 +152,7 @@ def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, Float
     """
     # No damping: the matrix is used as information, not for a step.
     at = floats(state.positions_m), floats(state.points_m)
-    known, values, right, found = descent.reduced_at(flat(problem), *at)
+    known, values, right, found = descent.reduced_at(problem.flat, *at)
     if not known:
         raise LinAlgError("a landmark is not determined")
-    return descent.dense(values, found.shape), right, found.view_slot, found.point_slot
+    return dense(values, found.shape), right, found.view_slot, found.point_slot

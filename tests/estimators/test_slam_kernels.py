@@ -16,23 +16,24 @@ from slam_sequences import Recipe, make_sequence
 
 from estimators.slam import marginal, solver
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.compiled import descent, equations
+from estimators.slam.compiled import descent, equations, tracks
 from estimators.slam.compiled import envelope as packed
 from estimators.slam.compiled import problem as flat_problem
 from estimators.slam.compiled import residuals as residual_kernels
-from estimators.slam.compiled.problem import flat
 from estimators.slam.normal import VariableOrdering, cost, normal_equations
 from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from estimators.slam.slam_map import SlamMap
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 RULE = StoppingRule(1e-6)
 REFERENCED = (
     "minimise",
     "reduced_rank_deficiency",
     "view_covariance",
-    "eliminate_rows",
+    "marginalise_view",
+    "place_view",
     "residual_squares",
     "landmark_information",
     "pixel_squares",
@@ -102,11 +103,11 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
     residuals = np.empty((residual_kernels.RESIDUAL_ROWS, len(problem.pixels.view)))
-    assert residual_kernels.evaluate_residuals(flat(problem), *at, residuals) == pytest.approx(
+    assert residual_kernels.evaluate_residuals(problem.flat, *at, residuals) == pytest.approx(
         cost(problem, state), rel=1e-12
     )
-    ordering = flat_problem.make_ordering(flat(problem))
-    system = equations.linearise(flat(problem), ordering, *at, residuals)
+    ordering = flat_problem.make_ordering(problem.flat)
+    system = equations.linearise(problem.flat, ordering, *at, residuals)
     done, matrix, right, inverse = descent.reduced(system, ordering, 0.3)
     assert done
     expected, expected_right, expected_inverse = normal_equations(problem, state, VariableOrdering.of(problem)).reduced(
@@ -164,6 +165,27 @@ def test_minimum_is_that_of_numpy(seed: int) -> None:
     if problem.free_views[4]:
         covariance = numpy_adjustment.view_covariance(problem, at, 4)
         np.testing.assert_allclose(view_covariance(problem, at, 4), covariance, rtol=1e-9, atol=1e-12)
+
+
+def test_points_are_triangulated_as_by_the_shared_equations() -> None:
+    """Bit for bit; a point with an implausible depth, or on parallel lines, is at the given depth on its last line."""
+    rng = np.random.default_rng(8)
+    begin = np.array([0, 2, 5, 7, 9])
+    rays, origins = rng.normal(size=(9, 3)), 100.0 * rng.normal(size=(9, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays[8] = rays[7]
+    found = tracks.triangulation_equations(origins, rays, begin)
+    nothing = np.zeros((4, 3, 3)), np.zeros((4, 3))
+    expected = triangulation_equations(LinesOfSight(origins, rays), np.repeat(range(4), np.diff(begin)), nothing)
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-15)
+    points, depths = origins[begin[:-1]] + 50.0 * rays[begin[:-1]], np.array([40.0, 900.0, 1.0, 50.0])
+    origins[1] = points[0] - 60.0 * rays[1]  # the first point is at 50 m and 60 m
+    placed = points.copy()
+    tracks.place_implausible(placed, np.array([False, False, False, True]), origins, rays, begin, depths)
+    last = begin[1:] - 1
+    np.testing.assert_array_equal(placed[0], points[0])
+    np.testing.assert_allclose(placed[1:], (origins[last] + depths[:, None] * rays[last])[1:], rtol=1e-15)
 
 
 def test_landmark_behind_its_camera_costs_infinity_as_with_numpy() -> None:

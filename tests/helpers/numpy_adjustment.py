@@ -9,6 +9,7 @@ from numpy.linalg import LinAlgError as NumpyLinAlgError
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.gating import mahalanobis_squares
+from estimators.slam.marginal import constrained_points, without_empty_variables
 from estimators.slam.normal import (
     VariableOrdering,
     bearing_jacobians,
@@ -17,6 +18,7 @@ from estimators.slam.normal import (
     distance_jacobians,
     normal_equations,
 )
+from estimators.slam.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
 from estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
 
 
@@ -60,12 +62,44 @@ def view_covariance(problem, state, view):
     return 0.5 * (covariance + covariance.T)
 
 
-def eliminate_rows(information, gradient, out):
-    """`estimators.slam.marginal.eliminate_rows`."""
-    cross = information[np.ix_(out, ~out)]
-    solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
-    left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
-    return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
+def place_view(camera, frame, rows, points_m, before, rule):
+    """`estimators.slam.solver.place_view`, by an adjustment of two views, the first of them fixed."""
+    before_m, information = before
+    pixels = PixelMeasurements(
+        np.ones(len(rows), dtype=np.int64), np.arange(len(rows)), frame.uv_px[rows], np.full(len(rows), frame.sigma_px)
+    )
+    motions = Motions(np.array([0]), np.array([1]), frame.motion_m[None], information[None])
+    views = np.stack([frame.R_cam_body, frame.R_cam_body])
+    fixed = np.zeros(len(rows), dtype=bool)
+    problem = Adjustment(camera, views, pixels, np.array([False, True]), fixed, motions=motions)
+    start = State(np.stack([before_m, before_m + frame.motion_m]), points_m)
+    return minimise(problem, start, rule).state.positions_m[1]
+
+
+def marginalise_view(problem, state, view, lost):
+    """`estimators.slam.marginal.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
+    seen, measured, moved = problem.pixels, problem.distances, problem.motions
+    part = replace(
+        problem,
+        pixels=seen.subset((seen.view == view) | lost[seen.point]),
+        distances=measured.subset((measured.view == view) | lost[measured.point]),
+        motions=moved.subset((moved.start == view) | (moved.end == view)),
+    )
+    free = problem.free_points & constrained_points(part)
+    part = replace(part, free_points=free, kept_points=~lost)
+    ordering = VariableOrdering.of(part)
+    matrix, right, _ = normal_equations(part, state, ordering).reduced()
+    views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
+    points = np.flatnonzero(free & ~lost)
+    stays = np.zeros(ordering.kept, dtype=bool)
+    stays[ordering.view[views]] = stays[ordering.kept_point[points]] = True
+    out = np.repeat(~stays, 3)
+    cross = matrix[np.ix_(out, ~out)]
+    solved = cho_solve(cho_factor(matrix[np.ix_(out, out)]), np.column_stack([cross, -right[out]]))
+    information = matrix[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
+    origin = np.concatenate([state.positions_m[views], state.points_m[points]])
+    gradient = -right[~out] - cross.T @ solved[:, -1]
+    return without_empty_variables(QuadraticPrior(views, points, origin, 0.5 * (information + information.T), gradient))
 
 
 def residual_squares(problem, state):

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.compiled import kernel
-from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, dense, eliminate, factorise, solve
+from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
 from estimators.slam.compiled.equations import FlatEquations, linearise
 from estimators.slam.compiled.problem import FlatOrdering, FlatProblem, make_ordering
 from estimators.slam.compiled.residuals import RESIDUAL_ROWS, evaluate_residuals
-
-__all__ = ["block_of_inverse", "dense", "eliminate", "factorise", "minimise", "reduced_at"]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -183,6 +181,48 @@ def minimise(
 
 
 @kernel
+def place(
+    pinhole: FloatArray,
+    R_cam_body: FloatArray,
+    uv_px: FloatArray,
+    sigma_px: float,
+    points: FloatArray,
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    rule: tuple[float, int],
+) -> FloatArray:
+    """(3,) position of one view from its pixels (k, 2) of known landmarks (k, 3) and its predicted motion.
+
+    ``motion`` are the position before (3,), the displacement (3,) and its information (3, 3); ``rule`` the step, m, and
+    the number of steps at which the minimisation ends.
+    """
+    before, moved, information = motion
+    count = len(points)
+    index, values, row, blocks = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.empty((2, 3, 3))
+    blocks[:] = R_cam_body
+    positions, motion_m = np.empty((2, 3)), np.empty((1, 3))
+    positions[0], positions[1], motion_m[0] = before, before + moved, moved
+    # View 0 is the one before, without pixels and fixed as all landmarks are; view 1 is placed.
+    problem = FlatProblem(
+        pinhole,
+        blocks,
+        np.ones(count, np.int64),
+        np.arange(count),
+        uv_px,
+        np.full(count, sigma_px),
+        index, index, values, values,  # distances
+        np.array([0]), np.array([1]), motion_m, information.copy().reshape(1, 3, 3),
+        index, index, row, np.zeros((0, 0)), values,  # prior
+        row, row,  # frozen
+        np.array([False, True]),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.bool_),
+    )  # fmt: skip
+    placed = minimise(problem, positions, points, rule[0], rule[1])[0]
+    position: FloatArray = placed[1].copy()
+    return position
+
+
+@kernel
 def reduced_at(
     problem: FlatProblem, positions: FloatArray, points: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray, FlatOrdering]:
@@ -193,6 +233,19 @@ def reduced_at(
     # Without damping, which would count as information.
     determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points, residuals), ordering, 0.0)
     return determined, matrix, right, ordering
+
+
+@kernel
+def view_covariance(
+    problem: FlatProblem, positions: FloatArray, points: FloatArray, view: int
+) -> tuple[bool, FloatArray]:
+    """(3, 3) covariance of a free view's position; the first value is False if the matrix is not positive definite."""
+    # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
+    # landmarks.
+    determined, matrix, _, ordering = reduced_at(problem, positions, points)
+    if not determined or not factorise(matrix, ordering.shape):
+        return False, np.zeros((3, 3))
+    return True, block_of_inverse(matrix, ordering.shape, ordering.view_slot[view])
 
 
 @kernel

@@ -202,30 +202,3 @@ def dense(values: FloatArray, shape: Envelope) -> FloatArray:
                 matrix[3 * i + row, 3 * i + column] = values[at + column]
                 matrix[3 * i + column, 3 * i + row] = values[at + column]
     return matrix
-
-
-@kernel
-def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
-    """Eliminate the first ``count`` rows: the other rows and ``right`` (n,) become their Schur complement.
-
-    False if the eliminated part is not positive definite; the values are then undefined.
-    """
-    n = len(matrix)
-    for i in range(count):
-        pivot = matrix[i, i]
-        # NaN fails too.
-        if not pivot > 0.0:
-            return False
-        for j in range(i + 1, n):
-            # Only the upper triangle is used: column i of a symmetric matrix is its row i.
-            part = matrix[i, j] / pivot
-            # Uncoupled rows stay exactly as they are: a row of zeros remains one.
-            if part != 0.0:
-                right[j] -= part * right[i]
-                for k in range(j, n):
-                    matrix[j, k] -= part * matrix[i, k]
-    # The lower triangle was not updated: mirror the upper one.
-    for i in range(count, n):
-        for j in range(i):
-            matrix[i, j] = matrix[j, i]
-    return True

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from estimators.slam.compiled import kernel
 from estimators.slam.compiled.envelope import Envelope, make_envelope
-from estimators.slam.problem import Adjustment, QuadraticPrior, State
 
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -18,15 +17,11 @@ FloatArray = NDArray[np.float64]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
-_FLOAT, _INDEX, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
-_NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
-_NO_PRIOR = QuadraticPrior(
-    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0)
-)
+FLOAT, INDEX, BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
 
 class FlatProblem(NamedTuple):
-    """`Adjustment` as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen."""
+    """An adjustment as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen."""
 
     pinhole: FloatArray
     attitudes: FloatArray
@@ -54,54 +49,12 @@ class FlatProblem(NamedTuple):
     kept_points: BoolArray
 
 
-def flat(problem: Adjustment) -> FlatProblem:
-    """Convert ``problem`` to the arrays of the kernels.
-
-    Raises
-    ------
-    ValueError
-        If its camera has distortion: pixels must be corrected for the lens before tracking.
-    """
-    if problem.camera.distortion is not None:
-        raise ValueError("the camera of an adjustment has distortion: correct the pixels for the lens first")
-    camera, seen, ranged, moved = problem.camera, problem.pixels, problem.distances, problem.motions
-    prior = _NO_PRIOR if problem.prior is None else problem.prior
-    frozen = _NO_STATE if problem.frozen is None else problem.frozen
-    kept = np.zeros(len(problem.free_points), dtype=np.bool_) if problem.kept_points is None else problem.kept_points
-    return FlatProblem(
-        pinhole=np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]),
-        attitudes=floats(problem.R_cam_body),
-        seen_view=_plain(seen.view, _INDEX),
-        seen_point=_plain(seen.point, _INDEX),
-        seen_px=floats(seen.uv_px),
-        seen_sigma_px=floats(seen.sigma_px),
-        ranged_view=_plain(ranged.view, _INDEX),
-        ranged_point=_plain(ranged.point, _INDEX),
-        range_m=floats(ranged.range_m),
-        range_sigma_m=floats(ranged.sigma_m),
-        motion_start=_plain(moved.start, _INDEX),
-        motion_end=_plain(moved.end, _INDEX),
-        motion_m=floats(moved.displacement_m),
-        motion_information=floats(moved.information),
-        prior_views=_plain(prior.views, _INDEX),
-        prior_points=_plain(prior.points, _INDEX),
-        prior_origin_m=floats(prior.origin_m),
-        prior_information=floats(prior.information),
-        prior_gradient=floats(prior.gradient),
-        frozen_positions_m=floats(frozen.positions_m),
-        frozen_points_m=floats(frozen.points_m),
-        free_views=_plain(problem.free_views, _BOOL),
-        free_points=_plain(problem.free_points, _BOOL),
-        kept_points=_plain(kept, _BOOL),
-    )
-
-
 def floats(values: FloatArray) -> FloatArray:
     """Return ``values`` as a writable contiguous float64 array, as the kernels are compiled for; copy if necessary."""
-    return _plain(values, _FLOAT)
+    return plain(values, FLOAT)
 
 
-def _plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar]:
+def plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar]:
     """Copy read-only and strided arrays: numba would compile a kernel again for each kind of array."""
     if values.dtype is dtype and values.flags.carray:
         return values

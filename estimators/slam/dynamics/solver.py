@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
-from estimators.slam.marginal import constrained_points, departing_part, eliminate_rows
+from estimators.slam.marginal import constrained_points, eliminate_rows
 from estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
 from estimators.slam.solver import StoppingRule
 
@@ -261,7 +261,13 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
 
 def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
     """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
-    vision = departing_part(problem.vision, view, lost)
+    seen, measured = problem.vision.pixels, problem.vision.distances
+    # All pixels of a lost landmark go with it, also those in views that remain: its variable no longer exists.
+    vision = replace(
+        problem.vision,
+        pixels=seen.subset((seen.view == view) | lost[seen.point]),
+        distances=measured.subset((measured.view == view) | lost[measured.point]),
+    )
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:
         joined[problem.prior.points] = True

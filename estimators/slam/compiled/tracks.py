@@ -1,0 +1,108 @@
+"""Tracks of a map as arrays: their measurements numbered within a problem, and triangulation of their points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.compiled import kernel
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@kernel
+def select_pixels(
+    tracks: IndexArray, sizes: IndexArray, sigmas_px: FloatArray, track: IndexArray, uv_px: FloatArray
+) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
+    """View, point, pixel and sigma of the pixels of ``tracks`` (sorted), numbered by their indices.
+
+    ``track`` (k,) and ``uv_px`` (k, 2) are those of all views, one after the other; ``sizes`` and ``sigmas_px`` (V,).
+    """
+    view, point, kept = np.empty(len(track), np.int64), np.empty(len(track), np.int64), np.empty(len(track), np.int64)
+    sigma_px = np.empty(len(track))
+    count, k = 0, 0
+    for i in range(len(sizes)):
+        for _ in range(sizes[i]):
+            place = np.searchsorted(tracks, track[k])
+            if place < len(tracks) and tracks[place] == track[k]:
+                view[count], point[count], sigma_px[count], kept[count] = i, place, sigmas_px[i], k
+                count += 1
+            k += 1
+    return view[:count], point[:count], uv_px[kept[:count]], sigma_px[:count]
+
+
+@kernel
+def lookup(keys: IndexArray, wanted: IndexArray) -> IndexArray:
+    """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
+    found = np.searchsorted(keys, wanted)
+    for k in range(len(wanted)):
+        if found[k] == len(keys) or keys[found[k]] != wanted[k]:
+            found[k] = -1
+    return found
+
+
+@kernel
+def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
+    """Return the median distance (m) of points (n, 3) from a position; NaN without points."""
+    n = len(points_m)
+    if n == 0:
+        return np.nan
+    squares = np.empty(n)
+    for k in range(n):
+        x, y, z = points_m[k, 0] - position_m[0], points_m[k, 1] - position_m[1], points_m[k, 2] - position_m[2]
+        squares[k] = x * x + y * y + z * z
+    squares.sort()
+    median: float = 0.5 * (np.sqrt(squares[(n - 1) // 2]) + np.sqrt(squares[n // 2]))
+    return median
+
+
+@kernel
+def triangulation_equations(
+    origins_m: FloatArray, rays: FloatArray, begin: IndexArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 3, 3) matrices and (n, 3) right-hand sides of the points nearest to their lines of sight, least squares.
+
+    The lines of point p, from ``origins_m`` (k, 3) along unit ``rays`` (k, 3), are those from ``begin[p]`` to
+    ``begin[p + 1]``. See `scenarios.geometry.triangulation.triangulation_equations`, whose rounding this has.
+    """
+    matrix, right = np.zeros((len(begin) - 1, 3, 3)), np.zeros((len(begin) - 1, 3))
+    across = np.empty(3)
+    for p in range(len(begin) - 1):
+        for k in range(begin[p], begin[p + 1]):
+            for i in range(3):
+                for j in range(3):
+                    across[j] = (1.0 if i == j else 0.0) - rays[k, i] * rays[k, j]
+                    matrix[p, i, j] += across[j]
+                right[p, i] += dot(across, origins_m[k])
+    return matrix, right
+
+
+@kernel
+def place_implausible(
+    points_m: FloatArray,
+    parallel: BoolArray,
+    origins_m: FloatArray,
+    rays: FloatArray,
+    begin: IndexArray,
+    depths_m: FloatArray,
+) -> None:
+    """Move points of parallel lines, and those of depths unlike ``depths_m`` (n,), to that on their last line."""
+    for p in range(len(points_m)):
+        good = not parallel[p]
+        # With a small parallax the noise of the pixels may put the point anywhere along the line, also behind the
+        # camera.
+        for k in range(begin[p], begin[p + 1]):
+            depth = dot(points_m[p] - origins_m[k], rays[k])
+            good &= 0.3 * depths_m[p] < depth < 3.0 * depths_m[p]
+        if not good:
+            last = begin[p + 1] - 1
+            points_m[p] = origins_m[last] + depths_m[p] * rays[last]
+
+
+@kernel
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Scalar product of 3-vectors, added in the order of NumPy's einsum."""
+    product: float = a[0] * b[0] + a[2] * b[2] + a[1] * b[1]
+    return product
