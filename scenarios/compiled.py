@@ -35,10 +35,10 @@ def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = str(place), f"{__name__}.{Locator.__name__}"
         try:
             # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
-            # fused.
-            return cast("_Kernel", numba.njit(cache=True, error_model="numpy")(function))
+            # fused. nogil: other threads of Python go on meanwhile.
+            return cast("_Kernel", numba.njit(cache=True, error_model="numpy", nogil=True)(function))
         except RuntimeError:  # the folder cannot be written
-            return cast("_Kernel", numba.njit(error_model="numpy")(function))
+            return cast("_Kernel", numba.njit(error_model="numpy", nogil=True)(function))
         finally:
             numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 

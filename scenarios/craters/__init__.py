@@ -2,7 +2,7 @@
 
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.rims import Rims
-from scenarios.craters.surface import CrateredSurface, cratered_surface, shape_digest, surface_digest
+from scenarios.craters.surface import CrateredSurface, build_surfaces, cratered_surface, shape_digest, surface_digest
 from scenarios.craters.tiles import Tiling, check_size
 from scenarios.craters.truth import CraterTruth, crater_truth
 
@@ -12,6 +12,7 @@ __all__ = [
     "Craters",
     "Rims",
     "Tiling",
+    "build_surfaces",
     "check_size",
     "crater_truth",
     "cratered_surface",

@@ -274,39 +274,34 @@ def _rim_plane(
 
 @kernel
 def add_octave(
-    heights: FloatArray,
-    points: FloatArray,
-    lattice: SingleArray,
-    turn: FloatArray,
-    shift: FloatArray,
-    size: float,
+    heights: FloatArray, points: FloatArray, lattice: FloatArray, turn: FloatArray, shift: FloatArray, size: float
 ) -> None:
     """Add a cubic B-spline of a periodic lattice (n, n, n), n a power of two, at rotated and shifted points."""
     n = lattice.shape[0]
-    weights = np.empty((3, 4))
-    first = np.empty(3, dtype=np.int64)
+    flat, weights, place = lattice.ravel(), np.empty((3, 4)), np.empty((3, 4), dtype=np.uint64)
     for v in range(len(points)):
         for axis in range(3):
             x = turn[axis, 0] * points[v, 0] + turn[axis, 1] * points[v, 1] + turn[axis, 2] * points[v, 2] + shift[axis]
             whole = np.floor(x)
             t = x - whole
             s = 1.0 - t
-            # A cubic B-spline spans four lattice points: one before the cell, its two ends and one after.
-            first[axis] = np.int64(whole) - 1
             # B-spline weights, with s = 1 - t: s^3/6, (4 - 6 t^2 + 3 t^3)/6, (4 - 6 s^2 + 3 s^3)/6, t^3/6.
             weights[axis, 0] = s * s * s / 6.0
             weights[axis, 1] = (4.0 - 3.0 * t * t * (2.0 - t)) / 6.0
             weights[axis, 2] = (4.0 - 3.0 * s * s * (2.0 - s)) / 6.0
             weights[axis, 3] = t * t * t / 6.0
+            # A cubic B-spline spans four lattice points: one before the cell, its two ends and one after. The period is
+            # a power of two, so that a mask is the modulo, of negative indices too.
+            for k in range(4):
+                place[axis, k] = ((np.int64(whole) - 1 + k) & (n - 1)) * n ** (2 - axis)
+        w, c = weights[2], place[2]
         total = 0.0
         for i in range(4):
             for j in range(4):
-                # The period is a power of two, so that a mask is the modulo, of negative indices too.
-                a, b = (first[0] + i) & (n - 1), (first[1] + j) & (n - 1)
-                line = 0.0
-                for k in range(4):
-                    line += weights[2, k] * lattice[a, b, (first[2] + k) & (n - 1)]
-                total += weights[0, i] * weights[1, j] * line
+                base = place[0, i] + place[1, j]
+                # Unrolled, which halves the time.
+                line = w[0] * flat[base + c[0]] + w[1] * flat[base + c[1]] + w[2] * flat[base + c[2]]
+                total += weights[0, i] * weights[1, j] * (line + w[3] * flat[base + c[3]])
         heights[v] += size * total
 
 

@@ -142,7 +142,7 @@ def add_roughness(
     octaves = zip(band.wavelengths_m, band.amplitudes, seed.spawn(len(band.wavelengths_m)), strict=True)
     for wavelength_m, amplitude, stream in octaves:
         rng = np.random.default_rng(stream)
-        lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32)
+        lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32).astype(np.float64)
         # Two lattice steps make a wavelength.
         steps_per_m = 2.0 / wavelength_m
         turn, shift = Rotation.random(rng=rng).as_matrix() * steps_per_m, rng.uniform(0.0, _LATTICE, 3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -20,8 +21,9 @@ from scenarios.craters.kernels import least_heights
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
-from scenarios.craters.tiles import Tiling, check_size, normal_cones, tile_rounds
+from scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
 from scenarios.geometry import TriangleMesh
+from scenarios.limits import installed_memory_bytes
 from scenarios.spec.body import BodySpec
 from scenarios.spec.craters import CratersSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -138,6 +140,23 @@ def cratered_surface(
     vertices_m = np.load(folder / "vertices_m.npy", mmap_mode="r")
     under_m, cones = (np.load(folder / f"{name}.npy") for name in ("under_m", "cones"))
     return CrateredSurface(tiling, vertices_m, under_m, cones, population, rims, sha256)
+
+
+def build_surfaces(
+    body: BodySpec, populations: Sequence[CratersSpec], search_dirs: Sequence[Path], threads: int
+) -> None:
+    """Build cratered surfaces of one body into the cache, as many at once as threads and half of the memory allow.
+
+    Raises
+    ------
+    BoresightError
+        As `cratered_surface`.
+    """
+    mesh = load_body(body, search_dirs).mesh
+    most = max(sum(expected_bytes(mesh, craters)) for craters in populations)
+    # A thread drops its surface when it has built it.
+    with ThreadPoolExecutor(max(1, min(threads, installed_memory_bytes() // (2 * most)))) as pool:
+        list(pool.map(lambda craters: cratered_surface(body, craters, search_dirs).sha256, populations))
 
 
 def surface_digest(body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = ()) -> str:

@@ -148,6 +148,13 @@ def expected_size(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
     return tiles, tiles * max(1, math.ceil(typical_m / 2**rounds / (SHORTENED * spec.edge_m))) ** 2
 
 
+def expected_bytes(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
+    """Estimate the memory that the tiles and the vertices of a cratered surface take while it is built."""
+    tiles, facets = expected_size(mesh, spec)
+    # A closed mesh has half as many vertices as facets.
+    return tiles * _TILE_BYTES, facets // 2 * _VERTEX_BYTES
+
+
 def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
     """Check that this machine has enough memory for a cratered surface.
 
@@ -156,17 +163,16 @@ def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
     BoresightError
         If it has not; the message states the required memory and what to change.
     """
-    tiles, facets = expected_size(mesh, spec)
-    # A closed mesh has half as many vertices as facets.
-    parts, room = (tiles * _TILE_BYTES, facets // 2 * _VERTEX_BYTES), installed_memory_bytes()
+    parts, room = expected_bytes(mesh, spec), installed_memory_bytes()
     if sum(parts) <= room:
         return
     remedy = f"raise craters.edge_m ({spec.edge_m:g}), with min_diameter_m four times as much, or take a smaller body"
     if parts[0] > room:
         remedy = f"take a smaller body: without any craters its tiles take {parts[0] / 1e9:.3g} GB"
+    facets = expected_size(mesh, spec)[1]
     raise BoresightError(
-        f"craters: a surface of {facets:.3g} facets on a body {2e-3 * mesh.radius_m:.3g} km across takes about"
-        f" {sum(parts) / 1e9:.3g} GB of memory, and this machine has {room / 1e9:.3g} GB: {remedy}"
+        f"craters: a surface of {facets:.3g} facets on a body {2e-3 * mesh.radius_m:.3g} km across"
+        f" takes about {sum(parts) / 1e9:.3g} GB of memory, and this machine has {room / 1e9:.3g} GB: {remedy}"
     )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 from small_craters import BODY, craters_spec, small_ground
 
@@ -16,8 +19,8 @@ from renderers.mitsuba3.scene import build_shape
 from renderers.mitsuba3.variant import load_mitsuba
 from scenarios.bodies import load_body
 from scenarios.bodies.topology import is_closed
-from scenarios.craters import Craters, Tiling, draw_craters
-from scenarios.craters.kernels import profile_height
+from scenarios.craters import Craters, Tiling, build_surfaces, cratered_surface, draw_craters, surface
+from scenarios.craters.kernels import add_octave, profile_height
 from scenarios.craters.relief import REACH, Profiles, crater_relief
 from scenarios.craters.rims import find_rims
 from scenarios.craters.surface import smooth_tiles
@@ -64,6 +67,9 @@ def test_shares_of_a_population_are_those_of_drawn_diameters() -> None:
         large = diameter_m[diameter_m >= least_m]
         if len(large):
             assert spec.unlisted_share(least_m) == pytest.approx((large < 30.0).mean(), abs=0.02)
+
+
+ROUGHNESS = {"rms_m": 0.5, "max_wavelength_m": 60.0, "min_wavelength_m": 15.0}
 
 
 def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:
@@ -244,6 +250,45 @@ def test_surface_is_the_same_each_time_and_another_for_another_seed() -> None:
     assert np.array_equal(one.vertices_m, again.vertices_m)
     assert one.sha256 == again.sha256 != other.sha256
     assert not np.array_equal(one.vertices_m, other.vertices_m)
+
+
+def test_surfaces_built_at_once_are_those_built_one_by_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path))
+    at_work, most = set[int](), []
+    draw = surface.draw_craters
+
+    def noted(*given: object) -> Craters:
+        at_work.add(threading.get_ident())
+        most.append(len(at_work))
+        return draw(*given)
+
+    monkeypatch.setattr(surface, "draw_craters", noted)
+    specs = [craters_spec(seed=seed, roughness=ROUGHNESS) for seed in (5, 6, 7)]
+    build_surfaces(BODY, specs, (), 3)
+    assert max(most) > 1
+    monkeypatch.setattr("scenarios.craters.surface.installed_memory_bytes", lambda: 1)
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "another"))
+    at_work.clear()
+    most.clear()
+    build_surfaces(BODY, specs, (), 3)
+    assert max(most) == 1, "one at a time where the memory is small"
+    assert len(list((tmp_path / "another" / "craters").iterdir())) == 3
+    for spec in specs:
+        monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path))
+        one = cratered_surface(BODY, spec)
+        monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "another"))
+        assert np.array_equal(one.vertices_m, cratered_surface(BODY, spec).vertices_m)
+
+
+def test_an_octave_is_scipys_periodic_spline() -> None:
+    rng = np.random.default_rng(1)
+    lattice, points = rng.standard_normal((8, 8, 8)), rng.uniform(-30.0, 30.0, (200, 3))
+    turn, shift = rng.normal(size=(3, 3)), rng.uniform(0.0, 8.0, 3)
+    heights = np.ones(200)
+    add_octave(heights, points, lattice, turn, shift, 0.7)
+    at = (points @ turn.T + shift).T
+    expected = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
+    np.testing.assert_allclose(heights, 1.0 + 0.7 * expected, atol=1e-12)
 
 
 def test_fitted_ellipses_are_those_of_opencv() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from campaign.handles import own_copy
 from campaign.imaging.observe import observe
 from campaign.imaging.world import TrialImage, World, open_world
+from campaign.machine import cores
 from campaign.pool.guard import Call
 from campaign.products import BuiltAssets, BuiltProduct
 from campaign.products.databases import with_database_craters
@@ -26,7 +27,7 @@ from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer
 from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.craters import CraterTruth, crater_truth, cratered_surface
+from scenarios.craters import CraterTruth, build_surfaces, crater_truth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses
 from scenarios.load import LoadedScenario
@@ -94,10 +95,9 @@ class CraterDetection:
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the surfaces, which workers then only read."""
         del assets
-        for number in range(campaign.spec.databases):
-            one = with_database_craters(scenario, number)
-            if one.spec.craters is not None:
-                cratered_surface(one.spec.body, one.spec.craters, one.search_dirs)
+        worlds = (with_database_craters(scenario, number).spec for number in range(campaign.spec.databases))
+        populations = [spec.craters for spec in worlds if spec.craters is not None]
+        build_surfaces(scenario.spec.body, populations, scenario.search_dirs, cores())
         return []
 
     @classmethod
