@@ -99,7 +99,7 @@ class FacetScene:
         parameters["vertex_positions"] = corners_m.ravel()
         parameters["faces"] = np.arange(3 * len(corners_m), dtype=np.uint32)
         parameters.update()
-        # In the robust mode Embree builds the tree without spatial splits, which take longer than they save for the rays
+        # In the robust mode Embree builds the tree without spatial splits, which take longer than they save in the rays
         # of one image.
         return cls(mi.load_dict({"type": "scene", "part": shape, "embree_use_robust_intersections": True}), corners_m)
 
