@@ -86,7 +86,7 @@ def _runs(commands: Commands) -> None:
     )
     run.add_argument("--local", type=_positive, metavar="N", help="with --backend dask: N workers of this machine")
     _add_overrides(run)
-    _add_worst(run)
+    _add_report(run)
     run.add_argument("--no-report", action="store_true", help="store the trials alone; boresight report tells of them")
     run.set_defaults(handler="runs:run_command")
     status = commands.add_parser("status", help="say how far a run is")
@@ -94,7 +94,7 @@ def _runs(commands: Commands) -> None:
     status.set_defaults(handler="status:status_command")
     report = commands.add_parser("report", help="write the report of a run")
     report.add_argument("run", help="a run folder, or a campaign's name")
-    _add_worst(report)
+    _add_report(report)
     report.set_defaults(handler="report:report_command")
 
 
@@ -269,11 +269,12 @@ def _add_overrides(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _add_worst(parser: argparse.ArgumentParser) -> None:
+def _add_report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--worst", type=_not_negative, metavar="N", default=WORST,
         help=f"pictures of the N worst trials in the report, recomputed (default: {WORST}); see boresight inspect",
     )  # fmt: skip
+    parser.add_argument("--pdf", action="store_true", help="write the figures of the report as PDF too")
 
 
 def _positive(text: str) -> int:

@@ -60,10 +60,10 @@ class Printed(BaseModel):
     lines: tuple[str, ...]
 
 
-def source_of(folder: RunFolder, worst: int) -> str:
+def source_of(folder: RunFolder, worst: int, pdf: bool) -> str:
     """Return the digest of what a report is made from: rows by their checksums, manifest, options, and our code."""
     manifest = {key: value for key, value in (folder.read_manifest() or {}).items() if key not in _OF_A_START}
-    found = hashlib.sha256(json.dumps([manifest, worst], sort_keys=True).encode())
+    found = hashlib.sha256(json.dumps([manifest, worst, pdf], sort_keys=True).encode())
     for path in sorted((folder.path / checksums.FOLDER).glob("*.sha256")):
         found.update(path.name.encode() + path.read_bytes())
     root = Path(campaign.__file__).parents[1]

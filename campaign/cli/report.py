@@ -22,17 +22,18 @@ from scenarios.errors import BoresightError
 def report_command(arguments: argparse.Namespace) -> int:
     """Write the report of a run and print its table."""
     folder = find_run(arguments.run)
-    print_report(write(folder, arguments.worst, source_of(folder, arguments.worst)), folder)
+    source = source_of(folder, arguments.worst, arguments.pdf)
+    print_report(write(folder, arguments.worst, arguments.pdf, source), folder)
     return 0
 
 
-def write(folder: RunFolder, worst: int, source: str) -> Printed:
+def write(folder: RunFolder, worst: int, pdf: bool, source: str) -> Printed:
     """Write the report of a run, with pictures of so many of its worst trials; return what is printed of it.
 
     It is kept with the ``source`` of the report, unless pictures of trials are missing that a later start may make.
     """
     missing: list[str] = []
-    files = write_report(folder.path, extra=_trial_figures(folder, worst, missing))
+    files = write_report(folder.path, extra=_trial_figures(folder, worst, missing), pdf=pdf)
     lines = [f"no figure of single trials: {why}" for why in missing]
     lines += reason_lines(files.content.run)
     said = folder.table("said").drop_duplicates(["scenario", "trial", "estimator"])

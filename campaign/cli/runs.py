@@ -44,19 +44,19 @@ def run_command(arguments: argparse.Namespace) -> int:
         if arguments.no_report:
             out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
-            _report(folder, arguments.worst)
+            _report(folder, arguments.worst, arguments.pdf)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
 
 
-def _report(folder: RunFolder, worst: int) -> None:
+def _report(folder: RunFolder, worst: int, pdf: bool) -> None:
     """Write the report and print its tables; one that would be the same is not made again."""
-    source = source_of(folder, worst)
+    source = source_of(folder, worst, pdf)
     printed = printed_before(folder, source)
     if printed is None:
         # Matplotlib and the reports, 1 s to import, are needed only here.
         from campaign.cli.report import write
 
-        printed = write(folder, worst, source)
+        printed = write(folder, worst, pdf, source)
     print_report(printed, folder)
 
 

@@ -190,9 +190,9 @@ def render(figure: Figure, kind: str, dpi: int = 160) -> bytes:
     return buffer.getvalue()
 
 
-def save_figure(figure: Figure, stem: Path) -> tuple[Path, Path]:
-    """Write ``stem``.png and ``stem``.pdf and return their paths."""
-    paths = (stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.pdf"))
+def save_figure(figure: Figure, stem: Path, kinds: Sequence[str] = ("png", "pdf")) -> tuple[Path, ...]:
+    """Write ``stem``.png and ``stem``.pdf, or one of them, and return the paths."""
+    paths = tuple(stem.with_name(f"{stem.name}.{kind}") for kind in kinds)
     for path in paths:
         path.write_bytes(render(figure, path.suffix[1:]))
     return paths

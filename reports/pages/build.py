@@ -95,7 +95,7 @@ class ReportFiles:
     rows
         Files that the tables of the page link to.
     figures
-        PNG and PDF of each figure.
+        PNG of each figure, and PDF on request.
     content
         For `reports.pages.console.console_table`.
     """
@@ -109,7 +109,9 @@ class ReportFiles:
     content: Content
 
 
-def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure] = ()) -> ReportFiles:
+def write_report(
+    run: Path, out: Path | None = None, extra: Iterable[NamedFigure] = (), pdf: bool = False
+) -> ReportFiles:
     """Write the report of a run folder.
 
     Parameters
@@ -121,6 +123,8 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
     extra
         Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`); drawn when it is
         known that the run can be read.
+    pdf
+        Whether figures are written as PDF too.
 
     Raises
     ------
@@ -138,10 +142,12 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
         ) from error
     try:
         with report_styles(map(str, content.run.manifest.estimators)):
-            names = _write_all(content, work, further)
+            names = _write_all(content, work, further, ("png", "pdf") if pdf else ("png",))
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
             (work / name).replace(folder / name)
+            if name.endswith(".png") and not pdf:  # one of an earlier report would show other numbers
+                (folder / name).with_suffix(".pdf").unlink(missing_ok=True)
     except OSError as error:
         raise BoresightError(
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
@@ -160,7 +166,7 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
     )
 
 
-def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
+def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kinds: Sequence[str]) -> list[str]:
     """Write all files into ``folder`` and list their names; the page is last, so that it never shows missing files."""
     names = _write_tables(content, folder)
     figures = [*(with_trial_counts(figure, [content.run]) for figure in draw_figures(content)), *extra]
@@ -169,7 +175,7 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> 
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
     for figure in figures:
         add_provenance(figure.figure, [content.run])
-        names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
+        names += [path.name for path in save_figure(figure.figure, folder / figure.stem, kinds)]
     (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
     with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]
     (folder / "report.html").write_text(html_page(content, with_png), encoding="utf-8")

@@ -79,17 +79,22 @@ def test_rows_options_manifest_and_code_decide(reported, tmp_path, monkeypatch):
     for name in printed._PACKAGES:
         (code / name).mkdir(parents=True)
     monkeypatch.setattr(campaign, "__file__", str(code / "campaign" / "__init__.py"))
-    sources = [printed.source_of(folder, 0), printed.source_of(folder, 0), printed.source_of(folder, 2)]
+    sources = [
+        printed.source_of(folder, 0, False),
+        printed.source_of(folder, 0, False),
+        printed.source_of(folder, 2, False),
+        printed.source_of(folder, 0, True),
+    ]
     (code / "reports" / "page.html").write_text("<p>")
-    sources.append(printed.source_of(folder, 0))
+    sources.append(printed.source_of(folder, 0, False))
     manifest = folder.read_manifest()
     folder.write_manifest({**manifest, "start": 1000, "finished": "2030-01-01"})
-    sources.append(printed.source_of(folder, 0))
+    sources.append(printed.source_of(folder, 0, False))
     folder.write_manifest({**manifest, "title": "Another"})
-    sources.append(printed.source_of(folder, 0))
+    sources.append(printed.source_of(folder, 0, False))
     sums = next((folder.path / "checksums").glob("*.sha256"))
     sums.write_text(sums.read_text().replace("0", "1", 1))
-    sources.append(printed.source_of(folder, 0))
+    sources.append(printed.source_of(folder, 0, False))
     assert sources[0] == sources[1]
-    assert sources[3] == sources[4]
-    assert len(set(sources)) == 5
+    assert sources[4] == sources[5]
+    assert len(set(sources)) == 6
