@@ -6,8 +6,9 @@ import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 from rich.console import Group
 
 import campaign
@@ -37,6 +38,12 @@ class PrintedGrid(BaseModel):
     text: frozenset[int]
     note: str
     known: str
+
+    @model_validator(mode="after")
+    def _rows_have_all_columns(self) -> Self:
+        if any(len(row) != len(self.columns) for row in self.rows):
+            raise ValueError("a row has not as many cells as there are columns")
+        return self
 
 
 class Printed(BaseModel):
@@ -94,7 +101,10 @@ def printed_before(folder: RunFolder, source: str) -> Printed | None:
     report = folder.path / "report"
     try:
         printed = held_to(Printed, plain_json(report / MADE))
-        same = printed.source == source and digests(report, map(report.joinpath, printed.files)) == printed.files
+        # Only files that are found are read: a path in the record may lead anywhere.
+        named = set(map(report.joinpath, printed.files))
+        files = [path for path in report.rglob("*") if path in named and path.is_file()]
+        same = printed.source == source and digests(report, files) == printed.files
     except (OSError, ValueError):
         return None
     checksums.refuse_damaged(folder.path)

@@ -21,12 +21,12 @@ def rich_parts(grid: Grid) -> Iterator[Table | Text]:
 
 def rich_table(grid: Grid) -> Table:
     """Lay a grid out: numbers keep to one line, texts may wrap."""
-    table = Table(title=grid.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table = Table(title=printable(grid.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.show_edge, table.padding = False, 0
     for i, column in enumerate(grid.columns):
         is_text = i in grid.text
         wraps = is_text or any(says_of_ended(row[i]) for row in grid.rows)
-        table.add_column(column, justify="left" if is_text else "right", no_wrap=not wraps, overflow="fold")
+        table.add_column(printable(column), justify="left" if is_text else "right", no_wrap=not wraps, overflow="fold")
     for row in grid.rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
     return table

@@ -50,6 +50,11 @@ _MANIFEST = (
 _KEYS = b"trial int64 0\nscenario string %s\nestimator string e\nstatus string ok\n"
 _MAPLETS = b"head |u1 2 {}\ncentres_m <f8 %s 1.0"
 
+_RECORD = (
+    b'{"source": "' + b"0" * 64 + b'", "files": %b, "grids": [{"title": "%b", "columns": ["a", "b"], "rows": [%b],'
+    b' "text": [0], "note": "", "known": "y"}], "lines": ["%b"]}'
+)
+
 FOUND: dict[str, tuple[bytes, ...]] = {
     # Errors of the parser that have no mark.
     "yaml": (
@@ -126,6 +131,12 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     # UnicodeDecodeError, _csv.Error.
     "gazetteer": (b"\xff", b'name,lat_deg,lon_east_deg,diam_km\n"a', b"name,lat_deg,lon_east_deg,diam_km\na,nan,1,1\n"),
     # Entries that are missing; words that style a line, steer a terminal or end no quotation; a section that is none.
+    # Rows of too few cells; what steers a terminal; files elsewhere.
+    "report-record": (
+        _RECORD % (b"{}", b"x", b'["c"]', b"z"),
+        _RECORD % (b"{}", b"\\u001b[31m", b'["\\u001b[31m", "d"]', b"\\u001b[31m"),
+        _RECORD % (b'{"/dev/zero": "x", "../manifest.json": "x"}', b"x", b'["c", "d"]', b"z"),
+    ),
     "manifest": (
         b'{"digest": "a"}',
         b"[" * 3000,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from campaign.cli.runs import status_command
+from campaign.cli.printed import MADE, Printed, PrintedGrid, print_report, printed_before
+from campaign.cli.status import status_command
 from campaign.inspection.recompute import reopened
 from campaign.papers.gather import newest_finished
 from campaign.runs.manifest import make_manifest
@@ -35,6 +37,7 @@ _SCENE = (
     "camera: {width_px: 64, height_px: 64, fov_deg: 30}\nsequence: {sphere_radius_m: 190, orbit: {radius_m: 790}}\n"
 )
 _METHOD = "dead-reckoning"
+_SOURCE = "0" * 64
 _CAMPAIGN = f"experiment: sequence\nscenarios: [orbit.yaml]\nestimators: [{_METHOD}]\ntrials: 2\nseed: 5\n"
 
 
@@ -44,6 +47,7 @@ def targets() -> dict[str, Target]:
         "manifest": Target(_manifest, lambda: (_stored()["manifest.json"],), _JSON, cost=2),
         "rows": Target(_recipe, lambda: (recipes.table_recipe(_rows()),), _COLUMNS, cost=4),
         "rows-bytes": Target(_rows_bytes, lambda: (_stored()[_ROWS],)),
+        "report-record": Target(_report_record, lambda: (_record(),), (*_JSON, *_SUM_WORDS)),
         "checksums": Target(_checksums, lambda: (_stored()[_SUMS],), _SUM_WORDS),
     }
 
@@ -97,6 +101,23 @@ def _manifest(content: bytes, folder: Path) -> object:
         lambda run: newest_finished([run.path], "orbits"),
     )
     return _read(folder, {"manifest.json": content}, ways)
+
+
+def _record() -> bytes:
+    grid = PrintedGrid(title="x", columns=("a", "b"), rows=(("c", "1"),), text=frozenset({0}), note="", known="y")
+    files = {"report.md": hashlib.sha256(b"x").hexdigest()}
+    return Printed(source=_SOURCE, files=files, grids=(grid,), lines=("z",)).model_dump_json().encode()
+
+
+def _report_record(content: bytes, folder: Path) -> object:
+    """Read what a report was made from and printed, as a start of the same run does."""
+    _lay(folder, {"report/report.md": b"x", f"report/{MADE}": content})
+    found, out = printed_before(RunFolder(folder), _SOURCE), io.StringIO()
+    if found is not None:
+        with redirect_stdout(out):
+            print_report(found, RunFolder(folder))
+    assert all(line.isprintable() for line in out.getvalue().split("\n")), ascii(out.getvalue())
+    return found
 
 
 def _recipe(content: bytes, folder: Path) -> object:
