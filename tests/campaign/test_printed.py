@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import shutil
+from contextlib import redirect_stdout
 
 import pytest
 from tiny_campaign import run
@@ -10,71 +12,61 @@ from tiny_campaign import run
 import campaign
 from campaign.cli import printed
 from campaign.store import RunFolder
+from scenarios.errors import BoresightError
+
+
+def reported(file, folder):
+    """Run a campaign that is finished; return what is printed of its report."""
+    out = io.StringIO()
+    with redirect_stdout(out):
+        assert run(file, folder, "--worst", 0) == 0
+    return out.getvalue().partition("24 of 24 trials")[2]
 
 
 @pytest.fixture(scope="module")
-def reported(tiny_run, tmp_path_factory):
-    """A finished run with its report; tests work on copies."""
+def first(tiny_run, tmp_path_factory):
+    """A finished run with its report, and what was printed of that."""
     folder = tmp_path_factory.mktemp("reported") / "run"
-    shutil.copytree(tiny_run.folder, folder)
-    assert run(tiny_run.file, folder, "--worst", 0) == 0
-    return folder
+    shutil.copytree(tiny_run.folder, folder, ignore=shutil.ignore_patterns("report"))
+    return folder, reported(tiny_run.file, folder)
 
 
-@pytest.fixture
-def mine(reported):
-    """The run itself, at the path that its command names, with its report as it was."""
-    kept = reported.with_name("kept")
-    shutil.copytree(reported, kept)
-    yield reported
-    shutil.rmtree(reported)
-    kept.rename(reported)
+def test_the_same_command_leaves_the_report_and_prints_its_tables(tiny_run, first):
+    folder, said = first
+    before = {path: path.stat().st_mtime_ns for path in (folder / "report").rglob("*")}
+    assert reported(tiny_run.file, folder) == said
+    assert "landmark-harris" in said
+    assert {path: path.stat().st_mtime_ns for path in (folder / "report").rglob("*")} == before
 
 
-def written(folder):
-    """Return when each file of the report was written, but for what was printed."""
-    return {path: path.stat().st_mtime_ns for path in (folder / "report").rglob("*") if path.is_file()}
-
-
-def again(tiny_run, folder, capsys, worst=0):
-    """Run the command again; return the files of the report that are new, and what was printed of the report."""
-    before = written(folder)
-    capsys.readouterr()
-    assert run(tiny_run.file, folder, "--worst", worst) == 0
-    said = capsys.readouterr().out
-    assert said.rstrip().endswith("report.html")
-    after = written(folder)
-    return {path.name for path in after if after[path] != before.get(path)}, said
-
-
-def test_the_same_command_leaves_the_report_and_prints_its_tables(tiny_run, mine, capsys):
-    (mine / "report" / "made.json").unlink()
-    new, first = again(tiny_run, mine, capsys)
-    assert {"report.html", "report.md", "table.csv", "made.json"} <= new
-    new, second = again(tiny_run, mine, capsys)
-    assert new == set()
-    assert "landmark-harris" in second
-    tables = [text[text.index("stored already") if "stored already" in text else 0 :] for text in (first, second)]
-    assert tables[0] == tables[1]
-
-
-@pytest.mark.parametrize("change", ["deleted", "changed", "another option", "damaged record"])
-def test_a_report_that_is_not_as_it_was_is_made_again(tiny_run, mine, capsys, change):
-    page = mine / "report" / "table.csv"
-    if change == "deleted":
-        page.unlink()
-    elif change == "changed":
-        page.write_text(page.read_text() + "\n")
-    elif change == "damaged record":
-        (mine / "report" / "made.json").write_text('{"source": 3}')
-    new, _ = again(tiny_run, mine, capsys, worst=1 if change == "another option" else 0)
-    assert {"report.html", "table.csv", "made.json"} <= new
-    assert not page.read_text().endswith("\n\n")
-
-
-def test_rows_options_manifest_and_code_decide(reported, tmp_path, monkeypatch):
+@pytest.mark.parametrize("change", ["deleted", "changed", "record", "other source"])
+def test_a_report_that_is_not_as_it_was_is_made_again(first, tmp_path, change):
     folder = RunFolder(tmp_path / "run")
-    shutil.copytree(reported, folder.path)
+    shutil.copytree(first[0], folder.path)
+    source = printed.source_of(folder, 0)
+    assert printed.printed_before(folder, source) is not None
+    table, record = (folder.path / "report" / name for name in ("table.csv", "made.json"))
+    if change == "deleted":
+        table.unlink()
+    elif change == "changed":
+        table.write_text(table.read_text() + "\n")
+    elif change == "record":
+        record.write_text('{"source": 3}')
+    assert printed.printed_before(folder, source + "x" * (change == "other source")) is None
+
+
+def test_a_damaged_table_is_refused_beside_a_report_that_is_as_it_was(first, tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(first[0], folder.path)
+    rows = next((folder.path / "rows").glob("*.parquet"))
+    rows.write_bytes(rows.read_bytes()[:-1])
+    with pytest.raises(BoresightError, match="damaged"):
+        printed.printed_before(folder, printed.source_of(folder, 0))
+
+
+def test_rows_options_manifest_and_code_decide(first, tmp_path, monkeypatch):
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(first[0], folder.path)
     code = tmp_path / "code"
     for name in printed._PACKAGES:
         (code / name).mkdir(parents=True)
