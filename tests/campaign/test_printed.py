@@ -43,7 +43,7 @@ def test_the_same_command_leaves_the_report_and_prints_its_tables(tiny_run, firs
 def test_a_report_that_is_not_as_it_was_is_made_again(first, tmp_path, change):
     folder = RunFolder(tmp_path / "run")
     shutil.copytree(first[0], folder.path)
-    source = printed.source_of(folder, 0)
+    source = printed.source_of(folder, 0, False)
     assert printed.printed_before(folder, source) is not None
     table, record = (folder.path / "report" / name for name in ("table.csv", "made.json"))
     if change == "deleted":
@@ -61,7 +61,7 @@ def test_a_damaged_table_is_refused_beside_a_report_that_is_as_it_was(first, tmp
     rows = next((folder.path / "rows").glob("*.parquet"))
     rows.write_bytes(rows.read_bytes()[:-1])
     with pytest.raises(BoresightError, match="damaged"):
-        printed.printed_before(folder, printed.source_of(folder, 0))
+        printed.printed_before(folder, printed.source_of(folder, 0, False))
 
 
 def test_rows_options_manifest_and_code_decide(first, tmp_path, monkeypatch):
