@@ -109,7 +109,7 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
     """iSAM2 of Kaess et al. (2012) in gtsam: a Bayes tree of all frames, updated incrementally."""
 
     name: ClassVar[str] = "gtsam-isam2"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model = GtsamOptions
 
     @classmethod
@@ -127,7 +127,7 @@ class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
     """Incremental fixed-lag smoother of gtsam: iSAM2 that marginalises frames older than the lag."""
 
     name: ClassVar[str] = "gtsam-fixed-lag"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model = GtsamFixedLagOptions
 
     @classmethod
@@ -214,6 +214,9 @@ class IncrementalFollower:
                     earlier = slam_map.frames[number - 1]
                     uv_px = earlier.uv_px[int(np.flatnonzero(earlier.tracks == track)[0])]
                     graph.add(self.factors.pixel(number - 1, track, uv_px, earlier.sigma_px))
+                elif number > 0:  # a new track with a range: the first frame's are placed already
+                    ray = slam_map.ray(number, track)
+                    slam_map.points_m[track] = slam_map.positions_m[number] + ranges[track].range_m * ray
                 values.insert(self.factors.point(track), slam_map.points_m[track])
                 self.mapped.add(track)
             graph.add(self.factors.pixel(number, track, frame.uv_px[row], frame.sigma_px))

@@ -119,3 +119,13 @@ def test_lost_tracks_end_with_a_reason(estimator: type[GtsamIsam2], gtsam) -> No
     assert estimate.status == "failed"
     assert "tracks are lost: 0 landmarks" in estimate.reason
     assert len(estimate.frames) == 5
+
+
+@pytest.mark.parametrize("estimator", [GtsamIsam2, GtsamFixedLag])
+def test_track_that_appears_with_a_range_is_mapped(estimator: type[GtsamIsam2], gtsam) -> None:
+    sequence, truth = make_sequence(np.random.default_rng(4), Recipe(frames=8, landmarks=10, range_all=True))
+    assert set(sequence.frames[5].tracks.tolist()) - set(sequence.frames[4].tracks.tolist())
+    found = estimator.from_options({}).follow(sequence)
+    assert found.status == "ok"
+    positions = np.array([frame.position_m for frame in found.frames])
+    np.testing.assert_allclose(positions, truth.positions_m, atol=0.5)
