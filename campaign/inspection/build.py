@@ -6,6 +6,7 @@ import json
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> 
     cases, ranked_by = worst_cases(read_run(folder.path), count, Choice(), None)
     for place, case in enumerate(cases, start=1):
         again = recompute(campaign, folder, case)
-        for figure in list(draw_case(again, show, campaign.spec.experiment).figures)[:1]:
+        for figure in islice(draw_case(again, show, campaign.spec.experiment).figures, 1):
             reason = f" ({again.row['reason']})" if again.row["reason"] else ""
             words = (
                 f"Worst {place} of {len(cases)} by {ORDER} {ranked_by}: {again.row['status']}{reason}. {figure.caption}"

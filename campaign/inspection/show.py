@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -64,9 +64,9 @@ class PosedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseFigures:
-    """Figures of a case, their credits, and the notes above them."""
+    """Figures of a case, drawn one after the other when they are asked for; their credits, and the notes above them."""
 
-    figures: Sequence[NamedFigure]
+    figures: Iterable[NamedFigure]
     credits: Sequence[str] = ()
     notes: Sequence[str] = field(default=())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,7 +47,7 @@ class CasePage:
     credits: Sequence[str] = ()
 
 
-def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> Path:
+def write_case(page: CasePage, figures: Iterable[NamedFigure], folder: Path) -> Path:
     """Write the figures of a case and its page into ``folder``; return the page's path.
 
     Raises
@@ -55,7 +55,7 @@ def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> 
     BoresightError
         If the page cannot be written.
     """
-    pngs = [save_figure(figure.figure, folder / figure.stem)[0].read_bytes() for figure in figures]
+    drawn = [(figure, save_figure(figure.figure, folder / figure.stem)[0].read_bytes()) for figure in figures]
     path = folder / "index.html"
-    write_text(path, fill_template("case.html", case=page, figures=embed_figures(zip(figures, pngs, strict=True))))
+    write_text(path, fill_template("case.html", case=page, figures=embed_figures(drawn)))
     return path

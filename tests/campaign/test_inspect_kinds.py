@@ -112,7 +112,7 @@ def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(pairs, tmp_path
     listed = [int(line.split()[1]) for line in said.splitlines() if line.startswith("trial ")]
     assert listed == order
     again = recompute(reopened(folder), folder, Case("tiny-pairs", "vote", 0))
-    title = draw_pair_case(again).figures[0].figure.get_suptitle()
+    title = next(iter(draw_pair_case(again).figures)).figure.get_suptitle()
     counts = stored.loc[0]
     wanted = f"{counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
     assert title == f"trial 0 of tiny-pairs / vote: {wanted}"

@@ -128,7 +128,7 @@ def matching_example(
     drawn = None if trial is None else draw_pair_case(recompute(campaign, folder, Case(scenario, label, trial)))
     if drawn is None:
         return None
-    figure = drawn.figures[0]
+    figure = next(iter(drawn.figures))
     chosen = (
         " Of the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median"
         " number of right matches."

@@ -52,12 +52,15 @@ def draw_single(again: Recomputed) -> CaseFigures | None:
         return None
     credit = experiment.world.scenario.spec.images
     lines = [credit.credit] if credit is not None and credit.credit else []
-    figures = [_posed(experiment, shown, what, lines)]
-    figures += list(_recognition(experiment, shown, what, lines))
-    found = _recognised(shown, again.records.get("landmarks", []))
-    if found is not None:
-        figures.append(_matches(shown, found, what, lines))
-    return CaseFigures(figures, lines)
+
+    def figures() -> Iterator[NamedFigure]:
+        yield _posed(experiment, shown, what, lines)
+        yield from _recognition(experiment, shown, what, lines)
+        found = _recognised(shown, again.records.get("landmarks", []))
+        if found is not None:
+            yield _matches(shown, found, what, lines)
+
+    return CaseFigures(figures(), lines)
 
 
 def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> NamedFigure:
