@@ -2,8 +2,8 @@
 
 A method can follow the attributes, items and closures of every object that it gets. None of these leads to the truth,
 to the seed or to a folder of the run: what needs them on behalf of a method is the target of a handle, kept here.
-Python cannot hide it from code of the same process that looks into frames of the stack, the garbage collector, loaded
-modules or files.
+Python cannot hide it from code of the same process that looks into frames of the stack, tracebacks, globals of
+functions, the garbage collector, loaded modules or files.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ class Handle:
 
     def __init__(self, target: object) -> None:
         _TARGETS[self] = target
+
+    def __reduce__(self) -> str:
+        raise TypeError(f"{type(self).__name__} cannot be copied or pickled: it is a handle of this process")
 
 
 _TARGETS: WeakKeyDictionary[Handle, Any] = WeakKeyDictionary()

@@ -93,7 +93,7 @@ def guarding(**changes: Any) -> Iterator[None]:
 @contextmanager
 def unmoved() -> Iterator[None]:
     """Restore the working directory, which a method may change, at exit."""
-    here = os.open(".", os.O_RDONLY)
+    here = os.open(".", getattr(os, "O_PATH", os.O_RDONLY))  # a folder that one may enter but not list will do
     try:
         yield
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,15 @@ from scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int32]
+
+
+_T = TypeVar("_T", bound=np.generic)
+
+
+def sealed(array: NDArray[_T]) -> NDArray[_T]:
+    """Return a copy, in the same layout, that nobody can make writable: its memory is that of an immutable object."""
+    order: Literal["C", "F"] = "F" if array.flags.fnc else "C"
+    return np.frombuffer(array.tobytes(order), array.dtype).reshape(array.shape, order=order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,21 +58,19 @@ class TriangleMesh:
             if arrays["albedo"].shape != (len(vertices),):
                 raise BoresightError(f"albedo has shape {arrays['albedo'].shape}, not ({len(vertices)},)")
         for name, value in arrays.items():
-            # Copies that cannot be written: meshes are shared and their derived quantities cached.
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            # Meshes are shared, also by methods and the truth, and their derived quantities cached.
+            object.__setattr__(self, name, sealed(value))
 
     @cached_property
     def corners_m(self) -> FloatArray:
         """(F, 3, 3) the three corners of each face."""
-        corners: FloatArray = self.vertices_m[self.faces]
-        return corners
+        return sealed(self.vertices_m[self.faces])
 
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
         """(F, 3) outward normals whose length is the face's area."""
         corners = self.corners_m
-        return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # eq. (1)
+        return sealed(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))  # eq. (1)
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -71,7 +79,7 @@ class TriangleMesh:
         unit: FloatArray = np.divide(
             self.area_vectors_m2, length, out=np.zeros_like(self.area_vectors_m2), where=length > 0.0
         )
-        return unit
+        return sealed(unit)
 
     @cached_property
     def volume_m3(self) -> float:

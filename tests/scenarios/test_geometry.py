@@ -149,3 +149,8 @@ def test_values_are_frozen():
     mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
     with pytest.raises(ValueError, match="read-only"):
         mesh.vertices_m[0, 0] = 1.0
+    # A method shares the mesh with the truth: it cannot allow itself to write either.
+    for array in (mesh.vertices_m, mesh.faces, mesh.corners_m, mesh.area_vectors_m2, mesh.normals):
+        assert not array.flags.writeable
+        with pytest.raises(ValueError, match="cannot set WRITEABLE flag"):
+            array.setflags(write=True)
