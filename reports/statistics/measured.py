@@ -145,8 +145,7 @@ def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.gene
     For counts in images, such as craters, with images as the clusters; for trials use `share_of`.
 
     The interval is Wilson's for independent yes-or-no trials. It is also Wilson's, by the number of clusters, where
-    none
-    or all are a yes: what never happened in n clusters may happen in 3 / n of them (the rule of three).
+    none or all are a yes: what never happened in n clusters may happen in 3 / n of them (the rule of three).
     """
     if whole.sum() == 0.0:
         return Measured(None)

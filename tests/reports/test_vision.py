@@ -40,6 +40,20 @@ def test_means_are_over_the_frames_of_a_trial_and_then_over_trials(builder):
     assert means["lost_right_share"] == pytest.approx(0.0), "40 of 50 matches are right, and 40 right ones are kept"
 
 
+def test_all_right_matches_are_lost_in_a_frame_that_keeps_none(builder):
+    """Two frames with 20 right matches of 40: one keeps 15, the other none. The first frame has no matches."""
+    error = (np.ones(3), 0.1)
+    builder.trial(0, error, error)
+    for frame, (matches, right, kept, kept_right) in enumerate(
+        [(0, None, 0, None), (40, 0.5, 15, 1.0), (40, 0.5, 0, None)]
+    ):
+        numbers = {"n_matches": matches, "right_share": right, "n_kept": kept, "kept_right_share": kept_right}
+        builder.add("vision", trial=0, scenario=SCENARIO, estimator=ESTIMATOR, frame=frame, **numbers)
+    records = vision_records(read_run(builder.write()))
+    (lost,) = (r.value for r in records if r.measure == "lost_right_share" and r.statistic == "mean")
+    assert lost == pytest.approx((25.0 + 100.0) / 2)
+
+
 def test_estimators_of_the_same_tracks_share_a_line_and_lines_go_with_the_work(builder):
     rows = vision_grid(told(builder)).rows
     assert {row[1] for row in rows} == {f"{ESTIMATOR}, other"}

@@ -53,8 +53,9 @@ def vision_records(run: RunData) -> list[Record]:
 
 
 def _with_lost(frames: pd.DataFrame) -> pd.DataFrame:
-    """Add the share of the right matches of each frame that were not kept."""
-    right, kept = frames["n_matches"] * frames["right_share"], frames["n_kept"] * frames["kept_right_share"]
+    """Add the share of the right matches of each frame that were not kept: all of them where nothing was kept."""
+    right = frames["n_matches"] * frames["right_share"]
+    kept = (frames["n_kept"] * frames["kept_right_share"]).where(frames["n_kept"] > 0, 0.0)
     return frames.assign(lost_right=1.0 - kept / right.where(right > 0.0))
 
 
