@@ -56,8 +56,14 @@ def source_key(folder: Path) -> str:
 
 
 def _compilable(module: ast.Module) -> ast.Module:
-    """Remove from a module what its kernels cannot use."""
-    module.body = [node for node in module.body if not isinstance(node, ast.FunctionDef) or node.decorator_list]
+    """Remove from a module what its kernels cannot use: functions without a decorator that make no constant either."""
+    others = [node for node in module.body if not isinstance(node, ast.FunctionDef)]
+    named = {node.id for one in others for node in ast.walk(one) if isinstance(node, ast.Name)}
+    module.body = [
+        node
+        for node in module.body
+        if not isinstance(node, ast.FunctionDef) or node.decorator_list or node.name in named
+    ]
     for node in ast.walk(module):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             node.body = [one for one in node.body if not _is_docstring(one)]

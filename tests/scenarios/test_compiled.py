@@ -77,6 +77,12 @@ def test_what_kernels_use_changes_the_key(tmp_path, what):
     assert source_key(write(tmp_path, OTHER[what])) != source_key(write(tmp_path, SOURCE))
 
 
+def test_a_python_function_that_makes_a_constant_changes_the_key(tmp_path):
+    made = "\n\nMADE = in_python(2.0)\n"
+    before = source_key(write(tmp_path, SOURCE + made))
+    assert source_key(write(tmp_path, SAME["a Python function"] + made)) != before
+
+
 def test_a_file_more_changes_the_key(tmp_path):
     before = source_key(write(tmp_path, SOURCE))
     (tmp_path / "other.py").write_text("SIZE = 3\n")
