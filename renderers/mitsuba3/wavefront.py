@@ -94,7 +94,7 @@ class WavefrontTracer:
         mi = load_mitsuba(self.variant)
         origin = mi.Point3f(origins_m.T.astype(np.float32))
         direction = mi.Vector3f(directions.T.astype(np.float32))
-        hit, _, lit = self.trace(mi, origin, direction, opaque(mi, view.sun_dir_body), coherent=True)
+        hit, _, lit = self.trace(mi, origin, direction, opaque(mi, view.sun_dir_body), self.coherent(view))
         facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
         return facets, lit.numpy()
 
