@@ -68,7 +68,10 @@ class Printed(BaseModel):
 
 
 def source_of(folder: RunFolder, worst: int, pdf: bool) -> str:
-    """Return the digest of what a report is made from: rows by their checksums, manifest, options, and our code."""
+    """Return the digest of what a report is made from: rows by their checksums, manifest, options, and our code.
+
+    What other libraries draw otherwise after an update is not seen; ``boresight report`` always makes a report again.
+    """
     manifest = {key: value for key, value in (folder.read_manifest() or {}).items() if key not in _OF_A_START}
     found = hashlib.sha256(json.dumps([manifest, worst, pdf], sort_keys=True).encode())
     for path in sorted((folder.path / checksums.FOLDER).glob("*.sha256")):

@@ -175,21 +175,23 @@ def check_views(scenario: LoadedScenario) -> None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
 
 
-def check_bodies(scenario: LoadedScenario) -> None:
+def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
     """Refuse bodies that cannot be read, craters too many for this machine's memory, and views from inside the body.
 
     Otherwise everything built from them would fail, and the failure would be attributed to the method that needs it.
+    Return the true and the onboard body: as long as a caller holds them, they are not read again.
     """
     spec = scenario.spec
     try:
-        mesh = load_body(spec.body, scenario.search_dirs).mesh
-        load_body(onboard_spec(spec).body, scenario.search_dirs)
+        body = load_body(spec.body, scenario.search_dirs)
+        onboard = load_body(onboard_spec(spec).body, scenario.search_dirs)
         if spec.craters is not None:
-            check_size(mesh, spec.craters)
+            check_size(body.mesh, spec.craters)
     except BoresightError as error:
         raise BoresightError(f"{scenario.path}: {error}") from error
     if spec.viewpoint is not None:
-        _check_range(scenario, mesh, spec.viewpoint)
+        _check_range(scenario, body.mesh, spec.viewpoint)
+    return body, onboard
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:

@@ -35,11 +35,15 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
             entry = campaign.entry("report")
             raise error if entry is None else BoresightError(f"{entry.place}: {error}") from error
     kind = kind_named(campaign.spec.experiment)
+    held = []  # scenarios of a grid share bodies, which are read once as long as they are held
     for scenario in campaign.scenarios:
         kind.methods(campaign, scenario)
+        held.append(check_bodies(scenario))
         limit = check_scenario(scenario, campaign.spec.experiment)
         if limit is not None and trials > limit:
-            raise BoresightError(f"--trials {trials}: {scenario.spec.name} has real images for {limit} trials at most")
+            entry = campaign.entry("trials") if trials == campaign.spec.trials else None
+            asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
+            raise BoresightError(f"{asked}: {scenario.spec.name} has real images for {limit} trials at most")
 
 
 def check_scenario(scenario: LoadedScenario, experiment: str = "") -> int | None:

@@ -22,7 +22,7 @@ from reports.schema.tables import TABLES, layout, refuse_older, schema
 from scenarios import checksums
 from scenarios.atomic import make_folder, write_atomically, write_text
 from scenarios.checksums import refuse_damaged
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, display
 from scenarios.parquet import read_column, read_table, read_where
 from scenarios.reading import held_to, plain_json, unreadable
 
@@ -50,7 +50,8 @@ class RunLock:
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise BoresightError(
-                f"{self._path.parent}: cannot be used as a run folder ({error.strerror}): choose another with --out"
+                f"{display(self._path.parent)}: cannot be used as a run folder ({error.strerror}): choose another with"
+                " --out"
             ) from error
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
