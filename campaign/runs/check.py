@@ -6,6 +6,7 @@ from campaign.imaging.world import check_bodies, trial_limit
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import kind_named
 from reports.published import load_published
+from scenarios.bodies import Body
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 
@@ -38,22 +39,22 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
     held = []  # scenarios of a grid share bodies, which are read once as long as they are held
     for scenario in campaign.scenarios:
         kind.methods(campaign, scenario)
-        held.append(check_bodies(scenario))
-        limit = check_scenario(scenario, campaign.spec.experiment)
+        limit, bodies = check_scenario(scenario, campaign.spec.experiment)
+        held.append(bodies)
         if limit is not None and trials > limit:
             entry = campaign.entry("trials") if trials == campaign.spec.trials else None
             asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
             raise BoresightError(f"{asked}: {scenario.spec.name} has real images for {limit} trials at most")
 
 
-def check_scenario(scenario: LoadedScenario, experiment: str = "") -> int | None:
-    """Read body and images of a scenario, and check it for a kind of trial, by default the one of its own section.
+def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int | None, tuple[Body, Body]]:
+    """Read images and bodies of a scenario, and check it for a kind of trial, by default the one of its own section.
 
     Returns
     -------
-    How many trials its real images allow; None if images are rendered.
+    How many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
     """
     given = next(section for section in _KINDS if getattr(scenario.spec, section) is not None)
-    check_bodies(scenario)
+    limit, bodies = trial_limit(scenario), check_bodies(scenario)
     kind_named(experiment or _KINDS[given]).check_scenario(scenario)
-    return trial_limit(scenario)
+    return limit, bodies

@@ -44,7 +44,7 @@ def test_levels_lie_on_the_campaigns_overrides_and_below_the_command_lines(file)
 
 def test_a_level_that_the_scenario_refuses_is_told(file):
     file.write_text(CAMPAIGN.replace("values: [0, 3]", "values: [0, -3]"))
-    with pytest.raises(BoresightError, match=r"grid: onboard.rotation_error_deg.normal: -3"):
+    with pytest.raises(BoresightError, match=r"many.yaml:6: onboard.rotation_error_deg.normal: -3.0 is not at least 0"):
         resolve(str(file))
 
 

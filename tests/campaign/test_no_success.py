@@ -20,7 +20,10 @@ KINDS = {
     "levels": (SCENE, f"estimators: [prior]\ngrid: {{design: two-level, axes: {{{RANGES}, {ANGLES}}}}}\n"),
     "series": (ORBITING, f"{OF_SEQUENCES}grid: {{design: full, axes: {LANDMARKS}}}\n"),
     "one-at-a-time": (ORBITING, f"{OF_SEQUENCES}grid: {{design: one-at-a-time, axes: {LANDMARKS}}}\n"),
-    "detection": (CRATERED, "experiment: crater-detection\nestimators: [crater-classic]\n"),
+    "detection": (
+        CRATERED.replace("known_diameter_m: 30", "known_diameter_m: 20"),
+        "experiment: crater-detection\nestimators: [crater-classic]\n",
+    ),
     "matching": (PAIRS, "experiment: crater-matching\nestimators: [vote]\n"),
     "orbits": (ORBIT, "experiment: orbit-determination\nestimators: [batch-filter]\n"),
 }

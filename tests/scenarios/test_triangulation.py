@@ -40,7 +40,8 @@ def test_weighted_lines_with_a_prior_give_the_least_squares_of_scipy():
     held = np.eye(3)[None] / prior_sigma_m**2
     matrix, right = triangulation_equations(lines, rows, (held, prior_m[None] / prior_sigma_m**2), [weight])
     found = np.linalg.solve(matrix[0], right[0])
-    np.testing.assert_allclose(found, least_squares(residuals, prior_m, xtol=1e-15, ftol=1e-15).x, rtol=1e-6)
+    expected = least_squares(residuals, prior_m, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 def test_the_inverse_matrix_is_the_covariance_of_points_from_noisy_lines():

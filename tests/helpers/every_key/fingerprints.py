@@ -93,7 +93,7 @@ def imaging_fingerprint(scenario: LoadedScenario) -> str:
     sights = open_sights(scenario, imaging_of(world), choose_variant().name)
     with tempfile.TemporaryDirectory() as folder:
         taken = NavigationTrial.take(world, sights, 3, 0, StageFiles(Path(folder)))
-        searched = taken.search(CraterNavigation.from_options({}), StageFiles(Path(folder)))
+        searched = taken.search(CraterNavigation.from_options({}), taken.task, StageFiles(Path(folder)))
     arrays = [taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m]
     for view, image in zip(taken.views, searched, strict=True):
         shown, rims = image.exposure, image.exposure.detections.ellipses

@@ -25,7 +25,7 @@ from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.database.pictures import SequencePicture
 from estimators.craters.learned.detector import read_network
-from estimators.craters.learned.network import OUTPUTS, SCALARS
+from estimators.craters.learned.network import SHAPES
 from estimators.craters.planning import PlannedImage, read_plan, write_plan
 from estimators.descriptors.database import FILE as DESCRIPTORS
 from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
@@ -149,12 +149,7 @@ def _network(folder: Path) -> object:
 
 
 def _weights() -> tuple[bytes, ...]:
-    """A network of the true sides with few features."""
-    shapes = {
-        "conv1": (25, 2), "bias1": (2,), "conv2": (18, 2), "bias2": (2,), "conv3": (18, 1), "bias3": (1,),
-        "dense1": (16 + SCALARS, 2), "bias4": (2,), "dense2": (2, OUTPUTS), "bias5": (OUTPUTS,),
-    }  # fmt: skip
-    return (b"\n".join(recipes.array_line(n, np.full(shape, 0.5, np.float32)) for n, shape in shapes.items()),)
+    return (b"\n".join(recipes.array_line(n, np.full(shape, 0.5, np.float32)) for n, shape in SHAPES.items()),)
 
 
 def _rims(n: int) -> Ellipses:

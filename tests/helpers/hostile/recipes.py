@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-_MOST_VALUES, _MOST_COLUMNS = 4096, 100
+_MOST_VALUES, _MOST_COLUMNS = 65536, 100
 
 
 def npz(recipe: bytes) -> bytes:
