@@ -1,4 +1,4 @@
-"""What a report was made from and printed, kept beside it: a report that would be the same is not made again."""
+"""Record of the source and the printed tables of a report: one that would be the same is not made again."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PrintedGrid(BaseModel):
 
 
 class Printed(BaseModel):
-    """What the terminal shows of a report, and what decides whether it would be the same.
+    """Tables and lines of a report for the terminal, and the digests that decide whether it would be the same.
 
     Parameters
     ----------

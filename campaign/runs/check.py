@@ -1,4 +1,4 @@
-"""What a run is refused for before anything is built: bodies, images, scenarios, options and published values."""
+"""Checks of a campaign before anything is built: bodies, images, scenarios, options and published values."""
 
 from __future__ import annotations
 

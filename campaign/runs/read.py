@@ -47,7 +47,7 @@ def read_campaign(name_or_path: str, overrides: Sequence[str] = ()) -> CampaignF
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
+    """Source of a scenario of a campaign: its file or name, and its cell of the grid, if there is one."""
 
     file: str
     cell: GridCell | None

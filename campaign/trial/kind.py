@@ -97,7 +97,7 @@ class Kind:
     check_scenario
         Raises BoresightError for a scenario that its trials cannot have.
     methods
-        Builds the methods that are lent nothing, by their labels; raises BoresightError for options that cannot run.
+        Builds the methods that need no assets, by their labels; raises BoresightError for options that cannot run.
     prepare
         Builds what the trials need, before any of them; a product that cannot be made leaves its method without trials.
         None if there is nothing to build.

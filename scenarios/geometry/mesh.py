@@ -19,7 +19,7 @@ _T = TypeVar("_T", bound=np.generic)
 
 
 def sealed(array: NDArray[_T]) -> NDArray[_T]:
-    """Return a copy, in the same layout, that nobody can make writable: its memory is that of an immutable object."""
+    """Return a copy in the same layout that cannot be made writable: its memory is that of an immutable object."""
     order: Literal["C", "F"] = "F" if array.flags.fnc else "C"
     return np.frombuffer(array.tobytes(order), array.dtype).reshape(array.shape, order=order)
 
