@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 from collections import Counter
@@ -200,8 +201,13 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures beside it."""
     manifest = content.run.manifest
-    parts = [f"# {manifest.title or manifest.name}", "\n".join(f"- {note}" for note in content.notes)]
+    parts = [f"# {_plain_line(manifest.title or manifest.name)}", "\n".join(f"- {note}" for note in content.notes)]
     parts += [grid.markdown() for grid in report_grids(content)]
     parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
     parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
     return "\n\n".join(parts) + "\n"
+
+
+def _plain_line(text: str) -> str:
+    """Return a text as one line of Markdown without markup."""
+    return re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(text.split()))

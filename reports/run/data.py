@@ -249,11 +249,20 @@ def _read_manifest(path: Path) -> Manifest:
     try:
         found = plain_json(path)
         refuse_older(found, path)
-        return held_to(Manifest, found)
+        return held_to(Manifest, _without_control(found))
     except FileNotFoundError:
         raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
     except (OSError, ValueError) as error:
         raise unreadable(path, "a manifest", error) from error
+
+
+def _without_control(found: Any) -> Any:
+    """Escape control characters, but for line breaks, in all texts of a JSON value."""
+    if isinstance(found, dict):
+        return {_without_control(key): _without_control(value) for key, value in found.items()}
+    if isinstance(found, list):
+        return [_without_control(value) for value in found]
+    return "\n".join(map(printable, found.split("\n"))) if isinstance(found, str) else found
 
 
 def _read_table(folder: Path, experiment: str) -> pd.DataFrame:

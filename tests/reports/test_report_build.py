@@ -201,6 +201,22 @@ def test_a_control_character_of_a_stored_text_reaches_no_file_of_a_report(builde
     assert sum(r"\x1b[2Jsteering" in text for text in texts) >= 3
 
 
+def test_texts_of_a_manifest_cannot_steer_a_terminal_or_the_markup_of_a_report(builder):
+    for trial in range(3):
+        builder.trial(trial, ([3, 4, 0], 1), ([1, 1, 0], 1))
+    foreign = {
+        "description": "a\x1b[2Jb",
+        "command": "boresight \x1b[2J",
+        "notes": ["n\x1b[2J"],
+        "credits": ["c\x1b[2J"],
+    }
+    title = "<b>bold</b>\n# [link](x) `code` \x1b[2J *a_b*"
+    folder = write_report(builder.write(title=title, **foreign)).markdown.parent
+    assert not any("\x1b" in path.read_text() for path in folder.rglob("*") if path.suffix in (".md", ".html"))
+    heading, _ = (folder / "report.md").read_text(encoding="utf-8").split("\n", maxsplit=1)
+    assert heading == r"# \<b\>bold\</b\> # \[link\](x) \`code\` \\x1b\[2J \*a\_b\*"
+
+
 def test_a_run_in_which_everything_failed_is_still_reported(builder):
     builder.trial(0, ([3, 4, 0], 1), None, reason="black image")
     files = write_report(builder.write(report="rowell2015-simulated"))
