@@ -5,28 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
-from ruamel.yaml import YAML
 
 from campaign.cli.terminal import console
 from campaign.machine import cores
 from campaign.runs.read import CATALOG, campaign_names, read_campaign
-from campaign.runs.requirements import needs, rate_of
 from campaign.trial.kind import kind_names
-from estimators.registry import estimator_names
-from estimators.slam.registry import sequence_estimator_names
 from scenarios.designs import grid_cells
 from scenarios.errors import printable
 from scenarios.load import (
     LoadedCampaign,
+    LoadedScenario,
     canonical_json,
+    dump_yaml,
     file_kind,
     json_schema,
     load_campaign,
@@ -104,28 +101,34 @@ def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 def list_command(_: argparse.Namespace) -> int:
     """List campaigns, scenarios and estimators."""
-    out = console()
-    campaigns = [_campaign_entry(load_campaign(name, CATALOG)) for name in campaign_names()]
+    # Imported here: they read what is installed, which no other command of this file does.
+    from estimators.registry import estimator_names
+    from estimators.slam.registry import sequence_estimator_names
+
+    out, known = console(), {name: load_scenario(name) for name in scenario_names()}
+    campaigns = [_campaign_entry(load_campaign(name, CATALOG), known) for name in campaign_names()]
     print_entries(out, ("campaign", "trials", "time here", "needs"), campaigns)
     out.print(
         f"\ntrials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of"
         " the last run on this machine; - where there was none. needs: what is read from the data folder"
         " (boresight fetch --list), and packages that are optional.\n"
     )
-    scenarios = [Entry((name, ""), load_scenario(name).spec.description) for name in scenario_names()]
+    scenarios = [Entry((name, ""), scenario.spec.description) for name, scenario in known.items()]
     print_entries(out, ("scenario", ""), scenarios)
     out.print(f"\nestimators: {', '.join(estimator_names())}")
     out.print(f"estimators of sequences: {', '.join(sequence_estimator_names())}")
     return 0
 
 
-def _campaign_entry(loaded: LoadedCampaign) -> Entry:
+def _campaign_entry(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> Entry:
     """Describe a campaign by its size, its cost here and its needs."""
+    from campaign.runs.requirements import needs, rate_of
+
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
     size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
     time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
-    return Entry((spec.name, size, time, ", ".join(map(str, needs(loaded))) or "-"), spec.title)
+    return Entry((spec.name, size, time, ", ".join(map(str, needs(loaded, known))) or "-"), spec.title)
 
 
 def show_command(arguments: argparse.Namespace) -> int:
@@ -138,11 +141,7 @@ def show_command(arguments: argparse.Namespace) -> int:
         }
     else:
         shown = {"scenario": json.loads(canonical_json(load_scenario(arguments.name, arguments.overrides).spec))}
-    yaml = YAML()
-    yaml.default_flow_style = None
-    text = StringIO()
-    yaml.dump(shown, text)
-    console().print(text.getvalue(), end="", highlight=False)
+    console().print(dump_yaml(shown), end="", highlight=False)
     return 0
 
 

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 from estimators.slam.registry import EXTRAS
 from scenarios.cache import default_cache
@@ -40,22 +41,32 @@ class Need:
         return self.name if self.found else f"{self.name} (missing{self.remedy})"
 
 
-def needs(campaign: LoadedCampaign) -> tuple[Need, ...]:
-    """List what the scenarios of a campaign and of its grid read from the data folder, and further packages."""
-    found = {need.name: need for scenario in _scenarios(campaign) for need in _of_scenario(scenario)}
+def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = MappingProxyType({})) -> tuple[Need, ...]:
+    """List what the scenarios of a campaign and of its grid read from the data folder, and further packages.
+
+    ``known`` are scenarios of the catalogue by name, which are not read again.
+    """
+    found = {need.name: need for scenario in _scenarios(campaign, known) for need in _of_scenario(scenario)}
     for extra in dict.fromkeys(EXTRAS[one.name] for one in campaign.spec.estimators if one.name in EXTRAS):
         found[extra] = Need(extra, find_spec(extra) is not None, f': pip install -e ".[{extra}]"')
     return tuple(found.values())
 
 
-def _scenarios(campaign: LoadedCampaign) -> Iterator[LoadedScenario]:
+def _scenarios(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> Iterator[LoadedScenario]:
     """Yield each scenario, and it with each level of the grid that may change what is read."""
+    changed = _change_data(campaign.overrides.section or {})
     near, axes = campaign.path.parent, campaign.spec.grid.axes.values() if campaign.spec.grid else ()
     for name in campaign.spec.scenarios:
-        yield load_scenario(name, base=campaign.overrides, near=near)
+        as_named = None if changed else known.get(name)
+        yield as_named or load_scenario(name, base=campaign.overrides, near=near)
         for level in (level for axis in axes for level in axis.overrides.values()):
-            if any(key.split(".")[0] in _OF_DATA for key in level):
+            if _change_data(level):
                 yield load_scenario(name, base=campaign.overrides, levels=[level], near=near)
+
+
+def _change_data(overrides: Iterable[str]) -> bool:
+    """Return whether overrides of these keys may change what a scenario reads."""
+    return any(key.split(".")[0] in _OF_DATA for key in overrides)
 
 
 def _of_scenario(scenario: LoadedScenario) -> Iterator[Need]:

@@ -16,6 +16,7 @@ from scenarios.load.files import (
 from scenarios.load.find import names_in
 from scenarios.load.merge import parse_override
 from scenarios.load.schema import json_schema
+from scenarios.load.yaml_text import dump_yaml
 from scenarios.spec.base import canonical_json, digest
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "LoadedScenario",
     "canonical_json",
     "digest",
+    "dump_yaml",
     "file_kind",
     "json_schema",
     "load_campaign",

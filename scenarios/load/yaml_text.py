@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
+import yaml
+from yaml.error import MarkedYAMLError, YAMLError
+from yaml.events import (
     AliasEvent,
     DocumentStartEvent,
     MappingEndEvent,
@@ -26,9 +26,11 @@ from scenarios.load.entry import ConfigEntry, Scalar
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
 
-# Exceptions of the parser other than YAMLError: an unknown version ("%YAML 1.9") is an AssertionError, an escape beyond
-# Unicode ("\\U00110000") an error of chr().
-_FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+# libyaml, which packages of PyYAML contain, is ten times as fast as the parser in Python.
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# Exceptions of the parsers other than YAMLError: half of a surrogate pair in the text is an error of the encoder, an
+# escape beyond Unicode ("\\U00110000") one of chr().
+_FAULTS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 
 # The tag resolution of YAML 1.2's core schema, section 10.3.2.
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
@@ -74,7 +76,7 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEnt
 def _events_of(text: str) -> Iterator[Any]:
     """Yield the parser's events; convert its other exceptions to YAMLError."""
     try:
-        yield from YAML(typ="safe", pure=True).parse(text)
+        yield from yaml.parse(text, _LOADER)
     except _FAULTS as error:
         raise YAMLError(one_line(error) or type(error).__name__) from error
 
@@ -98,6 +100,22 @@ def resolve_scalar(text: str) -> Scalar:
     if _INFINITY.fullmatch(text):
         return float(text.replace(".", ""))
     return float("nan") if text in _NAN else text
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Writer of plain values for readers of YAML 1.2."""
+
+
+def _quoted(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if resolve_scalar(text) == text else "'")
+
+
+_Dumper.add_representer(str, _quoted)
+
+
+def dump_yaml(value: object) -> str:
+    """Write mappings, lists and scalars as YAML, innermost lists and mappings on one line."""
+    return str(yaml.dump(value, Dumper=_Dumper, default_flow_style=None, sort_keys=False, allow_unicode=True))
 
 
 class _Builder:
@@ -151,7 +169,7 @@ class _Builder:
         text: str = event.value
         if any("\ud800" <= char <= "\udfff" for char in text):
             raise self._error(event, "half of a surrogate pair is no character: write the character itself")
-        return resolve_scalar(text) if event.implicit[0] and event.style is None else text
+        return resolve_scalar(text) if event.implicit[0] and not event.style else text
 
     def _mapping(self) -> dict[str, ConfigEntry]:
         section: dict[str, ConfigEntry] = {}

@@ -20,7 +20,7 @@ from typing import NoReturn
 import atheris
 
 with atheris.instrument_imports(
-    include=["scenarios", "renderers", "estimators", "reports", "campaign", "ruamel", "pvl", "trimesh", "astropy"]
+    include=["scenarios", "renderers", "estimators", "reports", "campaign", "yaml", "pvl", "trimesh", "astropy"]
 ):
     from hostile.found import FOUND
     from hostile.guard import fed
