@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
-from estimators.contract import Estimator
 from scenarios.errors import BoresightError, one_line
+
+if TYPE_CHECKING:
+    from estimators.contract import Estimator
 
 T = TypeVar("T")
 

@@ -11,7 +11,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 from campaign.cli.arguments import ALL_PAPERS
-from campaign.cli.terminal import NamedLines, ProgressListener, console
+from campaign.cli.progress import NamedLines, ProgressListener
+from campaign.cli.terminal import console
 from campaign.draft import as_draft, kept
 from campaign.machine import sharing_cores
 from campaign.papers import PAPERS

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module, resources
-from importlib.metadata import version
 from types import MappingProxyType
 from typing import NoReturn, cast
 
@@ -26,7 +25,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = _Parser(
         prog="boresight", description="Monte Carlo evaluation of camera navigation around asteroids."
     )
-    parser.add_argument("--version", action="version", version=f"boresight {version('boresight')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     add_commands(commands)
     pages = manual()
@@ -73,6 +72,16 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise BoresightError(f"{message}; see {self.prog} --help")
+
+
+class _Version(argparse.Action):
+    """Prints the version. Only here are the metadata of the installation imported and read."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"boresight {version('boresight')}\n")
+        parser.exit()
 
 
 class _CommandFormatter(argparse.HelpFormatter):

@@ -6,7 +6,8 @@ import argparse
 import shlex
 
 from campaign.cli.printed import print_report, printed_before, source_of
-from campaign.cli.terminal import ProgressListener, console
+from campaign.cli.progress import ProgressListener
+from campaign.cli.terminal import console
 from campaign.imaging.image_store import store_is_on, store_switched
 from campaign.runs.request import Cluster
 from campaign.runs.start import start

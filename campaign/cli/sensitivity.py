@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from campaign.cli.terminal import ProgressListener, console
+from campaign.cli.progress import ProgressListener
+from campaign.cli.terminal import console
 from campaign.runs.check import check_campaign
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve

@@ -1,115 +1,14 @@
-"""Printing on the console: plain text, and the progress of a run with rate, remaining time and running median."""
+"""Printing of plain text on the console."""
 
 from __future__ import annotations
 
-import time
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from campaign.trial.kind import Records
 from scenarios.errors import printable
 
 _WIDTH = 160
-
-_SILENCE_S = 30.0
-
-
-class NamedLines:
-    """Prints the steps of one of several runs that go on side by side."""
-
-    def __init__(self, console: Console, name: str) -> None:
-        self._console = console
-        self._name = name
-
-    def message(self, text: str) -> None:
-        """Print a step."""
-        self._console.print(f"{self._name}: {text}")
-
-    def started(self, done: int, total: int) -> None:
-        """Tell how much is stored already."""
-        if done:
-            self.message(f"{done} of {total} trials are stored already; continuing")
-
-    def block(self, records: Records, trials: int) -> None:
-        """Print nothing of a stored block."""
-
-
-class ProgressListener:
-    """Shows a run's progress: a live bar in a terminal, a line now and then elsewhere."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._bar = Progress(
-            TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(), TextColumn("{task.fields[median]}"), console=console,
-            disable=not console.is_terminal,
-        )  # fmt: skip
-        self._task: TaskID | None = None
-        self._errors: dict[tuple[str, str], list[float]] = {}
-        self._done = self._total = self._fresh = 0
-        self._resumed = False
-        self._began = self._last_line = time.monotonic()
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def message(self, text: str) -> None:
-        """Print a step."""
-        self._console.print(text)
-
-    def started(self, done: int, total: int) -> None:
-        """Show how much is stored already."""
-        self._done, self._total, self._began = done, total, time.monotonic()
-        self._resumed = done > 0
-        if done:
-            self._console.print(f"{done} of {total} trials are stored already; continuing")
-        self._task = self._bar.add_task("", total=total, completed=done, rate="", median="")
-
-    def block(self, records: Records, trials: int) -> None:
-        """Count a stored block."""
-        self._done += trials
-        self._fresh += trials
-        for row in records["rows"]:
-            error = row.get("position_error_m")
-            if isinstance(error, float):
-                self._errors.setdefault((str(row["scenario"]), str(row["estimator"])), []).append(error)
-        rate = self._fresh / max(time.monotonic() - self._began, 1e-9)
-        median = self._median(str(records["rows"][-1]["scenario"])) if records["rows"] else ""
-        if self._task is not None:
-            self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=median)
-        self._line(rate, median)
-
-    def _median(self, scenario: str) -> str:
-        """Tell the median errors of a scenario as its table has them, over the trials that this start has run.
-
-        Of craters or data bases there is none.
-        """
-        known = [
-            f"{label} {float(np.median(errors)):.3g} m"
-            for (where, label), errors in self._errors.items()
-            if where == scenario
-        ]
-        of = f" of {scenario}" if len({where for where, _ in self._errors}) > 1 else ""
-        new = " of new trials" if self._resumed else ""
-        return f"median{of}{new} {'  '.join(known)}" if known else ""
-
-    def _line(self, rate: float, median: str) -> None:
-        due = time.monotonic() - self._last_line > _SILENCE_S or self._done == self._total
-        if self._bar.disable and due:
-            self._last_line = time.monotonic()
-            left = (self._total - self._done) / max(rate, 1e-9)
-            told = (f"{self._done}/{self._total} trials", f"{rate:.1f}/s", f"{left:.0f} s left", median)
-            self._console.print(", ".join(filter(None, told)))
 
 
 class _Plain(Console):

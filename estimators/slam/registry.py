@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from estimators.registry import Registry
-from estimators.slam.contract import SequenceEstimator
+
+if TYPE_CHECKING:
+    from estimators.slam.contract import SequenceEstimator
 
 _ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={

@@ -182,13 +182,14 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
     """Read a file and merge it over those that it extends; later parents override earlier ones."""
     resolved = path.resolve()
     own = read(path)
+    shown = own.place.rpartition(":")[0]
     section = dict(own.section or {})
     extends = section.pop("extends", None)
     # A name is not inherited; that of the file itself is its default.
     if not children:
-        section.setdefault("name", ConfigEntry(name_of(path), display(path)))
+        section.setdefault("name", ConfigEntry(name_of(path), shown))
     if len(children) > _MAX_GENERATIONS:
-        raise BoresightError(f"{display(path)}: extends: a chain of more than {_MAX_GENERATIONS} files")
+        raise BoresightError(f"{shown}: extends: a chain of more than {_MAX_GENERATIONS} files")
     base, folders = ConfigEntry({}, own.place), [resolved.parent]
     for parent in _parents(extends):
         parent_path = find(parent, catalog, path.parent)
@@ -200,7 +201,7 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
         base = merge(base, ConfigEntry(inherited, own.place), (model,))
         folders += file.folders
     root = merge(base, ConfigEntry(section, own.place), (model,))
-    return _File(ConfigEntry(root.value, display(path)), tuple(dict.fromkeys(folders)))
+    return _File(ConfigEntry(root.value, shown), tuple(dict.fromkeys(folders)))
 
 
 def _parents(extends: ConfigEntry | None) -> list[str]:

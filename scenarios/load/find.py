@@ -44,15 +44,23 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
     BoresightError
         If there is none; the message suggests similar names.
     """
-    known = _by_name(catalog)
-    beside = _by_name(near) if near is not None else {}
-    for folder, names in ((catalog, known), (near or Path(), beside)):
-        if name_or_path.replace("_", "-") in names:
-            return folder / names[name_or_path.replace("_", "-")]
+    for folder in (catalog, near):
+        found = None if folder is None else _named_in(folder, name_or_path)
+        if found is not None:
+            return found
     path = (near or Path()) / name_or_path
     if not exists(path):
-        raise BoresightError(_not_found(name_or_path, path, list(known), what))
+        raise BoresightError(_not_found(name_or_path, path, names_in(catalog), what))
     return path
+
+
+def _named_in(folder: Path, name: str) -> Path | None:
+    """Return the file of a name in a folder; most are found without listing it."""
+    usual = folder / f"{name.replace('-', '_')}{SUFFIXES[0]}"
+    if usual.parent == folder and exists(usual):
+        return usual
+    file = _by_name(folder).get(name.replace("_", "-"))
+    return None if file is None else folder / file
 
 
 def exists(path: Path) -> bool:

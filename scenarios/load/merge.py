@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Literal, get_args, get_origin
 
 from scenarios.errors import BoresightError, printable
@@ -32,13 +33,13 @@ def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
     if model is None:
         return dict(given)
     result = dict(given)
-    for key, field in model.model_fields.items():
-        value = given.get(key)
-        if not isinstance(value, Mapping):
+    for key, value in given.items():
+        field = model.model_fields.get(key) if isinstance(value, Mapping) else None
+        if field is None:
             continue
         if isinstance(field.default, SpecModel):
             value = _laid_on(field.default, value)
-        result[key] = on_defaults(submodels(field.annotation), value)
+        result[key] = on_defaults(field_models((model,), key), value)
     return result
 
 
@@ -64,7 +65,8 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
     # A given key of a group of alternatives takes the place of the default one.
     displaced = {key for group in default.alternatives if set(group) & chosen for key in group}
     # What differs from the defaults of the model itself is all that this default adds.
-    own = {key for key, field in fields.items() if key == "kind" or getattr(default, key) != field.get_default()}
+    given_by_default = default.model_fields_set | ({"kind"} & fields.keys())
+    own = {key for key in given_by_default if key == "kind" or getattr(default, key) != fields[key].get_default()}
     deeper = {
         key: _laid_on(getattr(default, key), value)
         for key, value in given.items()
@@ -114,6 +116,7 @@ def submodels(annotation: object) -> Models:
     return tuple(model for part in get_args(annotation) for model in submodels(part))
 
 
+@cache
 def field_models(models: Models, key: str) -> Models:
     """Return the models that ``key`` allows in any of ``models``."""
     fields = [model.model_fields[key] for model in models if key in model.model_fields]

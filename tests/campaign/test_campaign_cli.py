@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
-from campaign.cli.terminal import ProgressListener
+from campaign.cli.progress import ProgressListener
 from campaign.runs.check import check_campaign
 from campaign.runs.read import CATALOG, campaign_names
 from campaign.runs.requirements import needs

@@ -22,7 +22,7 @@ from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, f
 from tiny_sequences import write_sequences
 
 from campaign.cli import main
-from campaign.cli.terminal import ProgressListener
+from campaign.cli.progress import ProgressListener
 from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
 from campaign.kinds.single_image.trial import SingleImage
