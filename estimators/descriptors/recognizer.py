@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
 from estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
@@ -165,7 +165,7 @@ def consistency_probability(problem: PoseProblem, consensus: Pose, prior: Gaussi
     # The observations alone must be tested: a solution drawn to the prior would always agree with it.
     alone = solve_map(problem, GaussianPose(prior.T_cam_body, _UNINFORMATIVE * prior.covariance), consensus, shared)
     offset = prior.offset(alone.T_cam_body)
-    return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
+    return float(chdtrc(_POSE_UNKNOWNS, offset @ np.linalg.solve(prior.covariance + alone.covariance, offset)))
 
 
 def near_prediction(matched: PointMatches, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from SALib.analyze import sobol
-from scipy.stats import spearmanr
 
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
@@ -156,6 +155,9 @@ def rank_shares(samples: FloatArray, outcomes: FloatArray) -> dict[str, tuple[Me
     """Estimate Spearman's correlation of the outcomes (n,) with each key of the samples (n, k), with its interval."""
     if float(np.ptp(outcomes)) == 0.0:
         return {}
+    # Imported here, as it takes 1 s and no other table needs it.
+    from scipy.stats import spearmanr
+
     rng = content_rng(samples, outcomes)
     drawn = rng.integers(0, len(outcomes), (RESAMPLES // 4, len(outcomes)))
     found = []

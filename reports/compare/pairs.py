@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import mannwhitneyu
 
 from reports.compare.trials import KEY
 from reports.statistics.intervals import FloatArray
@@ -154,6 +153,9 @@ def _superiority(one: FloatArray, other: FloatArray) -> tuple[Measured, float | 
     """Chance that a trial of the first is better than one of the second (ties count half), and the test's p."""
     if not len(one) or not len(other):
         return Measured(None), None
+    # Imported here, as it takes 1 s and paired comparisons need none of it.
+    from scipy.stats import mannwhitneyu
+
     found = mannwhitneyu(one, other)
     return Measured(1.0 - float(found.statistic) / (len(one) * len(other))), float(found.pvalue)
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from scipy.stats import binom, chi2
+from scipy.special import chdtr
 
 from reports.figures.axes import mark_decades
 from reports.figures.scenario_grids import Points
@@ -184,13 +184,16 @@ def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Seq
     credit_lines
         Credits of real images.
     """
+    # Imported here, as it takes 1 s and few figures need it.
+    from scipy.stats import binom
+
     figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(curves))
     fewest = min(curve.independent for curve in curves)
     low, high = (binom.ppf(tail, fewest, _POINTS) / fewest for tail in (0.025, 0.975))
     axes.fill_between(_POINTS, low, high, color=GREY, alpha=0.2, linewidth=0)
     axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
     for curve in curves:
-        reached = np.sort(chi2.cdf(curve.squares, curve.degrees))
+        reached = np.sort(chdtr(curve.degrees, curve.squares))
         share = np.searchsorted(reached, _POINTS, side="right") / len(reached)
         axes.plot(_POINTS, share, color=curve.style.colour, linestyle=curve.style.line, label=curve.label)
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))

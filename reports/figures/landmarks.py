@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.stats import chi2
+from scipy.special import gammaln, xlogy
 
 from reports.figures.style import (
     BLUE,
@@ -57,11 +57,16 @@ def draw_landmark_errors(
     x = np.linspace(0.0, _CHI_SQUARE_EDGES[-1], 400)
     theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
     raise_top(right, 1)
-    right.plot(x, chi2.pdf(x, DEGREES_OF_FREEDOM), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
+    right.plot(x, _chi_square_density(x), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
     right.legend(loc="upper right")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
+
+
+def _chi_square_density(x: FloatArray) -> FloatArray:
+    half = DEGREES_OF_FREEDOM / 2.0
+    return np.asarray(np.exp(xlogy(half - 1.0, x) - x / 2.0 - gammaln(half) - half * np.log(2.0)))
 
 
 def _draw_sample(axes: Axes, sample: FloatArray, edges: FloatArray, unit: str, label: str, frequency: str) -> None:

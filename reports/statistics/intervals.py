@@ -54,7 +54,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri, stdtrit
-from scipy.stats import binomtest
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float] | tuple[None, None]
@@ -94,8 +93,10 @@ def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> ND
 
 def wilson(k: int, n: int) -> tuple[float, float]:
     """Return Wilson's interval of a share from k of n independent trials, n >= 1."""
-    found = binomtest(k, n).proportion_ci(LEVEL, method="wilson")
-    return float(found.low), float(found.high)
+    z, share = float(ndtri(0.5 + 0.5 * LEVEL)), k / n
+    wide = 2.0 * (n + z**2)
+    centre, half = (2.0 * n * share + z**2) / wide, z / wide * np.sqrt(4.0 * n * share * (1.0 - share) + z**2)
+    return 0.0 if k == 0 else float(centre - half), 1.0 if k == n else float(centre + half)
 
 
 def has_quantile(n: int, quantile: float) -> bool:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binomtest, ttest_1samp
 
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
@@ -154,8 +153,16 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
     better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
     if not decided:
         return Measured(None), Measured(None), 0
-    chance = float(binomtest(better, decided).pvalue)
+    chance = _sign_chance(better, decided)
     return Measured(better / decided, *wilson(better, decided)), Measured(chance), decided
+
+
+def _sign_chance(better: int, decided: int) -> float:
+    """Return p of the exact two-sided sign test."""
+    # Imported here, as it takes 1 s, and runs of one method need none of it.
+    from scipy.stats import binomtest
+
+    return float(binomtest(better, decided).pvalue)
 
 
 def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
@@ -169,9 +176,11 @@ def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) 
     if not decided.any():
         return Measured(None), Measured(None), 0
     better, own = difference[decided] < 0.0, clusters[decided]
-    chance = float(binomtest(int(better.sum()), len(better)).pvalue)
+    chance = _sign_chance(int(better.sum()), len(better))
     shares = pd.Series(better.astype(float)).groupby(own).mean().to_numpy()
     if len(shares) > 1 and shares.std() > 0.0:
+        from scipy.stats import ttest_1samp
+
         chance = max(chance, float(ttest_1samp(shares, 0.5).pvalue))
     return share_of(better, own), Measured(chance), len(better)
 

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
@@ -158,6 +157,9 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
     After E. DeLong, D. DeLong and D. Clarke-Pearson, Biometrics 44, 1988: the area is a mean over either class of the
     share of the other class that each member exceeds, and its variance is the sum of those two means' variances.
     """
+    # Imported here, as it takes 1 s and few runs have so many trials.
+    from scipy.stats import rankdata
+
     ranks, m, n = rankdata(score), int(bad.sum()), int((~bad).sum())
     of_bad = (ranks[bad] - rankdata(score[bad])) / n
     of_good = 1.0 - (ranks[~bad] - rankdata(score[~bad])) / m
