@@ -91,12 +91,15 @@ class WavefrontTracer:
         self, view: View, origins_m: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
+        import drjit as dr
+
         mi = load_mitsuba(self.variant)
         origin = mi.Point3f(origins_m.T.astype(np.float32))
         direction = mi.Vector3f(directions.T.astype(np.float32))
         hit, _, lit = self.trace(mi, origin, direction, opaque(mi, view.sun_dir_body), self.coherent(view))
-        facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
-        return facets, lit.numpy()
+        valid, facet = hit.is_valid(), hit.prim_index
+        dr.eval(valid, facet, lit)  # together: each by itself would trace all rays again
+        return np.where(valid.numpy(), facet.numpy().astype(np.int64), -1), lit.numpy()
 
     def camera_rays(self, mi: Any, rays: RayBundle, window: PixelWindow) -> tuple[Any, Any]:
         """Origins and unit directions of all samples, pixel by pixel."""
