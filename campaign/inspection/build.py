@@ -93,9 +93,10 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
     show = show_of(campaign.spec.experiment)
     keep(again, show, place)
     drawn = draw_case(again, show, campaign.spec.experiment)
+    comparison = again.comparison
     page = CasePage(
         title=str(case),
-        facts=_facts(again, folder, campaign),
+        facts=_facts(again, comparison, campaign),
         notes=drawn.notes,
         grids=[_row_grid(again.row), *_grids(again)],
         command=_command(folder, case),
@@ -104,7 +105,7 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         credits=drawn.credits,
     )
     path = write_case(page, drawn.figures, place)
-    return Inspected(case, again.row, again.comparison, path)
+    return Inspected(case, again.row, comparison, path)
 
 
 def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
@@ -116,15 +117,15 @@ def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
     return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 
 
-def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
+def _facts(again: Recomputed, comparison: StoredComparison, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
     """Describe a case by names and values."""
-    manifest: dict[str, Any] = folder.read_manifest() or {}
+    manifest: dict[str, Any] = again.folder.read_manifest() or {}
     row = again.row
     facts = [
-        ("Run", str(folder.path)),
+        ("Run", str(again.folder.path)),
         ("Campaign", campaign.spec.title or campaign.spec.name),
         ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
-        ("Recomputed", str(again.comparison)),
+        ("Recomputed", str(comparison)),
         ("Seed", str(campaign.seed)),
         ("Commit", str(manifest.get("commit") or "")),
         ("Image", str(row.get("image") or "")),

@@ -41,15 +41,20 @@ class Recomputed:
     shown
         Intermediate results passed to the observer of the trial; None if the kind of trial provides none, or the trial
         ended before.
-    comparison
-        Comparison with the stored tables.
+    folder
+        The run that it is a case of.
     """
 
     case: Case
     trials: Trials
     records: Records
     shown: object | None
-    comparison: StoredComparison
+    folder: RunFolder
+
+    @property
+    def comparison(self) -> StoredComparison:
+        """Comparison with the stored tables."""
+        return compare_with_stored(self.folder, self.case, self.records)
 
     @property
     def row(self) -> Record:
@@ -124,14 +129,13 @@ def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
 
 
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
-    """Run one case again, observed, and compare it with the stored tables."""
+    """Run one case again, observed."""
     bench = Bench(folder.path, jobs=1, keep_images=False)
     shown: list[object] = []
     watched = trials_of(campaign, case.scenario, bench).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
-    comparison = compare_with_stored(folder, case, records)
-    return Recomputed(case, watched, records, shown[-1] if shown else None, comparison)
+    return Recomputed(case, watched, records, shown[-1] if shown else None, folder)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,13 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import Protocol, cast
 
 from campaign.draft import drafted
 from campaign.handles import Handle, target_of
 from campaign.imaging.world import believed
-from campaign.products import crater_database, descriptors, landmark_database, maplets
 from campaign.products.databases import (
     content_key,
     drawn_per_database,
@@ -75,9 +74,8 @@ class ProductKind(Protocol):
         ...
 
 
-_KINDS: Mapping[str, ProductKind] = MappingProxyType(
-    {module.KIND: module for module in (landmark_database, maplets, descriptors, crater_database)}
-)
+_KINDS = ("landmark-database", "maplets", "descriptors", "crater-database")
+"""Names of the modules of this folder that build products; each is imported when a method asks for it."""
 
 
 def product_kind(name: str) -> ProductKind:
@@ -90,7 +88,7 @@ def product_kind(name: str) -> ProductKind:
     """
     if name not in _KINDS:
         raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
-    return _KINDS[name]
+    return cast("ProductKind", import_module(f"campaign.products.{name.replace('-', '_')}"))
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:

@@ -38,6 +38,8 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY, BROWN, VIOLET = (
     "#5522cc",
 )
 LINE_STYLES: tuple[LineStyleType, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+_DPI = 160
+_COMPRESSION = 3  # of PNG: 0.6 times the time of the default, and files 5 % larger
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, BROWN, VIOLET)
 _PARAMETERS: dict[Any, Any] = {
@@ -176,17 +178,19 @@ def grid_figure(
     rows: int, columns: int, width_in: float = 7.5, height_in: float = 6.0
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Make a figure with (rows, columns) panels."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    # With the resolution of the files, so that what the layout measures of texts is used again when they are drawn.
+    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, np.asarray(figure.subplots(rows, columns, squeeze=False))
 
 
-def render(figure: Figure, kind: str, dpi: int = 160) -> bytes:
+def render(figure: Figure, kind: str, dpi: int = _DPI) -> bytes:
     """Encode a figure as ``png`` or ``pdf``, without dates: the same figure gives the same bytes on one machine."""
     metadata = {"Software": None} if kind == "png" else {"Creator": None, "Producer": None, "CreationDate": None}
     buffer = io.BytesIO()
     with matplotlib.style.context(["default", _PARAMETERS]):
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+        encoder = {"compress_level": _COMPRESSION} if kind == "png" else None
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata, pil_kwargs=encoder)
     return buffer.getvalue()
 
 
@@ -209,8 +213,7 @@ def show_image(axes: Axes, image: NDArray[np.floating[Any]]) -> None:
 def hide_axes(axes: Axes) -> None:
     """Remove ticks, frame and grid."""
     axes.set(xticks=[], yticks=[])
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
+    axes.set_axis_off()
 
 
 def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
@@ -239,8 +242,10 @@ def _grow(figure: Figure, strip_in: float) -> None:
 
     Everything is placed by hand, as the constrained layout would put a legend outside the axes into the strip.
     """
+    engine = figure.get_layout_engine()
     with matplotlib.style.context(["default", _PARAMETERS]):
-        figure.draw_without_rendering()
+        if engine is not None:
+            engine.execute(figure)
         figure.set_layout_engine(
             None
         )  # with "none", a placeholder engine would stay and each file would be drawn twice

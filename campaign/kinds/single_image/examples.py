@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from campaign.imaging.observe import observe
 from campaign.inspection.case import Case
-from campaign.inspection.recompute import recompute
-from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
+from campaign.kinds.single_image.trial import SingleImage
 from campaign.resolved import ResolvedCampaign
+from campaign.runs.worker import opened
 from campaign.store import RunFolder
-from campaign.trial.image_trials import part_of
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks, visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
@@ -52,12 +52,13 @@ class SecondLook:
 
 def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> SecondLook | None:
     """Recognise the landmarks of a case again; None where the estimator is no landmark recogniser."""
-    again = recompute(campaign, folder, case)
-    trials = part_of(again.trials, SingleImage, case.trial)
-    estimator = None if trials is None else trials.estimators[case.estimator]
-    if not isinstance(again.shown, EstimatedImage) or not isinstance(estimator, LandmarkRecognizer):
+    trials = opened(campaign, case.scenario, folder.path, SingleImage, case.trial)
+    estimator = trials.estimators[case.estimator]
+    if not isinstance(estimator, LandmarkRecognizer):
         return None
-    return recognised_again(estimator, again.shown.observation, again.shown.sight.image_name)
+    trial_image = trials.world.source.trial_image(trials.seed, case.trial)
+    observation = observe(trials.world, trial_image, trials.seed, case.trial)
+    return recognised_again(estimator, observation, trial_image.image_name)
 
 
 def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:

@@ -33,6 +33,7 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer
 from renderers.mitsuba3 import BodyRenderer
+from renderers.mitsuba3.rays import body_window
 from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
 from reports.figures.recognition import MatchedLandmarks, draw_alignment_panels, draw_fit_panels, draw_matched_landmarks
 from reports.pages.view3d import PointSet, View3D
@@ -106,8 +107,11 @@ def _look(
     """Render the true body at a pose; the Sun stands still in the camera, as it is known to."""
     name, heading, T_cam_body = posed
     view = View(camera, T_cam_body, sun_dir_cam @ T_cam_body.rotation)
-    rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
-    body = renderer.surface(view, np.column_stack([columns.ravel(), rows.ravel()])).hit.reshape(image.shape)
+    body, window = np.zeros(image.shape, dtype=np.bool_), body_window(view, renderer.outline_m)
+    if window is not None:
+        rows, columns = np.mgrid[window.slices] + 0.5
+        hit = renderer.surface(view, np.column_stack([columns.ravel(), rows.ravel()])).hit
+        body[window.slices] = hit.reshape(rows.shape)
     rendered = renderer.render(view).astype(np.float64)
     design = np.column_stack([rendered.ravel(), np.ones(rendered.size)])
     scale, offset = np.linalg.lstsq(design, image.ravel())[0]
