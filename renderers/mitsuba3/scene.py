@@ -105,9 +105,13 @@ class FacetScene:
 
     def first_hits(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> tuple[SingleArray, IndexArray]:
         """Distances (N,), m, inf for a miss, and facets (N,) of the first hits of rays (N, 3)."""
+        import drjit as dr
+
         hit = self.scene.ray_intersect_preliminary(_rays(mi, origins_m, directions), coherent=True)
-        met = hit.is_valid().numpy()
-        return np.where(met, hit.t.numpy(), np.inf).astype(np.float32), np.where(met, hit.prim_index.numpy(), 0)
+        valid, distance, facet = hit.is_valid(), hit.t, hit.prim_index
+        dr.eval(valid, distance, facet)  # together: each by itself would trace all rays again
+        met = valid.numpy()
+        return np.where(met, distance.numpy(), np.inf).astype(np.float32), np.where(met, facet.numpy(), 0)
 
     def blocks(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> BoolArray:
         """(N,) whether a facet blocks each of the rays (N, 3)."""

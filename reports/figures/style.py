@@ -186,11 +186,12 @@ def grid_figure(
 
 def render(figure: Figure, kind: str, dpi: int = _DPI) -> bytes:
     """Encode a figure as ``png`` or ``pdf``, without dates: the same figure gives the same bytes on one machine."""
-    metadata = {"Software": None} if kind == "png" else {"Creator": None, "Producer": None, "CreationDate": None}
+    options: dict[str, Any] = {"metadata": {"Creator": None, "Producer": None, "CreationDate": None}}
+    if kind == "png":
+        options = {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": _COMPRESSION}}
     buffer = io.BytesIO()
     with matplotlib.style.context(["default", _PARAMETERS]):
-        encoder = {"compress_level": _COMPRESSION} if kind == "png" else None
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata, pil_kwargs=encoder)
+        figure.savefig(buffer, format=kind, dpi=dpi, **options)
     return buffer.getvalue()
 
 
