@@ -86,6 +86,7 @@ def _runs(commands: Commands) -> None:
     )
     run.add_argument("--local", type=_positive, metavar="N", help="with --backend dask: N workers of this machine")
     _add_overrides(run)
+    _add_fetch(run)
     _add_report(run)
     run.add_argument("--no-report", action="store_true", help="store the trials alone; boresight report tells of them")
     run.set_defaults(handler="runs:run_command")
@@ -193,6 +194,7 @@ def _figures(commands: Commands) -> None:
         "--jobs", type=_positive,
         help="worker processes of what is run or built again for a figure (default: one for each core, or GPU)",
     )  # fmt: skip
+    _add_fetch(figures)
     figures.set_defaults(handler="figures:figures_command")
 
 
@@ -245,10 +247,25 @@ def _bench(commands: Commands) -> None:
 
 
 def _fetch(commands: Commands) -> None:
-    fetch = commands.add_parser("fetch", help="download a data set of a mission")
-    fetch.add_argument("name", nargs="?", help="a name from the list, or a YAML file")
+    fetch = commands.add_parser("fetch", help="download the data of a paper or a campaign, or a data set")
+    fetch.add_argument("name", nargs="?", help="a data set, a campaign or its YAML file, a paper, or all")
     fetch.add_argument("--list", action="store_true", help="list the data sets")
+    _add_source(fetch)
     fetch.set_defaults(handler="fetch:fetch_command")
+
+
+def _add_fetch(parser: argparse.ArgumentParser) -> None:
+    """Add ``--fetch`` and ``--from`` to a command."""
+    parser.add_argument("--fetch", action="store_true", help="first download the data that are missing")
+    _add_source(parser)
+
+
+def _add_source(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--from", dest="source", metavar="SOURCE", default="",
+        help="mirror of the data: a URL or a folder with the files under their paths in the data folder"
+        " (default: the public repositories)",
+    )  # fmt: skip
 
 
 def _machine(commands: Commands) -> None:

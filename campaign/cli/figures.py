@@ -11,6 +11,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from campaign.cli.arguments import ALL_PAPERS
+from campaign.cli.fetch import bring_missing
 from campaign.cli.progress import NamedLines, ProgressListener
 from campaign.cli.terminal import console
 from campaign.draft import as_draft, kept
@@ -116,6 +117,7 @@ def figures_command(arguments: argparse.Namespace) -> int:
 
 def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> int:
     """Run what papers are missing, where that is asked for, and write their pages; return the exit code."""
+    bring_missing([name for paper in folders for name in paper_campaigns(paper_called(paper))], arguments)
     if arguments.run or arguments.trials_scale < 1.0:
         wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command)
         run_missing(_missing(folders, arguments), wanted, arguments.jobs)

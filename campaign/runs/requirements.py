@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,8 +15,7 @@ from types import MappingProxyType
 
 from estimators.slam.registry import EXTRAS
 from scenarios.cache import default_cache
-from scenarios.data import find_data_file, find_data_folder
-from scenarios.errors import BoresightError
+from scenarios.data import is_there
 from scenarios.load import LoadedCampaign, LoadedScenario, load_scenario
 from scenarios.onboard import onboard_spec
 from scenarios.spec.body import EMBEDDED_NAMES
@@ -30,15 +29,29 @@ _OF_DATA = ("body", "onboard", "images")
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """A file or a folder, as a scenario names it, or a package; whether it is there, and how to install it if not."""
+    """A file or a folder, as a scenario names it, or a package.
+
+    Parameters
+    ----------
+    name
+        Its name in the scenario.
+    found
+        Whether it is there.
+    kind
+        Folder below the data folder where it is looked for first; '' for a package.
+    remedy
+        How to install a missing package.
+    """
 
     name: str
     found: bool
+    kind: str = ""
     remedy: str = ""
 
     def __str__(self) -> str:
-        """Name it, and say if it is missing."""
-        return self.name if self.found else f"{self.name} (missing{self.remedy})"
+        """Name it, a folder with a slash, and say if it is missing."""
+        name = f"{self.name}/" if self.kind == "images" else self.name
+        return name if self.found else f"{name} (missing{self.remedy})"
 
 
 def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = MappingProxyType({})) -> tuple[Need, ...]:
@@ -48,7 +61,7 @@ def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = Mappin
     """
     found = {need.name: need for scenario in _scenarios(campaign, known) for need in _of_scenario(scenario)}
     for extra in dict.fromkeys(EXTRAS[one.name] for one in campaign.spec.estimators if one.name in EXTRAS):
-        found[extra] = Need(extra, find_spec(extra) is not None, f': pip install -e ".[{extra}]"')
+        found[extra] = Need(extra, find_spec(extra) is not None, remedy=f': pip install -e ".[{extra}]"')
     return tuple(found.values())
 
 
@@ -71,21 +84,13 @@ def _change_data(overrides: Iterable[str]) -> bool:
 
 def _of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
     spec, dirs = scenario.spec, scenario.search_dirs
-    for shape in dict.fromkeys((spec.body.shape, onboard_spec(spec).body.shape)):
-        if shape not in EMBEDDED_NAMES:
-            yield Need(shape, _is_there(find_data_file, shape, dirs, "shapes"))
+    named = [("shapes", spec.body.shape), ("shapes", onboard_spec(spec).body.shape)]
     if spec.images is not None:
-        yield Need(f"{spec.images.folder}/", _is_there(find_data_folder, spec.images.folder, dirs, "images"))
-
-
-def _is_there(
-    find: Callable[[str, Sequence[Path], str, str], Path], name: str, dirs: Sequence[Path], kind: str
-) -> bool:
-    try:
-        find(name, dirs, kind, "")
-    except BoresightError:
-        return False
-    return True
+        named.append(("images", spec.images.folder))
+        named += [("spice", kernel) for kernel in (spec.images.spice.kernels if spec.images.spice else ())]
+    for kind, name in dict.fromkeys(named):
+        if name not in EMBEDDED_NAMES:
+            yield Need(name, is_there(name, dirs, kind), kind)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import platformdirs
 
 from scenarios.errors import BoresightError
 
-__all__ = ["DATA_VARIABLE", "data_folder", "find_data_file", "find_data_folder"]
+__all__ = ["DATA_VARIABLE", "data_folder", "find_data_file", "find_data_folder", "is_there"]
 
 DATA_VARIABLE = "BORESIGHT_DATA"
 
@@ -54,24 +54,35 @@ def find_data_folder(name: str, search_dirs: Sequence[Path], folder: str, key: s
     return _find(name, search_dirs, folder, key, Path.is_dir)
 
 
-def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_there: Callable[[Path], bool]) -> Path:
+def is_there(name: str, search_dirs: Sequence[Path], folder: str) -> bool:
+    """Return whether a file or folder is where `find_data_file` or `find_data_folder` looks for it."""
+    return any(place.exists() for place in _candidates(name, search_dirs, folder))
+
+
+def _candidates(name: str, search_dirs: Sequence[Path], folder: str) -> list[Path]:
     given = Path(name).expanduser()
     places = [*search_dirs, data_folder() / folder, data_folder()]
-    candidates = [given] if given.is_absolute() else [place / given for place in places]
+    return [given] if given.is_absolute() else [place / given for place in places]
+
+
+def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_wanted: Callable[[Path], bool]) -> Path:
+    candidates = _candidates(name, search_dirs, folder)
     for candidate in candidates:
-        if is_there(candidate):
+        if is_wanted(candidate):
             return candidate
     looked = ", ".join(str(candidate) for candidate in candidates)
-    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(given, folder)}")
+    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(Path(name), folder)}")
 
 
 def _advice(given: Path, folder: str) -> str:
-    # Imported here: the data sets are YAML files that are read only if a file is missing.
-    from scenarios.data.datasets import dataset_providing
+    # Imported here: the registry of data sets is a YAML file that is read only if a file is missing.
+    from scenarios.data.datasets import datasets_providing
 
-    known = None if given.is_absolute() else dataset_providing([f"{folder}/{given.as_posix()}", given.as_posix()])
-    if known is not None:
-        return f"to fetch it: boresight fetch {known}"
+    paths = [f"{folder}/{given.as_posix()}", given.as_posix()]
+    for known in [] if given.is_absolute() else datasets_providing(paths):
+        if known.published is not None:
+            return f"bring your own: {known.title}, published at {known.published}; folder {known.folder}"
+        return f"to fetch it: boresight fetch {known.name}"
     if DATA_VARIABLE in os.environ or given.is_absolute():
         return "check the path"
     return f"or set {DATA_VARIABLE} to the folder of the data"

@@ -1,122 +1,126 @@
-"""Downloadable data sets: addresses, target folders, credits and licences."""
+"""Registry of data sets: what `boresight fetch` downloads and from where, and what a user must bring."""
 
 from __future__ import annotations
 
-import re
-import warnings
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Literal, Self
+from urllib.parse import quote
 
 from pydantic import Field, model_validator
 
-from scenarios.errors import BoresightError
+from scenarios.load.entry import ConfigEntry
 from scenarios.load.files import validated
-from scenarios.load.find import find, name_of, names_in, read
+from scenarios.load.find import read
 from scenarios.spec.base import SpecModel
 
-CATALOG = Path(__file__).parent / "catalog"
-_URL = r"^https?://[^\s]+$"
-FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$"
-"""Pattern of the name of a fetched file: it cannot leave its folder or replace a hidden file of boresight."""
-Url = Annotated[str, Field(pattern=_URL)]
+REGISTRY = Path(__file__).parent / "datasets.yaml"
+RAW_FILES = "https://raw.githubusercontent.com"
+"""Server of the raw files of public repositories, below OWNER/NAME/COMMIT/PATH."""
+_PART = r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}"
+PATH_PATTERN = rf"^{_PART}(/{_PART})*$"
+"""Pattern of the path of a fetched file: it cannot leave its folder or replace a hidden file."""
+_Path = Annotated[str, Field(pattern=PATH_PATTERN)]
 
 
-class FileSpec(SpecModel):
-    """One file of a data set."""
+class RawFile(SpecModel):
+    """A file of a repository, with its size and checksum."""
 
-    url: Url = Field(description="Where it is published")
-    name: str | None = Field(None, pattern=FILE_NAME, description="Name here; that of the URL")
-    size_bytes: int | None = Field(None, gt=0, description="Size, where it is known")
-    sha256: str | None = Field(
-        None, pattern=r"^[0-9a-f]{64}$", description="Checksum; left out: that of the first fetch is kept and holds"
-    )
+    name: _Path = Field(description="Path in the folder of the data set")
+    bytes: int = Field(gt=0, description="Size")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="Checksum")
+    path: str = Field("", pattern=r"^[^/].*$|^$", description="Path in the repository; the name below the set's path")
 
-    @property
-    def file_name(self) -> str:
-        """Name of the file in the data set's folder."""
-        return self.name or PurePosixPath(self.url).name
+
+class FileSpec(RawFile):
+    """A file of a data set: of its repository, derived from such a file, or part of boresight."""
+
+    raw: RawFile | None = Field(None, description="File of the repository from which this one is derived")
+    by: Literal["icq", "apophis"] | None = Field(None, description="Function of `campaign.data.derive` that derives it")
+    bundled: str = Field("", description="File of boresight that is copied")
 
     @model_validator(mode="after")
-    def _stays_in_its_folder(self) -> Self:
-        if not re.fullmatch(FILE_NAME, self.file_name):
-            raise ValueError(f"url: {self.url} ends in no plain file name: give one as name")
+    def _derived_by_something(self) -> Self:
+        if (self.raw is None) != (self.by is None):
+            raise ValueError("raw and by belong together: give both, or neither")
         return self
 
 
-class ListingSpec(SpecModel):
-    """Files of a folder on a server, by the links of its listing."""
+class DataSet(SpecModel):
+    """A data set in a public repository, or one that a user must bring."""
 
-    url: Url = Field(description="The folder, with a slash at its end")
-    pattern: str = Field(min_length=1, description="Regular expression of the whole names of the files")
-
-    @model_validator(mode="after")
-    def _is_an_expression(self) -> Self:
-        try:
-            # Warnings of re concern ambiguous expressions, which have an unambiguous form.
-            with warnings.catch_warnings(action="error"):
-                re.compile(self.pattern)
-        except (re.error, OverflowError, RecursionError, Warning) as error:
-            raise ValueError(f"pattern: {self.pattern!r} is no regular expression: {error}") from error
-        return self
-
-
-class DataSetSpec(SpecModel):
-    """A data set: its files one by one, or those of a folder on a server."""
-
-    alternatives: ClassVar = (("files", "listing"),)
+    alternatives: ClassVar = (("repository", "published"),)
 
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]*$")
     title: str = Field(min_length=1, description="What it is")
-    folder: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/-]*$", description="Where it goes, below the data folder")
-    credit: str = Field(min_length=1, description="Whom to thank, with the reference")
-    licence: str = Field(min_length=1, description="What may be done with it")
+    folder: _Path = Field(description="Folder below the data folder")
+    credit: str = Field(min_length=1, description="Whom to credit")
+    licence: str = Field(min_length=1, description="Terms of use")
     note: str = Field("", description="What a user must know")
-    files: tuple[FileSpec, ...] | None = Field(None, description="The files")
-    listing: ListingSpec | None = Field(None, description="The files of a folder, instead of files")
+    repository: str | None = Field(None, pattern=r"^[^/\s]+/[^/\s]+$", description="GitHub repository, owner/name")
+    commit: str = Field("", pattern=r"^([0-9a-f]{40})?$", description="Commit of the repository")
+    path: str = Field("", description="Folder in the repository")
+    files: tuple[FileSpec, ...] = Field((), description="Files that are fetched")
+    published: str | None = Field(None, description="Where it is published, if it cannot be fetched")
+    needed: tuple[_Path, ...] = Field((), description="Files that a user must bring; none: those of the whole folder")
 
     @model_validator(mode="after")
-    def _names_once(self) -> Self:
-        names = [file.file_name for file in self.files or ()]
+    def _complete(self) -> Self:
+        if self.repository is not None and not (self.commit and self.files):
+            raise ValueError("a repository needs a commit and files")
+        names = self.file_names
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"files: two of them are called {', '.join(twice)}")
-        if ".." in PurePosixPath(self.folder).parts:
-            raise ValueError(f"folder: {self.folder} leads out of the data folder")
         return self
 
+    @property
+    def file_names(self) -> list[str]:
+        """Names of its files; empty for a whole folder."""
+        return [*(file.name for file in self.files), *self.needed]
+
+    def url(self, file: RawFile) -> str:
+        """Return the address of a raw file at the commit."""
+        path = file.path or PurePosixPath(self.path, file.name).as_posix()
+        return f"{RAW_FILES}/{self.repository}/{self.commit}/{quote(path)}"
+
     def provides(self, path: str) -> bool:
-        """Return whether a path below the data folder is one of its files, or lies in its folder."""
-        here = PurePosixPath(self.folder)
-        asked = PurePosixPath(path)
-        if self.files is None:
-            return asked == here or here in asked.parents
-        return asked == here or asked in {here / file.file_name for file in self.files}
+        """Return whether a path below the data folder is its folder, one of its files, or in its folder."""
+        here, asked = PurePosixPath(self.folder), PurePosixPath(path)
+        if asked == here:
+            return len(here.parts) > 1  # shapes are in one folder, images and kernels each in their own
+        return asked in {here / name for name in self.file_names} if self.file_names else here in asked.parents
 
 
-def dataset_names() -> list[str]:
-    """Return the names of the data sets that can be fetched."""
-    return names_in(CATALOG)
-
-
-def load_dataset(name_or_path: str) -> DataSetSpec:
-    """Read a data set by its name in the catalogue or from a YAML file.
+def read_registry(path: Path) -> dict[str, DataSet]:
+    """Read data sets from a YAML file, by name.
 
     Raises
     ------
     BoresightError
-        If there is no data set of that name, or the file is invalid.
+        If the file cannot be read or an entry is invalid.
     """
-    path = find(name_or_path, CATALOG, what="data set")
-    entry = read(path)
-    section = dict(entry.section or {})
-    section.setdefault("name", type(entry)(name_of(path), entry.place))
-    return validated(DataSetSpec, type(entry)(section, entry.place))
+    found = {}
+    for name, entry in (read(path).section or {}).items():
+        named = {**(entry.section or {}), "name": ConfigEntry(name, entry.place)}
+        found[name] = validated(DataSet, ConfigEntry(named, entry.place))
+    return found
 
 
-def dataset_providing(paths: list[str]) -> str | None:
-    """Return the name of a data set that provides one of the paths below the data folder, or None."""
-    try:
-        sets = [load_dataset(name) for name in dataset_names()]
-    except BoresightError:
-        return None  # an error about a missing file must not become one about a data set
-    return next((one.name for path in paths for one in sets if one.provides(path)), None)
+@lru_cache(maxsize=4)
+def _read_once(path: Path) -> dict[str, DataSet]:
+    return read_registry(path)
+
+
+def datasets() -> dict[str, DataSet]:
+    """Return all data sets by name."""
+    return _read_once(REGISTRY)
+
+
+def datasets_providing(paths: list[str]) -> list[DataSet]:
+    """Return the data sets that provide the first of the paths below the data folder that any provides."""
+    for path in paths:
+        found = [one for one in datasets().values() if one.provides(path)]
+        if found:
+            return found
+    return []

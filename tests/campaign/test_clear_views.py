@@ -52,4 +52,4 @@ def test_the_real_campaign_says_in_one_line_what_to_fetch(tmp_path, monkeypatch,
     captured = capsys.readouterr()
     assert len(captured.err.splitlines()) == 1
     assert "images.folder: hayabusa_amica_20051001 was not found" in captured.err
-    assert "boresight fetch amica-20051001" in captured.err
+    assert "bring your own: Hayabusa AMICA images of 2005-10-01" in captured.err

@@ -39,7 +39,7 @@ LONG = (
     "campaign.cli.figures.run_missing",
     "campaign.cli.bench.benchmark",
     "benchmarks.door.speed_table",
-    "campaign.cli.fetch.fetch",
+    "campaign.cli.fetch.bring",
 )
 
 

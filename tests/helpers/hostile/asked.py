@@ -12,7 +12,7 @@ from estimators.options import parse_options
 from estimators.slam.options import BundleOptions
 from hostile.target import Target
 from reports.published import parse as parse_published
-from scenarios.data.datasets import load_dataset
+from scenarios.data.datasets import read_registry
 from scenarios.designs import grid_cells
 from scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from scenarios.load.yaml_text import parse_yaml
@@ -24,7 +24,7 @@ def targets() -> dict[str, Target]:
         "yaml": Target(_yaml, lambda: (_SCENARIO, _CAMPAIGN, _SEQUENCE, b"a: &x [1, 2]\nb: {c: *x}\n"), _YAML),
         "scenario": Target(_scenario, lambda: (_SCENARIO, _SEQUENCE, _ORBIT), (*_YAML, *_KEYS)),
         "campaign": Target(_campaign, lambda: (_CAMPAIGN, _GRID), (*_YAML, *_KEYS)),
-        "data-set": Target(_data_set, lambda: (_DATA_SET, _LISTED), _YAML),
+        "data-set": Target(_data_sets, lambda: (_DATA_SETS,), _YAML),
         "override": Target(_override, lambda: (b"camera.fov_deg=20", b"body.detail={facets: 100, seed: 2}"), _YAML),
         "options": Target(_options, lambda: _OPTIONS, _YAML),
         "published": Target(_published, _published_seeds, _YAML),
@@ -82,19 +82,18 @@ grid:
     range: {key: viewpoint.range_m, values: [1000, 2000, 3000]}
     law: {levels: {a: {brdf.kind: lambert}, b: {brdf: {kind: hapke}}}}
 """
-_DATA_SET = b"""title: Some
-folder: shapes
-credit: us
-licence: none
-files:
-  - {url: "http://127.0.0.1/a.bin", name: b.bin, size_bytes: 12, sha256: "%s"}
-""" % (b"0" * 64)
-_LISTED = b"""title: Some
-folder: images/day
-credit: us
-licence: none
-listing: {url: "http://127.0.0.1/day/", pattern: '[a-z]+_[0-9]+[.]fit'}
-"""
+_DATA_SETS = b"""some:
+  title: Some
+  folder: shapes
+  credit: us
+  licence: none
+  repository: us/some
+  commit: %s
+  files:
+    - {name: b.bin, bytes: 12, sha256: "%s", path: a/b.bin}
+    - {name: c.bin, bytes: 12, sha256: "%s", by: icq, raw: {name: d.bin, bytes: 3, sha256: "%s"}}
+yours: {title: Yours, folder: images/day, credit: you, licence: none, published: a paper, needed: [a.fit]}
+""" % (b"0a" * 20, b"0" * 64, b"1" * 64, b"2" * 64)
 
 
 _OPTIONS = (
@@ -129,13 +128,14 @@ def _campaign(content: bytes, folder: Path) -> object:
     return canonical_json(spec), digest(spec), None if spec.grid is None else grid_cells(spec.grid)
 
 
-def _data_set(content: bytes, folder: Path) -> object:
-    spec = load_dataset(_laid(content, folder))
-    home = folder / "data"
-    for file in spec.files or ():
-        assert (home / spec.folder / file.file_name).resolve().is_relative_to(home.resolve()), file
-        assert file.file_name not in ("", ".", "..")
-    return spec.provides("shapes/b.bin")
+def _data_sets(content: bytes, folder: Path) -> object:
+    home = (folder / "data").resolve()
+    found = read_registry(Path(_laid(content, folder)))
+    for one in found.values():
+        for file in (*one.files, *(file.raw for file in one.files if file.raw)):
+            assert (home / one.folder / file.name).resolve().is_relative_to(home), file
+            assert "\n" not in one.url(file)
+    return [one.provides("shapes/b.bin") for one in found.values()]
 
 
 def _options(content: bytes, _folder: Path) -> object:

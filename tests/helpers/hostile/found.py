@@ -69,10 +69,11 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     "scenario": (b"extends: /dev/zero\n", b"extends: /dev/stdin\n"),
     # JSON has no infinities: the digest raised ValueError.
     "campaign": (b"scenarios: [a]\nestimators: [prior: {b: .inf}]\ntrials: 1\nseed: 1\nset: {a: {b: [.nan]}}\n",),
-    # A name of nothing, or of the folder above; a warning of re's.
+    # A name of the folder above; entries that are no sections.
     "data-set": (
-        b"title: a\nfolder: a\ncredit: a\nlicence: a\nfiles: [{url: 'http://h/..'}]\n",
-        b"title: a\nfolder: a\ncredit: a\nlicence: a\nlisting: {url: 'http://h/', pattern: '[a--b]'}\n",
+        b"a: {title: a, folder: a, credit: a, licence: a, repository: a/b, commit: '%s', files: [{name: .., bytes: 1,"
+        b" sha256: '%s'}]}\n" % (b"0" * 40, b"0" * 64),
+        b"a: 1\nb: [a]\n",
     ),
     # What is asked for came back with what steers a terminal.
     "override": (
@@ -161,8 +162,6 @@ FOUND: dict[str, tuple[bytes, ...]] = {
         b"index int64 0 1\nview binary a a\nheight_px int32 8192 8192\nwidth_px int32 8192 8192\nlit binary a a\n"
         b"values list<float> 1 1",
     ),
-    # The last: a name that no file system takes.
-    "ledger": (b'{"a": 1}', b"[1]", b'{"' + 300 * b"a" + b'": {}}'),
     # RecursionError.
     "bench": (b"[" * 3000,),
     # One number where three belong; a division by zero.

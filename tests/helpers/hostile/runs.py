@@ -1,4 +1,4 @@
-"""Readers of what runs and downloads leave behind, kept images, times and ledgers; and kernels of SPICE."""
+"""Readers of what runs and downloads leave behind, kept images and times; and kernels of SPICE."""
 
 from __future__ import annotations
 
@@ -10,21 +10,18 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from campaign.cli.bench import read_ratios
-from campaign.data.fetch import state
 from campaign.imaging.image_store import StoredImage, read_chunk, write_images
 from hostile import recipes
 from hostile.target import Target
 from renderers.spice.instruments import INSTRUMENTS
 from renderers.spice.kernels import loaded_kernels
-from scenarios.data.datasets import DataSetSpec
 
 
 def targets() -> dict[str, Target]:
-    """The cache, ledgers and kernels."""
+    """The cache and kernels."""
     return {
         "image-chunk": Target(_columns, lambda: (_chunk_recipe(),), _KINDS),
         "image-chunk-bytes": Target(_chunk, lambda: (_written_chunk(),)),
-        "ledger": Target(_ledger, lambda: (b'{"b.bin": {"sha256": "%s", "bytes": 3}}' % (b"0" * 64),), _JSON),
         "bench": Target(_bench, lambda: (_BENCH,), _JSON),
         "kernel": Target(_kernel, lambda: (_KERNEL,), _SPICE),
     }
@@ -77,13 +74,6 @@ def _columns(content: bytes, folder: Path) -> object:
 
 def _chunk(content: bytes, folder: Path) -> object:
     return [kept.image.sum() for kept in read_chunk(_laid(content, folder / "images.parquet")).values()]
-
-
-def _ledger(content: bytes, folder: Path) -> object:
-    listing = {"url": "http://127.0.0.1/", "pattern": ".*"}
-    about = {"name": "some", "title": "Some", "folder": "d", "credit": "us", "licence": "none", "listing": listing}
-    _laid(content, folder / "d" / ".boresight-fetched.json")
-    return state(DataSetSpec.model_validate(about), folder)
 
 
 def _bench(content: bytes, folder: Path) -> object:
