@@ -1,4 +1,4 @@
-"""Built-in bodies, generated from formulas: spheres, a contact binary and an Eros-like body."""
+"""Built-in bodies, generated from formulas: spheres, a contact binary, and bodies like Eros, Itokawa and Apophis."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_norma
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import EMBEDDED_NAMES
 
-__all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"]
+__all__ = ["EMBEDDED", "apophis_like", "apophis_sphere", "contact_binary", "eros_like", "itokawa_like", "sphere"]
 
 EMBEDDED_VERSION = 1
 """Part of the digest of every built-in body: increase it when a formula gives another mesh."""
 
 # The contact binary.
-_BOX_M = np.array([560.0, 305.0, 243.0])
-_GRID = 32  # cells along the side of a cube face
-_BISECTIONS = 50  # 560 m / 2^50 is 5e-13 m
+_GRID, _FINE_GRID = 32, 64  # cells along the side of a cube face
+_BISECTIONS = 50  # of 560 m: 5e-13 m
 _SPHERE_ROUNDS = 4
 _LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
 _LUMPS_RMS_M = 5.0
@@ -151,36 +150,41 @@ class _Lobe:
         return distance_m
 
 
-# A long body and a smaller head in contact with it, as on (25143) Itokawa; the other lobes break the symmetry.
-_LOBES = (
-    _Lobe((-70.0, 0.0, 0.0), (190.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
-    _Lobe((190.0, 40.0, 10.0), (98.0, 98.0, 86.0), yaw_deg=-25.0),
-    _Lobe((-150.0, -35.0, 18.0), (95.0, 90.0, 85.0)),
-    _Lobe((-40.0, 60.0, -25.0), (105.0, 75.0, 70.0), yaw_deg=-20.0),
-    _Lobe((225.0, -5.0, -20.0), (60.0, 65.0, 60.0)),
-)
-_BLEND_M = 25.0
-# The union is star-shaped about this point, so that bisection along each ray finds the only crossing.
-_NECK_M = np.array([90.0, 15.0, 0.0])
+@dataclass(frozen=True, slots=True)
+class _Lobed:
+    """The smooth union of lobes, star-shaped about ``neck_m``, in a box of ``box_m``.
 
+    Bisection along a ray from the neck finds the only crossing of the surface. ``blend_m`` is the width of the joints.
+    """
 
-def _surface_distance(points_m: FloatArray) -> FloatArray:
-    """Signed distance of points (N, 3) to the smooth union of the lobes."""
-    distances = np.stack([lobe.distance_m(points_m) for lobe in _LOBES])
-    nearest = distances.min(axis=0)
-    # -k log(sum exp(-d / k)), a smooth minimum; relative to the nearest lobe no exponential overflows.
-    union_m: FloatArray = nearest - _BLEND_M * np.log(np.exp((nearest - distances) / _BLEND_M).sum(axis=0))
-    return union_m
+    box_m: tuple[float, float, float]
+    lobes: tuple[_Lobe, ...]
+    blend_m: float
+    neck_m: tuple[float, float, float]
 
+    def distance_m(self, points_m: FloatArray) -> FloatArray:
+        """Signed distance of points (N, 3) to the surface."""
+        distances = np.stack([lobe.distance_m(points_m) for lobe in self.lobes])
+        nearest, k = distances.min(axis=0), self.blend_m
+        # -k log(sum exp(-d / k)), a smooth minimum; relative to the nearest lobe no exponential overflows.
+        union_m: FloatArray = nearest - k * np.log(np.exp((nearest - distances) / k).sum(axis=0))
+        return union_m
 
-def _on_surface(directions: FloatArray) -> FloatArray:
-    """Points (N, 3) where rays from the neck along unit ``directions`` leave the body, by bisection."""
-    inner, outer = np.zeros(len(directions)), np.full(len(directions), _BOX_M[0])
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (inner + outer)
-        inside = _surface_distance(_NECK_M + middle[:, None] * directions) < 0.0
-        inner, outer = np.where(inside, middle, inner), np.where(inside, outer, middle)
-    return _NECK_M + inner[:, None] * directions
+    def surface(self, q: int) -> tuple[FloatArray, IndexArray]:
+        """Points (6 q**2 + 2, 3) where rays from the neck leave the body, by bisection, and faces (12 q**2, 3)."""
+        directions, faces = _cube_mesh(q)
+        directions = unit(directions * self.box_m)
+        inner, outer = np.zeros(len(directions)), np.full(len(directions), self.box_m[0])
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (inner + outer)
+            inside = self.distance_m(self.neck_m + middle[:, None] * directions) < 0.0
+            inner, outer = np.where(inside, middle, inner), np.where(inside, outer, middle)
+        return self.neck_m + inner[:, None] * directions, faces
+
+    def mesh(self, points_m: FloatArray, faces: IndexArray) -> TriangleMesh:
+        """Scale points of the surface to the box, with the origin at the centre of volume."""
+        points_m = points_m * (self.box_m / np.ptp(points_m, axis=0))
+        return TriangleMesh(points_m - _centre_of_volume(points_m, faces), faces.astype(np.int32))
 
 
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
@@ -192,18 +196,64 @@ def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
     return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
 
 
+# A long body and a smaller head in contact with it, as on (25143) Itokawa; the other lobes break the symmetry.
+_CONTACT_BINARY = _Lobed(
+    (560.0, 305.0, 243.0),
+    (
+        _Lobe((-70.0, 0.0, 0.0), (190.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
+        _Lobe((190.0, 40.0, 10.0), (98.0, 98.0, 86.0), yaw_deg=-25.0),
+        _Lobe((-150.0, -35.0, 18.0), (95.0, 90.0, 85.0)),
+        _Lobe((-40.0, 60.0, -25.0), (105.0, 75.0, 70.0), yaw_deg=-20.0),
+        _Lobe((225.0, -5.0, -20.0), (60.0, 65.0, 60.0)),
+    ),
+    blend_m=25.0,
+    neck_m=(90.0, 15.0, 0.0),
+)
+
+
 def contact_binary() -> TriangleMesh:
     """Make an Itokawa-like body of 560 x 305 x 243 m: two lobes with a concave neck, 12,288 facets.
 
     A cube grid is projected, along rays from the neck, to the smooth union of a few ellipsoids; then a fractal
     height field with a fixed seed is added and the mesh is scaled to the box. The origin is the centre of volume.
     """
-    directions, faces = _cube_mesh(_GRID)
-    points_m = _on_surface(unit(directions * _BOX_M))
+    points_m, faces = _CONTACT_BINARY.surface(_GRID)
     lumps, _ = fractal_field(points_m, _LUMPS, 0.0, np.random.SeedSequence(_LUMPS_SEED))
     points_m = points_m + _LUMPS_RMS_M * lumps[:, None] * vertex_normals(points_m, faces)
-    points_m = points_m * (_BOX_M / np.ptp(points_m, axis=0))
-    return TriangleMesh(points_m - _centre_of_volume(points_m, faces), faces.astype(np.int32))
+    return _CONTACT_BINARY.mesh(points_m, faces)
+
+
+# Numbers of ours, fitted to silhouettes, box and volume of Gaskell's (25143) Itokawa, in whole metres and degrees.
+_ITOKAWA = _Lobed(
+    (562.0, 305.0, 243.0),
+    (
+        _Lobe((-112.0, -47.0, -15.0), (114.0, 66.0, 53.0), yaw_deg=-21.0, pitch_deg=-7.0),
+        _Lobe((-37.0, 53.0, 26.0), (100.0, 22.0, 24.0), yaw_deg=-25.0, pitch_deg=-12.0),
+        _Lobe((246.0, 19.0, -56.0), (42.0, 48.0, 24.0), yaw_deg=21.0, pitch_deg=68.0),
+    ),
+    blend_m=103.0,
+    neck_m=(120.0, 5.0, -10.0),
+)
+# The same for the light-curve shape of (99942) Apophis, scaled to a volume-equivalent diameter of 375 m.
+_APOPHIS = _Lobed(
+    (523.0, 364.0, 314.0),
+    (
+        _Lobe((-97.0, 18.0, 6.0), (183.0, 85.0, 92.0), yaw_deg=18.0, pitch_deg=-28.0),
+        _Lobe((126.0, -38.0, -26.0), (120.0, 77.0, 37.0), yaw_deg=67.0, pitch_deg=25.0),
+    ),
+    blend_m=132.0,
+    neck_m=(10.0, 0.0, 0.0),
+)
+
+
+def itokawa_like() -> TriangleMesh:
+    """Make a body like Itokawa, of 562 x 305 x 243 m and 0.0177 km3: a long lobe and a head, 49,152 facets."""
+    return _ITOKAWA.mesh(*_ITOKAWA.surface(_FINE_GRID))
+
+
+def apophis_like() -> TriangleMesh:
+    """Make a body like Apophis, of 523 x 364 x 314 m and 0.0277 km3: two joined lobes, 49,152 facets."""
+    return _APOPHIS.mesh(*_APOPHIS.surface(_FINE_GRID))
 
 
 def sphere() -> TriangleMesh:
@@ -224,6 +274,5 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
     return centre_m
 
 
-EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(
-    dict(zip(EMBEDDED_NAMES, (contact_binary, sphere, apophis_sphere, eros_like), strict=True))
-)
+_MAKERS = (contact_binary, sphere, apophis_sphere, eros_like, itokawa_like, apophis_like)
+EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(dict(zip(EMBEDDED_NAMES, _MAKERS, strict=True)))

@@ -8,8 +8,16 @@ from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel, is_none
 
-EMBEDDED_NAMES = ("contact-binary", "sphere", "apophis-sphere", "eros-like")
+EMBEDDED_NAMES = ("contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like")
 """Names of the built-in bodies of `scenarios.bodies.embedded`."""
+
+STAND_INS = {
+    "itokawa_gaskell_q64.ply": "itokawa-like",
+    "itokawa_radar.obj": "contact-binary",
+    "eros022540.tab": "eros-like",
+    "apophis_lightcurve.obj": "apophis-like",
+}
+"""Built-in bodies that ``--embedded`` takes in place of shape files."""
 
 
 class SizesSpec(SpecModel):
@@ -123,3 +131,10 @@ class BodySpec(SpecModel):
     )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")
+
+    def embedded(self) -> BodySpec:
+        """Return the body with the built-in shape that stands for its file; the same if there is none."""
+        if self.shape not in STAND_INS:
+            return self
+        reading = {key: BodySpec.model_fields[key].default for key in ("unit", "format", "longitude")}
+        return self.model_copy(update={**reading, "shape": STAND_INS[self.shape]})
