@@ -37,7 +37,8 @@ class ResolvedCampaign:
     ``versions`` are those of the code that computes the rows. ``variations`` gives the place of each scenario, by name,
     in the campaign's grid. ``overrides`` are those of the command line, already applied to the scenarios. ``draft`` is
     the fraction of repetitions, see `campaign.draft`; 1 for a full run. ``root`` holds the keys of the campaign's file
-    with their places; None for a campaign that was read from a manifest.
+    with their places; None for a campaign that was read from a manifest. ``embedded`` says which built-in bodies are in
+    place of shape files.
 
     Equality and hash are those of the digest, so that a worker can cache what it built for a campaign.
     """
@@ -51,6 +52,7 @@ class ResolvedCampaign:
     overrides: tuple[str, ...] = ()
     draft: float = 1.0
     root: ConfigEntry | None = None
+    embedded: tuple[str, ...] = ()
 
     @cached_property
     def identity(self) -> dict[str, object]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, TypeVar
 
 from reports.published import Comparison, PublishedClaim, PublishedValue, Term
 from reports.schema.common import POSE_COLUMNS
@@ -22,18 +22,20 @@ from reports.statistics.intervals import wilson
 _OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})
 """Stages of whole runs, of which those that do not end have no error; elsewhere counts are of other things."""
 _WITHOUT_OTHERS = " of the runs that ended"
-_NONE_DUE = frozenset({"context", "not measured"})
+_NONE_DUE = frozenset({"context", "not measured", "embedded body", "needs real images"})
 
 Verdict = Literal[
-    "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured"
-]
+    "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured",
+    "embedded body", "needs real images",
+]  # fmt: skip
 
 VERDICT_RULE = (
     "reproduced: the whole 95 % interval lies within the tolerance; differs (lower, higher): the whole interval lies "
     "outside it, below or above, even where ours is the better value, because a method of the paper with other results "
     "is not the same method; better: the same on the better side, of a method that the paper does not have; undecided: "
     "the interval reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, "
-    "are needed; context: no verdict is given, because conditions differ or no tolerance was set. Where the paper says "
+    "are needed; context: no verdict is given, because conditions differ or no tolerance was set; embedded body: the "
+    "same, because a built-in body is in place of the paper's. Where the paper says "
     "'more than', or names an order, the intervals must agree with it, and stay below an upper bound where the words "
     "set one ('somewhat broader')."
 )
@@ -58,6 +60,9 @@ class ComparedClaim:
     claim: PublishedClaim
     ours: tuple[Record | None, ...]
     verdict: Verdict
+
+
+Compared = TypeVar("Compared", ComparedValue, ComparedClaim)
 
 
 def compare(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedValue, ...]:
@@ -101,6 +106,11 @@ def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[C
         for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
         if claim.scenario in ("", scenario)
     )
+
+
+def on_embedded_body(item: Compared) -> Compared:
+    """Replace a verdict of a run with built-in bodies, which give values alone."""
+    return item if item.verdict in _NONE_DUE else replace(item, verdict="embedded body")
 
 
 def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:

@@ -51,10 +51,12 @@ def _catalog(commands: Commands) -> None:
     show = commands.add_parser("show", help="print a campaign or scenario with everything filled in")
     show.add_argument("name", help="a name from the list, or a YAML file")
     _add_overrides(show)
+    _add_embedded(show)
     show.set_defaults(handler="catalog:show_command")
     validate = commands.add_parser("validate", help="check a campaign or scenario file")
     validate.add_argument("file", help="a YAML file, or a name from the list")
     _add_overrides(validate)
+    _add_embedded(validate)
     validate.set_defaults(handler="catalog:validate_command")
     schema = commands.add_parser("schema", help="print the JSON Schema, so that editors complete and check")
     schema.add_argument("kind", nargs="?", choices=["scenario", "campaign"], default="scenario")
@@ -86,6 +88,7 @@ def _runs(commands: Commands) -> None:
     )
     run.add_argument("--local", type=_positive, metavar="N", help="with --backend dask: N workers of this machine")
     _add_overrides(run)
+    _add_embedded(run)
     _add_fetch(run)
     _add_report(run)
     run.add_argument("--no-report", action="store_true", help="store the trials alone; boresight report tells of them")
@@ -194,6 +197,7 @@ def _figures(commands: Commands) -> None:
         "--jobs", type=_positive,
         help="worker processes of what is run or built again for a figure (default: one for each core, or GPU)",
     )  # fmt: skip
+    _add_embedded(figures)
     _add_fetch(figures)
     figures.set_defaults(handler="figures:figures_command")
 
@@ -252,6 +256,14 @@ def _fetch(commands: Commands) -> None:
     fetch.add_argument("--list", action="store_true", help="list the data sets")
     _add_source(fetch)
     fetch.set_defaults(handler="fetch:fetch_command")
+
+
+def _add_embedded(parser: argparse.ArgumentParser) -> None:
+    """Add ``--embedded`` to a command."""
+    parser.add_argument(
+        "--embedded", action="store_true",
+        help="of a campaign: take built-in bodies in place of shape files, for values without verdicts",
+    )  # fmt: skip
 
 
 def _add_fetch(parser: argparse.ArgumentParser) -> None:

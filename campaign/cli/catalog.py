@@ -134,7 +134,7 @@ def _campaign_entry(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario])
 def show_command(arguments: argparse.Namespace) -> int:
     """Print a campaign or a scenario as YAML, every default filled in."""
     if _is_campaign(arguments.name):
-        campaign = read_campaign(arguments.name, arguments.overrides)
+        campaign = read_campaign(arguments.name, arguments.overrides, embedded=arguments.embedded)
         shown = {
             "campaign": json.loads(canonical_json(campaign.loaded.spec)),
             "scenarios": [json.loads(canonical_json(s.spec)) for s in campaign.scenarios],
@@ -152,7 +152,7 @@ def validate_command(arguments: argparse.Namespace) -> int:
     from campaign.runs.resolve import resolve
 
     if _is_campaign(arguments.file):
-        campaign = resolve(arguments.file, arguments.overrides)
+        campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)
         check_campaign(campaign, campaign.spec.trials)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
     else:

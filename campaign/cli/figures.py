@@ -20,7 +20,7 @@ from campaign.papers import PAPERS
 from campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from campaign.pool.workers import in_order
 from campaign.resolved import ResolvedCampaign
-from campaign.runs.check import check_campaign
+from campaign.runs.check import check_campaign, check_shapes
 from campaign.runs.request import RUNS, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
@@ -50,16 +50,20 @@ class Wanted:
         Of each scenario at most; None for as many as the campaign says.
     command
         The command line, for the manifest.
+    embedded
+        Whether built-in bodies replace shape files.
     """
 
     runs: Path
     share: float
     trials: int | None
     command: str
+    embedded: bool
 
     def of(self, name: str, variant: str, jobs: int) -> tuple[ResolvedCampaign, RunRequest]:
         """Resolve a campaign, and say how it is run."""
-        campaign = as_draft(resolve(name, variant=variant), self.share)
+        campaign = as_draft(resolve(name, variant=variant, embedded=self.embedded), self.share)
+        check_shapes(campaign)
         scaled = kept(campaign.spec.trials, self.share)
         trials = scaled if self.trials is None else min(self.trials, scaled)
         folder = self.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
@@ -119,11 +123,12 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
     """Run what papers are missing, where that is asked for, and write their pages; return the exit code."""
     bring_missing([name for paper in folders for name in paper_campaigns(paper_called(paper))], arguments)
     if arguments.run or arguments.trials_scale < 1.0:
-        wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command)
+        wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command, arguments.embedded)
         run_missing(_missing(folders, arguments), wanted, arguments.jobs)
     among = 1 if len(folders) == 1 else min(workers(arguments.jobs, choose_variant().name), len(folders))
     jobs = arguments.jobs if among == 1 else 1
-    calls = ((name, folder, arguments.runs, jobs, arguments.trials_scale, among) for name, folder in folders.items())
+    how = (arguments.runs, jobs, arguments.trials_scale, arguments.embedded, among)
+    calls = ((name, folder, *how) for name, folder in folders.items())
     return max(_told(written) for written in in_order(among, _written, calls))
 
 
@@ -131,7 +136,7 @@ def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     """List the campaigns of papers without a finished run, the papers by turns: those of one share what they build."""
     missing = []
     for paper in map(paper_called, papers):
-        found = gather(paper, arguments.runs, arguments.trials_scale).found
+        found = gather(paper, arguments.runs, arguments.trials_scale, embedded=arguments.embedded).found
         missing.append([name for name in paper_campaigns(paper) if name not in found])
     return list(dict.fromkeys(name for turn in zip_longest(*missing) for name in turn if name is not None))
 
@@ -147,10 +152,12 @@ class _Written:
     missing: Sequence[str]
 
 
-def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float, among: int) -> _Written:
+def _written(
+    name: str, folder: Path, runs: Path, jobs: int | None, scale: float, embedded: bool, among: int
+) -> _Written:
     """Write the page of a paper, beside the pages of others."""
     with sharing_cores(among):
-        page = paper_page(paper_called(name), runs, jobs, scale)
+        page = paper_page(paper_called(name), runs, jobs, scale, embedded=embedded)
     try:
         place = write_paper(page, folder)
     except OSError as error:

@@ -35,6 +35,7 @@ def run_command(arguments: argparse.Namespace) -> int:
         keep_images=arguments.keep_images,
         cluster=_cluster(arguments),
         trial_limit_s=arguments.trial_limit,
+        embedded=arguments.embedded,
         command=arguments.command,
     )
     campaign, request = begun.campaign, begun.request
@@ -42,6 +43,8 @@ def run_command(arguments: argparse.Namespace) -> int:
     name, variant = campaign.spec.name, campaign.variant
     where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
     out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
+    if campaign.embedded:
+        out.print(f"values without verdicts: {', '.join(campaign.embedded)}")
     if begun.advice:
         out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store):

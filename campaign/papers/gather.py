@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -84,16 +85,19 @@ class GatheredRuns:
     refused: tuple[str, ...]
 
 
-def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> GatheredRuns:
+def gather_runs(
+    runs: Sequence[Path], names: Sequence[str], draft: float = 1.0, *, embedded: bool = False
+) -> GatheredRuns:
     """Find the newest readable finished run of each campaign among some folders.
 
-    With ``draft`` below 1, a draft of that scale is used where there is no full run.
+    With ``draft`` below 1, a draft of that scale is used where there is no full run; with ``embedded``, a run on
+    embedded bodies where there is none on the real ones.
     """
     found: dict[str, FinishedRun] = {}
     refused: list[str] = []
     for name in names:
-        for scale in dict.fromkeys((1.0, draft)):
-            finished, unread = finished_runs(runs, name, scale)
+        for built_in, scale in product((False, True) if embedded else (False,), dict.fromkeys((1.0, draft))):
+            finished, unread = finished_runs(runs, name, scale, embedded=built_in)
             run, damaged = _first_sound(finished)
             refused += [*unread, *damaged]
             if run is not None:
@@ -107,11 +111,13 @@ def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> Fini
     return next(iter(finished_runs(runs, name, draft)[0]), None)
 
 
-def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[list[FinishedRun], list[str]]:
+def finished_runs(
+    runs: Sequence[Path], name: str, draft: float = 1.0, *, embedded: bool = False
+) -> tuple[list[FinishedRun], list[str]]:
     """Return the finished runs of a campaign among some folders, the most recently started first.
 
     ``draft`` selects drafts of that scale (fewer trials and smaller data bases). Runs with ``--set`` are ignored, as
-    they differ from the paper's.
+    they differ from the paper's, and runs on embedded bodies unless ``embedded`` selects them alone.
 
     Returns
     -------
@@ -124,6 +130,8 @@ def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[
         try:
             manifest = folder.read_manifest()
             if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
+                continue
+            if bool(manifest.get("embedded")) != embedded:
                 continue
             if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
                 finished.append(FinishedRun(folder, manifest))

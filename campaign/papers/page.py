@@ -12,6 +12,7 @@ from typing import Any, cast
 from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from campaign.runs.read import CATALOG, campaign_names
 from campaign.runs.request import RUNS
+from campaign.runs.requirements import needs
 from reports.figures.provenance import add_provenance, with_trial_counts
 from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure
@@ -20,6 +21,7 @@ from reports.run.limits import short_line
 from reports.schema.grid import Grid
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure
+from reports.verdicts import Verdict
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
 
@@ -83,17 +85,19 @@ def paper_campaigns(paper: Paper) -> list[str]:
     return [name for name in paper.campaigns if name in known]
 
 
-def gather(paper: Paper, runs: Path, draft: float = 1.0) -> GatheredRuns:
-    """Find the newest finished run of each campaign of the paper, or drafts of a scale if there is no full run."""
-    return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
+def gather(paper: Paper, runs: Path, draft: float = 1.0, *, embedded: bool = False) -> GatheredRuns:
+    """Find the newest finished run of each campaign of the paper; see `gather_runs`."""
+    return gather_runs(run_folders(runs), paper_campaigns(paper), draft, embedded=embedded)
 
 
-def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0) -> PaperPage:
+def paper_page(
+    paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0, *, embedded: bool = False
+) -> PaperPage:
     """Draw all figures and compare all numbers of the paper, as far as its campaigns have been run.
 
     Rebuilds for figures use ``jobs`` workers; None for one for each core or GPU.
     """
-    gathered = gather(paper, runs, draft)
+    gathered = gather(paper, runs, draft, embedded=embedded)
     found = gathered.found
     missing = [
         f"{name}: no finished run without --set under {runs}/; to run it: {_command(name, runs)}"
@@ -112,8 +116,9 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
     comparisons = {name: load_published(report) for name, report in reports.items()}
     sources = {one.source for one in comparisons.values()}
     bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
+    built_in = any(run.manifest.get("embedded") for run in found.values())
     return PaperPage(
-        title=paper.title,
+        title=f"{paper.title}{' (embedded bodies)' if built_in else ''}",
         source="; ".join(sorted(sources)),
         lines=tuple(lines),
         grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
@@ -182,7 +187,9 @@ def _reports(paper: Paper) -> dict[str, str]:
 
 def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> list[PaperLine]:
     labels = [label for method in paper.methods for label in run.labels(method)] if run else []
-    return list(paper_lines(name, load_published(report), run.content if run else None, labels))
+    real = any(need.kind == "images" for need in needs(load_campaign(name, CATALOG)))
+    absent: Verdict = "needs real images" if real else "not measured"
+    return list(paper_lines(name, load_published(report), run.content if run else None, labels, absent))
 
 
 def _how(run: FinishedRun) -> str:
@@ -195,4 +202,6 @@ def _how(run: FinishedRun) -> str:
 
 def _size(manifest: Mapping[str, Any]) -> str:
     draft = float(manifest.get("draft", 1.0))
-    return count_of(manifest["trials"], "trial") + (f" (a draft of scale {draft:g})" if draft < 1.0 else "")
+    said = [f"a draft of scale {draft:g}"] if draft < 1.0 else []
+    said += manifest.get("embedded", [])
+    return count_of(manifest["trials"], "trial") + (f" ({', '.join(said)})" if said else "")

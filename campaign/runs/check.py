@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from campaign.catalog import PAPERS
 from campaign.imaging.world import check_bodies, trial_limit
 from campaign.resolved import ResolvedCampaign
+from campaign.runs.read import campaign_names
 from campaign.trial.kind import kind_named
 from reports.published import load_published
 from scenarios.bodies import Body
+from scenarios.data import data_folder, is_there
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
+from scenarios.spec.body import STAND_INS
 
 _KINDS = {
     "viewpoint": "single-image",
@@ -29,6 +34,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
         If a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an option is wrong,
         there are no such published values, or more trials are asked for than there are real images.
     """
+    check_shapes(campaign)
     if campaign.spec.report is not None:
         try:
             load_published(campaign.spec.report)
@@ -45,6 +51,28 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
             entry = campaign.entry("trials") if trials == campaign.spec.trials else None
             asked = f"--trials {trials}" if entry is None else f"{entry.place}: {trials}"
             raise BoresightError(f"{asked}: {scenario.spec.name} has real images for {limit} trials at most")
+
+
+def check_shapes(campaign: ResolvedCampaign) -> None:
+    """Refuse a campaign whose shape files are missing, if an embedded body can stand for them.
+
+    Raises
+    ------
+    BoresightError
+        Naming the commands that fetch the file, or do without it.
+    """
+    for scenario in campaign.scenarios:
+        for body in (scenario.spec.body, onboard_spec(scenario.spec).body):
+            stand_in = STAND_INS.get(body.shape)
+            if stand_in is None or scenario.spec.images or is_there(body.shape, scenario.search_dirs, "shapes"):
+                continue
+            name = campaign.spec.name
+            own = name if campaign.root is None or name in campaign_names() else campaign.root.place
+            fetched = next((paper for paper in PAPERS if name.startswith(f"{paper}-")), own)
+            raise BoresightError(
+                f"{name}: {body.shape} is missing, in {data_folder() / 'shapes'} too: boresight fetch {fetched} brings"
+                f" it; or give the same command with --embedded, for values on the embedded body {stand_in}"
+            )
 
 
 def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int | None, tuple[Body, Body]]:

@@ -34,7 +34,7 @@ def make_manifest(
         "digest": campaign.digest,
         "identity": campaign.identity,
         "name": campaign.spec.name,
-        "title": campaign.spec.title or campaign.spec.name,
+        "title": f"{campaign.spec.title or campaign.spec.name}{' (embedded bodies)' if campaign.embedded else ''}",
         "description": campaign.spec.description,
         "report": campaign.spec.report,
         "seed": campaign.seed,
@@ -42,6 +42,7 @@ def make_manifest(
         "campaign": campaign.as_written(),
         "overrides": list(campaign.overrides),
         "draft": campaign.draft,
+        "embedded": list(campaign.embedded),
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
@@ -58,6 +59,7 @@ def make_manifest(
         "notes": [
             *(note for s in campaign.scenarios for note in left_out_notes(s)),
             *_draft_notes(campaign),
+            *_embedded_notes(campaign),
             *missing_notes(products),
         ],
         "products": [_product(request.out, product) for product in products if isinstance(product, BuiltProduct)],
@@ -91,6 +93,12 @@ def _draft_notes(campaign: ResolvedCampaign) -> list[str]:
         f"A draft of scale {campaign.draft:g}: fewer trials, data bases of fewer images, shorter arcs of images, and"
         " fewer sets of images, than are meant."
     ]
+
+
+def _embedded_notes(campaign: ResolvedCampaign) -> list[str]:
+    if not campaign.embedded:
+        return []
+    return [f"On embedded bodies, which give values but no verdicts: {', '.join(campaign.embedded)}."]
 
 
 def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:

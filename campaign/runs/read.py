@@ -28,8 +28,10 @@ class CampaignFiles:
     variations: Mapping[str, GridVariation]
 
 
-def read_campaign(name_or_path: str, overrides: Sequence[str] = ()) -> CampaignFiles:
+def read_campaign(name_or_path: str, overrides: Sequence[str] = (), *, embedded: bool = False) -> CampaignFiles:
     """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
+
+    With ``embedded``, built-in bodies replace the shape files that they stand for, but for real images.
 
     Raises
     ------
@@ -42,7 +44,18 @@ def read_campaign(name_or_path: str, overrides: Sequence[str] = ()) -> CampaignF
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
     variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
-    return CampaignFiles(loaded, tuple(scenario for scenario, _ in found), variations)
+    scenarios = tuple(scenario for scenario, _ in found)
+    return CampaignFiles(loaded, tuple(map(_on_embedded, scenarios)) if embedded else scenarios, variations)
+
+
+def _on_embedded(scenario: LoadedScenario) -> LoadedScenario:
+    """Return a scenario with built-in bodies, in truth and on board, in place of the shape files they stand for."""
+    spec = scenario.spec
+    if spec.images is not None:
+        return scenario
+    believed = spec.onboard.body
+    onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
+    return replace(scenario, spec=spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard}))
 
 
 @dataclass(frozen=True, slots=True)

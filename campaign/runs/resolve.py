@@ -18,19 +18,26 @@ from scenarios.spec.scenario import ScenarioSpec
 
 
 def resolve(
-    name_or_path: str, overrides: Sequence[str] = (), seed: int | None = None, variant: str = ""
+    name_or_path: str,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    variant: str = "",
+    *,
+    embedded: bool = False,
 ) -> ResolvedCampaign:
     """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
 
     ``variant`` is the Mitsuba variant of a run: images of two variants agree closely, but not bit for bit.
+    ``embedded`` takes built-in bodies in place of shape files.
 
     Raises
     ------
     BoresightError
         If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
     """
-    read = read_campaign(name_or_path, overrides)
+    read = read_campaign(name_or_path, overrides, embedded=embedded)
     loaded, spec, scenarios = read.loaded, read.loaded.spec, read.scenarios
+    files = read_campaign(name_or_path, overrides).scenarios if embedded else scenarios
     kind = _kind_of(loaded)
     if spec.databases > 1:
         _check_databases(loaded, kind, scenarios)
@@ -46,7 +53,16 @@ def resolve(
         read.variations,
         tuple(overrides),
         root=loaded.root,
+        embedded=_replaced(files, scenarios),
     )
+
+
+def _replaced(files: Sequence[LoadedScenario], embedded: Sequence[LoadedScenario]) -> tuple[str, ...]:
+    """Say which built-in body is in place of which shape file."""
+    specs = [(a.spec, b.spec) for a, b in zip(files, embedded, strict=True)]
+    bodies = [*((a.body, b.body) for a, b in specs), *((a.onboard.body, b.onboard.body) for a, b in specs)]
+    said = [f"{b.shape} in place of {a.shape}" for a, b in bodies if a and b and a.shape != b.shape]
+    return tuple(dict.fromkeys(said))
 
 
 def _kind_of(loaded: LoadedCampaign) -> Kind:
@@ -156,4 +172,5 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         _versions(spec),
         variant,
         draft=float(manifest.get("draft", 1.0)),
+        embedded=tuple(manifest.get("embedded", ())),
     )

@@ -55,6 +55,7 @@ def run(
     variant: str | None = None,
     keep_images: bool = False,
     trial_limit_s: float | None = None,
+    embedded: bool = False,
     listener: Listener | None = None,
 ) -> pd.DataFrame:
     """Run a campaign, or continue it where it stopped, and return its rows.
@@ -80,6 +81,8 @@ def run(
     trial_limit_s
         How long an estimator may work at a trial; one that takes longer is stopped, and its row is an error. No limit
         if left out.
+    embedded
+        Whether built-in bodies replace the shape files that they stand for: the run gives values, but no verdicts.
     listener
         Is told how the run goes; the logger ``campaign`` if left out.
 
@@ -105,6 +108,7 @@ def run(
         variant=variant,
         keep_images=keep_images,
         trial_limit_s=trial_limit_s,
+        embedded=embedded,
     )
     folder = begun.go(listener or _Logged())
     stored = folder.table("rows")
@@ -157,6 +161,7 @@ def start(
     keep_images: bool = False,
     cluster: Cluster | None = None,
     trial_limit_s: float | None = None,
+    embedded: bool = False,
     command: str = "",
 ) -> Start:
     """Read a campaign and say how it is to run; what is left out is as the campaign, or the machine, says.
@@ -167,7 +172,9 @@ def start(
         If a file, a key, a value or a name is wrong, or more trials are asked for than there are real images.
     """
     chosen = choose_variant(variant)
-    campaign = resolve(name, overrides, seed, chosen.name)
+    campaign = resolve(name, overrides, seed, chosen.name, embedded=embedded)
+    if embedded and not campaign.embedded and not any(one.spec.images for one in campaign.scenarios):
+        raise BoresightError(f"--embedded: {name} reads no shape file that a built-in body stands for: leave it out")
     wanted = campaign.spec.trials if trials is None else trials
     processes = workers(jobs, chosen.name)
     for what, number in (("--trials", wanted), ("--jobs", processes)):

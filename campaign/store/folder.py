@@ -88,6 +88,7 @@ class _Entries(BaseModel):
     campaign: dict[str, Any] = {}
     overrides: list[str] = []
     draft: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    embedded: list[str] = []
     files: dict[str, list[str]] = {}
     estimators: list[str] = []
     credits: list[str] = []

@@ -18,7 +18,8 @@ _FEW = 6
 def run_label(manifest: Manifest) -> str:
     """Describe a run on one line: campaign, trials, seed and commit."""
     commit = f", commit {manifest.commit}" if manifest.commit else ""
-    return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}"
+    embedded = f", {', '.join(manifest.embedded)}" if manifest.embedded else ""
+    return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}{embedded}"
 
 
 def add_provenance(figure: Figure, runs: Sequence[RunData]) -> None:

@@ -20,7 +20,7 @@ from reports.statistics.consistency import consistency_records
 from reports.statistics.measures import measure_run
 from reports.statistics.paired import paired_records
 from reports.statistics.roc import outlier_records
-from reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims
+from reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims, on_embedded_body
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -136,4 +136,7 @@ def beside_published(
 ) -> tuple[tuple[ComparedValue, ...], tuple[ComparedClaim, ...]]:
     """Compare published values and orders with ours; of pooled sets of images, with the pool alone."""
     judged = without_pooled(run, records)
-    return compare(judged, comparison), compare_claims(judged, comparison)
+    compared, claims = compare(judged, comparison), compare_claims(judged, comparison)
+    if run.manifest.embedded:
+        return tuple(map(on_embedded_body, compared)), tuple(map(on_embedded_body, claims))
+    return compared, claims

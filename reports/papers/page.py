@@ -74,7 +74,11 @@ class PaperLine:
 
 
 def paper_lines(
-    campaign: str, comparison: Comparison, content: Content | None, labels: Sequence[str]
+    campaign: str,
+    comparison: Comparison,
+    content: Content | None,
+    labels: Sequence[str],
+    absent: Verdict = "not measured",
 ) -> Iterator[PaperLine]:
     """Pair every number and statement of a paper with those of a run, or with none if there is no run.
 
@@ -88,12 +92,14 @@ def paper_lines(
         The run; None where there is none.
     labels
         Estimators of the run that are the paper's own method.
+    absent
+        What to say of each number if there is no run.
     """
     if content is None:
         numbers = comparison.values  # noqa: PD011  a tuple of published values, not a table
-        nothing = (ComparedValue(number.scenario, "", number, None, "not measured") for number in numbers)
+        nothing = (ComparedValue(number.scenario, "", number, None, absent) for number in numbers)
         yield from (_value_line(campaign, item) for item in nothing)
-        claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
+        claims = (ComparedClaim("", claim, (), absent) for claim in comparison.claims)
         yield from (_claim_line(campaign, item) for item in claims)
         return
     # A run made before its campaign named published values is compared with them too.

@@ -104,6 +104,7 @@ class Manifest(BaseModel):
     report: str | None = None
     command: str = ""
     notes: tuple[str, ...] = ()
+    embedded: tuple[str, ...] = ()
     products: tuple[StoredProduct, ...] = ()
     grid: ScenarioGrid | None = None
     campaign: Mapping[str, Any] = {}

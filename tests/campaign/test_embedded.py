@@ -1,0 +1,156 @@
+"""Runs and pages on built-in bodies in place of shape files: values, marked, and never verdicts."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from campaign.cli import main
+from campaign.papers.gather import finished_runs, gather_runs
+from campaign.runs.read import campaign_names, read_campaign
+from campaign.runs.resolve import reload, resolve
+from reports.pages.content import read_content
+from reports.papers.page import paper_lines
+from reports.published import load_published
+from scenarios.errors import BoresightError
+from scenarios.spec.body import EMBEDDED_NAMES, STAND_INS, BodySpec
+
+SCENE = """extends: itokawa-2km-lambert
+body: {detail: null}
+camera: {width_px: 96, height_px: 96, fov_deg: 18.3}
+"""
+CAMPAIGN = """title: Tiny
+scenarios: [scene.yaml]
+estimators: [prior, photometric]
+trials: 2
+seed: 1
+report: rowell2015-simulated
+"""
+
+
+@pytest.fixture(autouse=True)
+def nothing_there(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path / "nothing"))
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text(SCENE)
+    Path("tiny.yaml").write_text(CAMPAIGN)
+
+
+def test_a_body_is_replaced_with_the_reading_of_its_file():
+    body = BodySpec(shape="itokawa_gaskell_q64.ply", unit="km", format="ply", shading="smooth", even_facets=100)
+    assert body.embedded() == BodySpec(shape="itokawa-like", shading="smooth", even_facets=100)
+    for other in (BodySpec(shape="mine.obj", unit="km"), BodySpec(shape="eros-like")):
+        assert other.embedded() is other
+    assert set(STAND_INS.values()) <= set(EMBEDDED_NAMES)
+
+
+def test_every_campaign_without_real_images_can_do_without_files():
+    for name in campaign_names():
+        for scenario in read_campaign(name, embedded=True).scenarios:
+            believed = scenario.spec.onboard.body
+            shapes = {scenario.spec.body.shape, *(() if believed is None else (believed.shape,))}
+            assert scenario.spec.images is not None or shapes <= set(EMBEDDED_NAMES), name
+
+
+def test_the_body_on_board_is_replaced_too():
+    Path("scene.yaml").write_text(SCENE + "onboard: {body: {shape: itokawa_radar.obj, unit: km}}\n")
+    campaign = resolve("tiny.yaml", embedded=True)
+    assert campaign.scenarios[0].spec.onboard.body == BodySpec(shape="contact-binary")
+    assert campaign.embedded == (
+        "itokawa-like in place of itokawa_gaskell_q64.ply", "contact-binary in place of itokawa_radar.obj",
+    )  # fmt: skip
+
+
+def test_real_images_keep_their_shape():
+    campaign = resolve("navcam67p-real", embedded=True)
+    assert campaign.scenarios[0].spec.body.shape == "67p-16k.obj"
+    assert campaign.embedded == ()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ["run", "rowell2015-simulated"],
+            r"gaskell_q64\.ply is missing, .*: boresight fetch rowell2015 brings it",
+        ),
+        (["validate", "trade-landmarks"], r"boresight fetch trade-landmarks brings .* same command with --embedded"),
+        (["run", "tiny.yaml"], r"boresight fetch tiny\.yaml brings"),
+        (["run", "quickstart", "--embedded"], "reads no shape file .*: leave it out"),
+        (["run", "rowell2015-real", "--embedded"], "hayabusa_amica_20051001 was not found.*bring your own"),
+    ],
+)
+def test_what_is_missing_names_both_commands_in_one_line(words, line, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert re.search(line, said)
+    assert said.count("\n") == 1
+
+
+def test_figures_says_both_commands_too(capsys):
+    assert main(["figures", "rowell2015", "--run", "--trials", "1", "--jobs", "1", "--runs", "runs"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "boresight fetch rowell2015 brings it; or give the same command with --embedded" in said
+    assert "needs real images" in said
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """One run, without data."""
+    folder = tmp_path_factory.mktemp("embedded")
+    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "tiny.yaml").write_text(CAMPAIGN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BORESIGHT_DATA", str(folder / "nothing"))
+        words = ["--jobs", "1", "--worst", "0", "--out", str(folder / "run")]
+        assert main(["run", str(folder / "tiny.yaml"), "--embedded", *words]) == 0
+    return folder / "run"
+
+
+@pytest.fixture
+def run_folder(made, tmp_path):
+    return Path(shutil.copytree(made, tmp_path / "run"))
+
+
+def test_a_run_gives_values_and_no_verdict_and_is_marked(run_folder):
+    content = read_content(run_folder)
+    due = {item.verdict for item in content.compared}
+    assert "embedded body" in due
+    assert due <= {"embedded body", "context", "not measured"}
+    assert {claim.verdict for claim in content.claims} <= {"embedded body", "context", "not measured"}
+    assert any(item.ours is not None and item.ours.value is not None for item in content.compared)
+    assert content.run.manifest.embedded == ("itokawa-like in place of itokawa_gaskell_q64.ply",)
+    note = "On embedded bodies, which give values but no verdicts: itokawa-like in place of itokawa_gaskell_q64.ply."
+    for page in ("report.html", "report.md"):
+        text = next(run_folder.rglob(page)).read_text()
+        assert "Tiny (embedded bodies)" in text
+        assert note in text
+
+
+def test_a_run_is_found_only_where_embedded_bodies_are_wanted(run_folder):
+    assert finished_runs([run_folder], "tiny")[0] == []
+    assert gather_runs([run_folder], ["tiny"]).found == {}
+    found = gather_runs([run_folder], ["tiny"], embedded=True).found
+    assert found["tiny"].folder.path == run_folder
+    lines = list(paper_lines("tiny", load_published("rowell2015-simulated"), found["tiny"].content, ["photometric"]))
+    assert {line.verdict for line in lines} <= {"embedded body", "context", "not measured"}
+
+
+def test_a_run_on_the_real_body_comes_first(run_folder, tmp_path):
+    """The manifest of the same run, as if its body were the real one."""
+    real = Path(shutil.copytree(run_folder, tmp_path / "real"))
+    manifest = json.loads((real / "manifest.json").read_text())
+    assert reload(manifest).embedded == ("itokawa-like in place of itokawa_gaskell_q64.ply",)
+    (real / "manifest.json").write_text(json.dumps({**manifest, "embedded": []}))
+    found = gather_runs([run_folder, real], ["tiny"], embedded=True).found
+    assert found["tiny"].folder.path == real
+
+
+def test_a_file_in_place_of_a_stand_in_is_told_apart_by_its_digest():
+    with pytest.raises(BoresightError, match="was not found"):
+        _ = resolve("tiny.yaml").digest
+    assert resolve("tiny.yaml", embedded=True).digest
