@@ -46,7 +46,8 @@ def add_commands(commands: Commands) -> None:
 
 
 def _catalog(commands: Commands) -> None:
-    listing = commands.add_parser("list", help="list the campaigns, scenarios and estimators")
+    listing = commands.add_parser("list", help="list the campaigns by group, and what each misses here")
+    listing.add_argument("--all", action="store_true", help="further campaigns, scenarios and estimators too")
     listing.set_defaults(handler="catalog:list_command")
     show = commands.add_parser("show", help="print a campaign or scenario with everything filled in")
     show.add_argument("name", help="a name from the list, or a YAML file")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
+from campaign.catalog import PAPERS
 from campaign.cli.terminal import console
 from campaign.machine import cores
 from campaign.runs.read import CATALOG, campaign_names, read_campaign
@@ -31,104 +31,83 @@ from scenarios.load import (
     scenario_names,
 )
 
-_INDENT = 4
+_GROUPS = (
+    ("start here", ("quickstart", "*-smoke")),
+    ("real data", ("*-real", "*-navcam67p")),
+    ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
+    ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
+    ("compare", ("trade-*", "compare-*")),
+)
+"""Headings of ``list`` with the names below them, in their order; a campaign belongs to the first that fits."""
+
+_SHOWN = ("start here", "the papers", "compare", "sensitivity", "real data")
+_FURTHER = "further campaigns"
 _GAP = "  "
-_LEAST = 24
-"""Characters that the last column, and what an entry is, have at least; a terminal that is narrower wraps them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """What stands in the list.
-
-    Parameters
-    ----------
-    cells
-        Its name, and what is told of it in short; the last may be long.
-    what
-        A sentence about it.
-    """
-
-    cells: tuple[str, ...]
-    what: str
-
-
-def print_entries(out: Console, heads: Sequence[str], entries: Sequence[Entry]) -> None:
-    """Print entries under their headings.
-
-    In a terminal an entry has a line of its cells, the last wrapped in its column, and what it is below. Elsewhere it
-    has one line, what it is before the last cell: for a program, or a pager that moves to the right.
-    """
-    table = [tuple(heads), *(tuple(map(printable, one.cells)) for one in entries)]
-    widths = [max(map(len, column)) for column in list(zip(*table, strict=True))[:-1]]
-    if not out.is_terminal:
-        whats = ["what it is", *(printable(one.what) for one in entries)]
-        widths = [*widths, max(map(len, whats))]
-        for cells, what in zip(table, whats, strict=True):
-            _print_line(out, _columns((*cells[:-1], what, cells[-1]), widths))
-        return
-    _print_line(out, Text(_columns(table[0], widths), style="underline"))
-    for cells, one in zip(table[1:], entries, strict=True):
-        first, *further = _wrapped(cells, widths, out.width)
-        _print_line(out, Text.assemble((cells[0], "bold"), first[len(cells[0]) :]))
-        for line in (*further, *_indented(printable(one.what), out.width)):
-            _print_line(out, line)
-
-
-def _print_line(out: Console, line: str | Text) -> None:
-    """Print a line as it is: its width is known to fit."""
-    out.print(line, soft_wrap=True, highlight=False)
-
-
-def _wrapped(cells: Sequence[str], widths: Sequence[int], width: int) -> list[str]:
-    """Lay cells out, the last wrapped in what the others leave of a line."""
-    before = _columns((*cells[:-1], "|"), widths)[:-1]
-    width = max(width, len(before) + _LEAST)
-    after = " " * len(before)
-    lines = textwrap.wrap(cells[-1], width, initial_indent=before, subsequent_indent=after, break_on_hyphens=False)
-    return lines or [before.rstrip()]
-
-
-def _indented(text: str, width: int) -> list[str]:
-    margin = " " * _INDENT
-    return textwrap.wrap(text, max(width, _LEAST), initial_indent=margin, subsequent_indent=margin)
-
-
-def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
-    *padded, last = cells
-    return _GAP.join([*(f"{cell:<{width}}" for cell, width in zip(padded, widths, strict=True)), last]).rstrip(" ")
-
-
-def list_command(_: argparse.Namespace) -> int:
-    """List campaigns, scenarios and estimators."""
+def list_command(arguments: argparse.Namespace) -> int:
+    """List campaigns by group, a line each; with ``--all`` the rest, scenarios and estimators."""
     # Imported here: they read what is installed, which no other command of this file does.
     from estimators.registry import estimator_names
     from estimators.slam.registry import sequence_estimator_names
 
-    out, known = console(), {name: load_scenario(name) for name in scenario_names()}
-    campaigns = [_campaign_entry(load_campaign(name, CATALOG), known) for name in campaign_names()]
-    print_entries(out, ("campaign", "trials", "time here", "needs"), campaigns)
+    out, groups, known = console(), _grouped(), {name: load_scenario(name) for name in scenario_names()}
+    shown = (*_SHOWN, _FURTHER) if arguments.all else _SHOWN
+    rows = [(heading, [_row(load_campaign(name, CATALOG), known) for name in groups[heading]]) for heading in shown]
+    widths = [max(len(row[k]) for _, own in rows for row in own) for k in range(4)]
+    for heading, own in rows:
+        out.print(Text(heading, style="bold"))
+        for row in own:
+            _print_row(out, row, widths)
     out.print(
-        f"\ntrials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of"
-        " the last run on this machine; - where there was none. needs: what is read from the data folder"
-        " (boresight fetch --list), and packages that are optional.\n"
+        f"\nname, trials of each scenario x scenarios, time on {cores()} core(s) by the last run here, what is missing."
+        "\nmissing: data: boresight fetch NAME, or run NAME --embedded; images: boresight fetch NAME brings them, or"
+        ' says where they are; gtsam: pip install -e ".[gtsam]".',
+        soft_wrap=True,
+        highlight=False,
     )
-    scenarios = [Entry((name, ""), scenario.spec.description) for name, scenario in known.items()]
-    print_entries(out, ("scenario", ""), scenarios)
+    if not arguments.all:
+        out.print("further campaigns, scenarios and estimators: boresight list --all")
+        return 0
+    out.print(Text("\nscenarios", style="bold"))
+    for name, scenario in known.items():
+        _print_row(out, (name, scenario.spec.description), [max(map(len, known))])
     out.print(f"\nestimators: {', '.join(estimator_names())}")
     out.print(f"estimators of sequences: {', '.join(sequence_estimator_names())}")
     return 0
 
 
-def _campaign_entry(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> Entry:
-    """Describe a campaign by its size, its cost here and its needs."""
+def _grouped() -> dict[str, list[str]]:
+    """Return the names of the catalogue's campaigns by heading."""
+    groups: dict[str, list[str]] = {heading: [] for heading in (*_SHOWN, _FURTHER)}
+    left = campaign_names()
+    for heading, patterns in _GROUPS:
+        for pattern in patterns:
+            groups[heading] += [name for name in left if fnmatch(name, pattern)]
+            left = [name for name in left if not fnmatch(name, pattern)]
+    return {**groups, _FURTHER: left}
+
+
+def _row(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> tuple[str, ...]:
+    """Describe a campaign: name, size, cost here, what is missing in one word, title."""
     from campaign.runs.requirements import needs, rate_of
 
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
     size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
     time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
-    return Entry((spec.name, size, time, ", ".join(map(str, needs(loaded, known))) or "-"), spec.title)
+    missing = {need.word for need in needs(loaded, known) if not need.found}
+    word = next((one for one in ("images", "data") if one in missing), ", ".join(sorted(missing)) or "-")
+    return spec.name, size, time, word, spec.title
+
+
+def _print_row(out: Console, row: Sequence[str], widths: Sequence[int]) -> None:
+    """Print a line of columns; a terminal cuts it at its width, a pager or a program gets it whole."""
+    cells = [*(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)), *row[len(widths) :]]
+    line = printable(_GAP.join(cells))
+    if out.is_terminal and len(line) > out.width:
+        line = f"{line[: out.width - 3]}..."
+    out.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 def show_command(arguments: argparse.Namespace) -> int:

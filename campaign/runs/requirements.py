@@ -39,19 +39,16 @@ class Need:
         Whether it is there.
     kind
         Folder below the data folder where it is looked for first; '' for a package.
-    remedy
-        How to install a missing package.
     """
 
     name: str
     found: bool
     kind: str = ""
-    remedy: str = ""
 
-    def __str__(self) -> str:
-        """Name it, a folder with a slash, and say if it is missing."""
-        name = f"{self.name}/" if self.kind == "images" else self.name
-        return name if self.found else f"{name} (missing{self.remedy})"
+    @property
+    def word(self) -> str:
+        """What it is in one word: ``data``, ``images``, or the name of a package."""
+        return {"": self.name, "images": "images"}.get(self.kind, "data")
 
 
 def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = MappingProxyType({})) -> tuple[Need, ...]:
@@ -61,7 +58,7 @@ def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = Mappin
     """
     found = {need.name: need for scenario in _scenarios(campaign, known) for need in _of_scenario(scenario)}
     for extra in dict.fromkeys(EXTRAS[one.name] for one in campaign.spec.estimators if one.name in EXTRAS):
-        found[extra] = Need(extra, find_spec(extra) is not None, remedy=f': pip install -e ".[{extra}]"')
+        found[extra] = Need(extra, find_spec(extra) is not None)
     return tuple(found.values())
 
 

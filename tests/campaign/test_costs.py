@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from importlib.util import find_spec
 
 import pytest
 from tiny_campaign import run, write_campaign
 
 from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.requirements import Rate, needs, rate_of, remember
+from campaign.runs.requirements import Need, Rate, needs, rate_of, remember
 from scenarios.load import load_campaign
 
 
@@ -50,17 +49,21 @@ def test_a_run_leaves_its_rate_but_not_one_of_a_changed_world_or_of_nothing_new(
 
 def test_data_that_are_not_there_are_named_as_missing(tmp_path, monkeypatch):
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
-    said = {name: [str(need) for need in needs(load_campaign(name, CATALOG))] for name in campaign_names()}
-    assert said["quickstart"] == []
-    (extra,) = needs(load_campaign("trade-slam-gtsam", CATALOG))
+    found = {name: needs(load_campaign(name, CATALOG)) for name in campaign_names()}
+    assert found["quickstart"] == ()
+    (extra,) = found["trade-slam-gtsam"]
     assert extra.found == (find_spec("gtsam") is not None)
-    assert str(replace(extra, found=False)) == 'gtsam (missing: pip install -e ".[gtsam]")'
-    assert said["navcam67p-real"] == ["67p-16k.obj (missing)", "rosetta_navcam_67p/ (missing)"]
-    assert set(said["delpech2015-sensitivity"]) == {
-        "apophis_lightcurve.obj (missing)",
-        "itokawa_gaskell_q64.ply (missing)",
-        "itokawa_radar.obj (missing)",
+    assert extra.word == "gtsam"
+    assert found["navcam67p-real"] == (
+        Need("67p-16k.obj", found=False, kind="shapes"),
+        Need("rosetta_navcam_67p", found=False, kind="images"),
+    )
+    assert [need.word for need in found["navcam67p-real"]] == ["data", "images"]
+    assert {need.name for need in found["delpech2015-sensitivity"]} == {
+        "apophis_lightcurve.obj",
+        "itokawa_gaskell_q64.ply",
+        "itokawa_radar.obj",
     }
     (tmp_path / "shapes").mkdir()
     (tmp_path / "shapes" / "67p-16k.obj").write_text("")
-    assert str(needs(load_campaign("navcam67p-real", CATALOG))[0]) == "67p-16k.obj"
+    assert needs(load_campaign("navcam67p-real", CATALOG))[0].found

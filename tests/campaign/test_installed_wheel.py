@@ -85,7 +85,7 @@ def test_every_package_comes_from_the_wheel(environment, tmp_path):
 
 
 def test_the_command_lists_the_catalogue_elsewhere(environment, tmp_path):
-    text = checked(environment / "bin" / "boresight", "list", cwd=tmp_path)
+    text = checked(environment / "bin" / "boresight", "list", "--all", cwd=tmp_path)
     assert all(name in text for name in ("quickstart", "rowell2015-simulated", "landmark-harris"))
     assert not list(tmp_path.iterdir())
 

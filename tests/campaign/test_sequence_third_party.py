@@ -40,7 +40,7 @@ def test_the_readmes_estimator_runs_beside_ours_on_the_readmes_orbit(tmp_path, m
     install(tmp_path, monkeypatch, BLOCKS["my_slam.py"], [table[2].replace('"', "")])
     for name in ("my_orbit.yaml", "my_orbits.yaml"):
         (tmp_path / name).write_text(BLOCKS[name], encoding="utf-8")
-    assert main(["list"]) == 0
+    assert main(["list", "--all"]) == 0
     assert "drift" in capsys.readouterr().out
     out = tmp_path / "out"
     short = ["--set", "sequence.orbit.revolutions=0.2", "--trials", "2", "--jobs", "1", "--worst", "0"]

@@ -226,7 +226,7 @@ def test_the_exit_code_tells_of_errors_also_where_all_is_stored(package, tmp_pat
 
 def test_a_third_party_is_in_the_list(package, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(package))
-    assert main(["list"]) == 0
+    assert main(["list", "--all"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in ("landmark-harris", "prior", "good", "raises"))
 
