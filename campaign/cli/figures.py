@@ -58,7 +58,7 @@ class Wanted:
     share: float
     trials: int | None
     command: str
-    embedded: bool
+    embedded: bool = False
 
     def of(self, name: str, variant: str, jobs: int) -> tuple[ResolvedCampaign, RunRequest]:
         """Resolve a campaign, and say how it is run."""
