@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from campaign.runs.start import run
+    from boresight.campaign.runs.start import run
 
 __all__ = ["run"]
 
@@ -16,7 +16,7 @@ __all__ = ["run"]
 def __getattr__(name: str) -> Any:
     """Import `run` when it is asked for: workers and the command line start faster without it."""
     if name == "run":
-        from campaign.runs.start import run
+        from boresight.campaign.runs.start import run
 
         return run
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

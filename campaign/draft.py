@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
-from reports.run.clusters import all_but_body
-from scenarios.load import LoadedScenario, canonical_json
-from scenarios.spec.base import SpecModel
+from boresight.reports.run.clusters import all_but_body
+from boresight.scenarios.load import LoadedScenario, canonical_json
+from boresight.scenarios.spec.base import SpecModel
 
 if TYPE_CHECKING:
-    from campaign.resolved import ResolvedCampaign
+    from boresight.campaign.resolved import ResolvedCampaign
 
 Options = TypeVar("Options", bound=SpecModel)
 

@@ -8,15 +8,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from campaign.imaging.real_images import images_digest
-from renderers.detector import Detector
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import body_digest
-from scenarios.craters import shape_digest
-from scenarios.designs import GridVariation
-from scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
-from scenarios.onboard import onboard_spec
-from scenarios.spec.campaign import CampaignSpec
+from boresight.campaign.imaging.real_images import images_digest
+from boresight.renderers.detector import Detector
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import body_digest
+from boresight.scenarios.craters import shape_digest
+from boresight.scenarios.designs import GridVariation
+from boresight.scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.campaign import CampaignSpec
 
 DRAFT_VERSION = 3
 """Version of `campaign.draft`: raise it when the same fraction keeps something else."""

@@ -9,9 +9,9 @@ from functools import lru_cache
 import cv2
 from threadpoolctl import threadpool_limits
 
-from campaign.machine import cores
-from renderers.mitsuba3 import limit_threads
-from renderers.mitsuba3.variant import CUDA, gpu_names
+from boresight.campaign.machine import cores
+from boresight.renderers.mitsuba3 import limit_threads
+from boresight.renderers.mitsuba3.variant import CUDA, gpu_names
 
 
 def workers(asked: int | None, variant: str) -> int:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue
 
-from estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
-from estimators.landmark.database import LandmarkDatabase
-from estimators.options import OptionsError, parse_options
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose, TriangleMesh
-from scenarios.observation import Observation, RangeReading
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.options import OptionsError, parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose, TriangleMesh
+from boresight.scenarios.observation import Observation, RangeReading
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
@@ -274,7 +274,7 @@ class AltimeterEstimator:
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options, which name the base and give its options."""
-        from estimators.registry import estimator_class  # the registry imports this module by name
+        from boresight.estimators.registry import estimator_class  # the registry imports this module by name
 
         parsed = parse_options(AltimeterOptions, options, cls.name)
         if parsed.base == cls.name:

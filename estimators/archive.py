@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.reading import CONTENT_FAULTS, read_arrays
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.reading import CONTENT_FAULTS, read_arrays
 
 T = TypeVar("T")
 

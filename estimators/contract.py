@@ -11,10 +11,10 @@ from typing import ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View
-from scenarios.observation import Observation
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.base import SpecModel
 
 T = TypeVar("T")
 Table = Mapping[str, NDArray[np.generic]]

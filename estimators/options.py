@@ -7,11 +7,11 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError
-from scenarios.load.entry import ConfigEntry, entry_of
-from scenarios.load.explain import explain
-from scenarios.load.merge import on_defaults
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load.entry import ConfigEntry, entry_of
+from boresight.scenarios.load.explain import explain
+from boresight.scenarios.load.merge import on_defaults
+from boresight.scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)
 

@@ -8,10 +8,10 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Assets, Estimate
-from estimators.options import parse_options
-from scenarios.observation import Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import Assets, Estimate
+from boresight.estimators.options import parse_options
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
-from scenarios.errors import BoresightError, one_line
+from boresight.scenarios.errors import BoresightError, one_line
 
 if TYPE_CHECKING:
-    from estimators.contract import Estimator
+    from boresight.estimators.contract import Estimator
 
 T = TypeVar("T")
 
@@ -68,17 +68,17 @@ class Registry(Generic[T]):
 
 _ESTIMATORS: Registry[Estimator] = Registry(
     own={
-        "centroid": "estimators.landmark.centroiding:CentroidAligner",
-        "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
-        "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
-        "landmark-orb": "estimators.descriptors.recognizer:OrbNavigator",
-        "landmark-sift": "estimators.descriptors.recognizer:SiftNavigator",
-        "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
-        "whole-image": "estimators.dense.whole_image:WholeImageRecognizer",
-        "photometric": "estimators.dense.photometric:PhotometricEstimator",
-        "lmaps": "estimators.maplets.recognizer:MapletNavigator",
-        "crater-pose": "estimators.craters.pose:CraterPose",
-        "prior": "estimators.prior:PriorEstimator",
+        "centroid": "boresight.estimators.landmark.centroiding:CentroidAligner",
+        "landmark-harris": "boresight.estimators.landmark.recognizer:LandmarkRecognizer",
+        "landmark-altimeter": "boresight.estimators.altimeter:AltimeterEstimator",
+        "landmark-orb": "boresight.estimators.descriptors.recognizer:OrbNavigator",
+        "landmark-sift": "boresight.estimators.descriptors.recognizer:SiftNavigator",
+        "landmark-ransac": "boresight.estimators.landmark.robust.estimator:ConsensusRecognizer",
+        "whole-image": "boresight.estimators.dense.whole_image:WholeImageRecognizer",
+        "photometric": "boresight.estimators.dense.photometric:PhotometricEstimator",
+        "lmaps": "boresight.estimators.maplets.recognizer:MapletNavigator",
+        "crater-pose": "boresight.estimators.craters.pose:CraterPose",
+        "prior": "boresight.estimators.prior:PriorEstimator",
     },
     group="boresight.estimators",
     parts=("name", "version", "from_options", "estimate"),

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.special import ive
 
-from scenarios.errors import BoresightError
-from scenarios.spec.camera import DetectorSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.camera import DetectorSpec
 
 FloatArray = NDArray[np.float64]
 

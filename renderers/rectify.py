@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, pixel_to_opencv
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, pixel_to_opencv
 
 
 def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

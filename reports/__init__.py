@@ -10,16 +10,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from reports.pages.build import write_report
-    from reports.pages.content import summary
-    from reports.run.data import read_run
+    from boresight.reports.pages.build import write_report
+    from boresight.reports.pages.content import summary
+    from boresight.reports.run.data import read_run
 
 __all__ = ["read_run", "summary", "write_report"]
 
 _HOMES = {
-    "read_run": "reports.run.data",
-    "summary": "reports.pages.content",
-    "write_report": "reports.pages.build",
+    "read_run": "boresight.reports.run.data",
+    "summary": "boresight.reports.pages.content",
+    "write_report": "boresight.reports.pages.build",
 }
 
 

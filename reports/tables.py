@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from reports.run.data import RunData
-from reports.run.limits import short_line
-from reports.run.outcomes import MEANING, unsolved
-from reports.schema.grid import NO_VALUE, Grid, counts, number, value_of
-from reports.schema.labels import stage_label
-from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
-from reports.schema.tables import measure_label, measures
-from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
-from scenarios.known import correlated
+from boresight.reports.run.data import RunData
+from boresight.reports.run.limits import short_line
+from boresight.reports.run.outcomes import MEANING, unsolved
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, value_of
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from boresight.reports.schema.tables import measure_label, measures
+from boresight.reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
+from boresight.scenarios.known import correlated
 
 _POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeVar
 
-from reports.published import Comparison, PublishedClaim, PublishedValue, Term
-from reports.schema.common import POSE_COLUMNS
-from reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
-from reports.schema.labels import stage_label
-from reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Record, find
-from reports.schema.tables import measure_label, unit_of
-from reports.statistics.intervals import wilson
+from boresight.reports.published import Comparison, PublishedClaim, PublishedValue, Term
+from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Record, find
+from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.statistics.intervals import wilson
 
 _OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})
 """Stages of whole runs, of which those that do not end have no error; elsewhere counts are of other things."""

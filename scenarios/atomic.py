@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import platformdirs
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 _log = logging.getLogger(__name__)
 

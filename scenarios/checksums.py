@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 FOLDER, ROWS = "checksums", "rows"
 

@@ -15,7 +15,7 @@ from typing import Self, TypeVar, cast
 
 import numba
 
-from scenarios.cache import default_cache
+from boresight.scenarios.cache import default_cache
 
 _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from pydantic import JsonValue
 
-from scenarios.spec.campaign import GridSpec
+from boresight.scenarios.spec.campaign import GridSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from scenarios.spec.distribution import Vector3
-from scenarios.spec.scenario import ScenarioSpec
-from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.spec.distribution import Vector3
+from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 FloatArray = NDArray[np.float64]
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Camera, Pose
+from boresight.scenarios.geometry import Camera, Pose
 
 
 @dataclass(frozen=True, slots=True)

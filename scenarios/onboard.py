@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.draw import draw_direction
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.body import BodySpec
-from scenarios.spec.camera import CameraSpec, DistortionSpec
-from scenarios.spec.distribution import Scalar
-from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
+from boresight.scenarios.draw import draw_direction
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.camera import CameraSpec, DistortionSpec
+from boresight.scenarios.spec.distribution import Scalar
+from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 _EQUATOR_RAD = (0.0, 0.0)

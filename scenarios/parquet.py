@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from scenarios.errors import BoresightError
-from scenarios.limits import MOST_FOLD, may_unfold
-from scenarios.reading import unreadable
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import MOST_FOLD, may_unfold
+from boresight.scenarios.reading import unreadable
 
 if TYPE_CHECKING:
     import pandas as pd

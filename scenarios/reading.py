@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from scenarios.errors import BoresightError, one_line, printable
-from scenarios.limits import may_unfold
+from boresight.scenarios.errors import BoresightError, one_line, printable
+from boresight.scenarios.limits import may_unfold
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Camera
+from boresight.scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

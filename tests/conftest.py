@@ -8,7 +8,7 @@ from collections.abc import Generator
 import pytest
 from mission_data import GIVEN, skip_without
 
-from scenarios.cache import default_cache
+from boresight.scenarios.cache import default_cache
 
 # Each cache of its own would compile the kernels again, which takes a minute.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache().root / "kernels"))

@@ -1,5 +1,5 @@
 """The command line: it only wires the steps together."""
 
-from campaign.cli.main import main
+from boresight.campaign.cli.main import main
 
 __all__ = ["main"]

@@ -1,7 +1,7 @@
-"""``python -m campaign.cli``: the command line where the script ``boresight`` is not on the path."""
+"""``python -m boresight.campaign.cli``: the command line where the script ``boresight`` is not on the path."""
 
 import sys
 
-from campaign.cli import main
+from boresight.campaign.cli import main
 
 sys.exit(main())

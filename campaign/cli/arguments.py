@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from campaign.papers import PAPERS
-from campaign.runs.request import RUNS
+from boresight.campaign.papers import PAPERS
+from boresight.campaign.runs.request import RUNS
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction

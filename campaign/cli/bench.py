@@ -12,15 +12,15 @@ from typing import Any
 
 from rich.table import Table
 
-from campaign.cli.arguments import PEERS
-from campaign.cli.terminal import console
-from campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
-from campaign.runs.check import check_campaign
-from campaign.runs.resolve import resolve
-from renderers.mitsuba3 import choose_variant
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
-from scenarios.reading import read_json
+from boresight.campaign.cli.arguments import PEERS
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.resolve import resolve
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.reading import read_json
 
 _Ratios = dict[tuple[str, str, str], float]
 

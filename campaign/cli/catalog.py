@@ -12,14 +12,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from campaign.catalog import PAPERS
-from campaign.cli.terminal import console
-from campaign.machine import cores
-from campaign.runs.read import CATALOG, campaign_names, read_campaign
-from campaign.trial.kind import kind_names
-from scenarios.designs import grid_cells
-from scenarios.errors import printable
-from scenarios.load import (
+from boresight.campaign.catalog import PAPERS
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.machine import cores
+from boresight.campaign.runs.read import CATALOG, campaign_names, read_campaign
+from boresight.campaign.trial.kind import kind_names
+from boresight.scenarios.designs import grid_cells
+from boresight.scenarios.errors import printable
+from boresight.scenarios.load import (
     LoadedCampaign,
     LoadedScenario,
     canonical_json,
@@ -48,8 +48,8 @@ _GAP = "  "
 def list_command(arguments: argparse.Namespace) -> int:
     """List campaigns by group, a line each; with ``--all`` the rest, scenarios and estimators."""
     # Imported here: they read what is installed, which no other command of this file does.
-    from estimators.registry import estimator_names
-    from estimators.slam.registry import sequence_estimator_names
+    from boresight.estimators.registry import estimator_names
+    from boresight.estimators.slam.registry import sequence_estimator_names
 
     out, groups, known = console(), _grouped(), {name: load_scenario(name) for name in scenario_names()}
     shown = (*_SHOWN, _FURTHER) if arguments.all else _SHOWN
@@ -90,7 +90,7 @@ def _grouped() -> dict[str, list[str]]:
 
 def _row(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> tuple[str, ...]:
     """Describe a campaign: name, size, cost here, what is missing in one word, title."""
-    from campaign.runs.requirements import needs, rate_of
+    from boresight.campaign.runs.requirements import needs, rate_of
 
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
@@ -127,8 +127,8 @@ def show_command(arguments: argparse.Namespace) -> int:
 def validate_command(arguments: argparse.Namespace) -> int:
     """Check a campaign or a scenario file as a run does before anything is built."""
     # Imported here: they load kinds of trial and estimators, 1.5 s, which the other commands do without.
-    from campaign.runs.check import check_campaign, check_scenario
-    from campaign.runs.resolve import resolve
+    from boresight.campaign.runs.check import check_campaign, check_scenario
+    from boresight.campaign.runs.resolve import resolve
 
     if _is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from campaign.cli.arguments import COMPARISONS
-from campaign.cli.terminal import console
-from campaign.runs.newest import find_run
-from reports.compare import compare_runs, write_comparison
-from reports.pages.rich_tables import rich_parts
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.arguments import COMPARISONS
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.runs.newest import find_run
+from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.pages.rich_tables import rich_parts
+from boresight.scenarios.errors import BoresightError
 
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 """Columns that the files have and the terminal has no room for."""

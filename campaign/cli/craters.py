@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from campaign.cli.terminal import console
-from campaign.data.named_craters import detect_real, write_real
-from estimators.craters.registry import crater_detector_class
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.data.named_craters import detect_real, write_real
+from boresight.estimators.craters.registry import crater_detector_class
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError
 
 
 def craters_command(arguments: argparse.Namespace) -> int:

@@ -8,15 +8,22 @@ from pathlib import Path
 
 from rich.progress import track
 
-from campaign.cli.terminal import console
-from campaign.export.poses import check_posed, posed, stored_images, trajectories, write_model, write_trajectory
-from campaign.export.tables import write_latex, write_tables
-from campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
-from campaign.inspection.recompute import reopened
-from campaign.runs.newest import find_run
-from reports.run.data import read_run
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.export.poses import (
+    check_posed,
+    posed,
+    stored_images,
+    trajectories,
+    write_model,
+    write_trajectory,
+)
+from boresight.campaign.export.tables import write_latex, write_tables
+from boresight.campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
+from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.runs.newest import find_run
+from boresight.reports.run.data import read_run
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError
 
 
 def export_command(arguments: argparse.Namespace) -> int:

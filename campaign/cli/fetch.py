@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
-from campaign.cli.terminal import console
-from campaign.data.fetch import bytes_to_come, check_space, fetch, state
-from campaign.papers.wanted import Wanted, wanted, wanted_by
-from scenarios.data import data_folder
-from scenarios.data.datasets import datasets
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.data.fetch import bytes_to_come, check_space, fetch, state
+from boresight.campaign.papers.wanted import Wanted, wanted, wanted_by
+from boresight.scenarios.data import data_folder
+from boresight.scenarios.data.datasets import datasets
+from boresight.scenarios.errors import BoresightError
 
 
 def fetch_command(arguments: argparse.Namespace) -> int:

@@ -10,27 +10,27 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
-from campaign.cli.arguments import ALL_PAPERS
-from campaign.cli.fetch import bring_missing
-from campaign.cli.progress import NamedLines, ProgressListener
-from campaign.cli.terminal import console
-from campaign.draft import as_draft, kept
-from campaign.machine import sharing_cores
-from campaign.papers import PAPERS
-from campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
-from campaign.pool.workers import in_order
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.check import check_campaign, check_shapes
-from campaign.runs.request import RUNS, RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.threads import workers
-from renderers.mitsuba3 import choose_variant
-from reports.pages.rich_tables import rich_table
-from reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
-from reports.schema.labels import count_of
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError, display
+from boresight.campaign.cli.arguments import ALL_PAPERS
+from boresight.campaign.cli.fetch import bring_missing
+from boresight.campaign.cli.progress import NamedLines, ProgressListener
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.draft import as_draft, kept
+from boresight.campaign.machine import sharing_cores
+from boresight.campaign.papers import PAPERS
+from boresight.campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
+from boresight.campaign.pool.workers import in_order
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.check import check_campaign, check_shapes
+from boresight.campaign.runs.request import RUNS, RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.threads import workers
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.pages.rich_tables import rich_table
+from boresight.reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
+from boresight.reports.schema.labels import count_of
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError, display
 
 _IN_PART = 3
 """Exit code: done, without the runs that could not be read."""

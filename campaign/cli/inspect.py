@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import argparse
 
-from campaign.cli.arguments import WORST
-from campaign.cli.terminal import console
-from campaign.imaging.image_store import store_switched
-from campaign.inspection.build import inspect_case, order_of
-from campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
-from campaign.inspection.look import look_of
-from campaign.inspection.recompute import reopened
-from campaign.runs.newest import find_run
-from reports.pages.view3d import write_recording, write_view3d
-from reports.run.data import read_run
-from reports.schema.named_figure import file_stem
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError, display
+from boresight.campaign.cli.arguments import WORST
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.imaging.image_store import store_switched
+from boresight.campaign.inspection.build import inspect_case, order_of
+from boresight.campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
+from boresight.campaign.inspection.look import look_of
+from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.runs.newest import find_run
+from boresight.reports.pages.view3d import write_recording, write_view3d
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.named_figure import file_stem
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError, display
 
 
 def inspect_command(arguments: argparse.Namespace) -> int:

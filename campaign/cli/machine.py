@@ -7,11 +7,11 @@ import os
 
 from rich.table import Table
 
-from campaign.cli.terminal import console
-from campaign.machine import cores, describe, memory_gib, package_versions
-from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
-from scenarios.cache import default_cache
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.machine import cores, describe, memory_gib, package_versions
+from boresight.renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.errors import BoresightError
 
 _COMFORTABLE_GIB = 8.0
 _MOST_LISTED = 20  # entries of a kind

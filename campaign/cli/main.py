@@ -13,9 +13,9 @@ from importlib import import_module, resources
 from types import MappingProxyType
 from typing import NoReturn, cast
 
-from campaign.cli.arguments import add_commands
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.arguments import add_commands
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
 
@@ -62,7 +62,9 @@ class Manual:
 @lru_cache(maxsize=1)
 def manual() -> Manual:
     """Read the manual from ``manual.toml``."""
-    stored = tomllib.loads(resources.files("campaign.cli").joinpath("manual.toml").read_text(encoding="utf-8"))
+    stored = tomllib.loads(
+        resources.files("boresight.campaign.cli").joinpath("manual.toml").read_text(encoding="utf-8")
+    )
     pages = {name: ManualPage(page["text"].strip(), page["examples"]) for name, page in stored["commands"].items()}
     return Manual(stored["whole"], MappingProxyType(pages))
 
@@ -124,7 +126,9 @@ def handler(name: str) -> Callable[[argparse.Namespace], int]:
     Only the libraries of the command that is run are loaded: those of all commands take 2 s to import.
     """
     module, function = name.split(":")
-    return cast("Callable[[argparse.Namespace], int]", getattr(import_module(f"campaign.cli.{module}"), function))
+    return cast(
+        "Callable[[argparse.Namespace], int]", getattr(import_module(f"boresight.campaign.cli.{module}"), function)
+    )
 
 
 def _complain(text: str) -> None:

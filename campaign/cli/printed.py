@@ -11,15 +11,15 @@ from typing import Self
 from pydantic import BaseModel, ConfigDict, model_validator
 from rich.console import Group
 
-import campaign
-from campaign.cli.terminal import console
-from campaign.store import RunFolder
-from reports.pages.rich_tables import rich_parts
-from reports.schema.grid import Grid
-from scenarios import checksums
-from scenarios.atomic import write_text
-from scenarios.errors import display
-from scenarios.reading import held_to, plain_json
+from boresight import campaign
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.store import RunFolder
+from boresight.reports.pages.rich_tables import rich_parts
+from boresight.reports.schema.grid import Grid
+from boresight.scenarios import checksums
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import display
+from boresight.scenarios.reading import held_to, plain_json
 
 MADE = "made.json"
 _PACKAGES = ("scenarios", "renderers", "estimators", "reports", "campaign")

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from campaign.trial.kind import Records
+from boresight.campaign.trial.kind import Records
 
 _SILENCE_S = 30.0
 

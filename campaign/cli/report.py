@@ -6,17 +6,17 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import asdict
 
-from campaign.cli.printed import Printed, PrintedGrid, digests, keep, print_report, source_of
-from campaign.inspection.build import worst_figures
-from campaign.inspection.show import show_of
-from campaign.runs.newest import find_run
-from campaign.runs.resolve import reload
-from campaign.store import RunFolder
-from reports.kinds import brief_grids
-from reports.pages.build import write_report
-from reports.run.outcomes import reason_lines
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.printed import Printed, PrintedGrid, digests, keep, print_report, source_of
+from boresight.campaign.inspection.build import worst_figures
+from boresight.campaign.inspection.show import show_of
+from boresight.campaign.runs.newest import find_run
+from boresight.campaign.runs.resolve import reload
+from boresight.campaign.store import RunFolder
+from boresight.reports.kinds import brief_grids
+from boresight.reports.pages.build import write_report
+from boresight.reports.run.outcomes import reason_lines
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
 
 
 def report_command(arguments: argparse.Namespace) -> int:

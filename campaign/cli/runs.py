@@ -5,22 +5,22 @@ from __future__ import annotations
 import argparse
 import shlex
 
-from campaign.cli.printed import print_report, printed_before, source_of
-from campaign.cli.progress import ProgressListener
-from campaign.cli.terminal import console
-from campaign.imaging.image_store import store_is_on, store_switched
-from campaign.runs.request import Cluster
-from campaign.runs.start import start
-from campaign.store import RunFolder
-from reports.schema.labels import count_of
-from scenarios.errors import BoresightError, display
+from boresight.campaign.cli.printed import print_report, printed_before, source_of
+from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.imaging.image_store import store_is_on, store_switched
+from boresight.campaign.runs.request import Cluster
+from boresight.campaign.runs.start import start
+from boresight.campaign.store import RunFolder
+from boresight.reports.schema.labels import count_of
+from boresight.scenarios.errors import BoresightError, display
 
 
 def run_command(arguments: argparse.Namespace) -> int:
     """Run or continue a campaign, and write its report."""
     if arguments.fetch or arguments.source:
         # Imported here: downloads take 0.3 s to import.
-        from campaign.cli.fetch import bring_missing
+        from boresight.campaign.cli.fetch import bring_missing
 
         bring_missing([arguments.name], arguments)
     begun = start(
@@ -63,7 +63,7 @@ def _report(folder: RunFolder, worst: int, pdf: bool) -> None:
     printed = printed_before(folder, source)
     if printed is None:
         # Matplotlib and the reports, 1 s to import, are needed only here.
-        from campaign.cli.report import write
+        from boresight.campaign.cli.report import write
 
         printed = write(folder, worst, pdf, source)
     print_report(printed, folder)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from campaign.cli.progress import ProgressListener
-from campaign.cli.terminal import console
-from campaign.runs.check import check_campaign
-from campaign.runs.request import RUNS, RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.runs.sensitivity import analyse, make_design, parse_over
-from campaign.runs.until import CONTROLS, STATISTICS
-from campaign.threads import workers
-from renderers.mitsuba3 import choose_variant
-from reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
-from reports.compare.metrics import choose_metric
-from reports.pages.rich_tables import rich_parts
-from reports.run.data import read_run
-from reports.run.limits import short_line
-from reports.schema.tables import kind_schema
-from scenarios.atomic import explain_write_error
-from scenarios.errors import BoresightError, display
+from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.request import RUNS, RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.runs.sensitivity import analyse, make_design, parse_over
+from boresight.campaign.runs.until import CONTROLS, STATISTICS
+from boresight.campaign.threads import workers
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
+from boresight.reports.compare.metrics import choose_metric
+from boresight.reports.pages.rich_tables import rich_parts
+from boresight.reports.run.data import read_run
+from boresight.reports.run.limits import short_line
+from boresight.reports.schema.tables import kind_schema
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError, display
 
 
 def sensitivity_command(arguments: argparse.Namespace) -> int:

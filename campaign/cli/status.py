@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from campaign.cli.terminal import console
-from campaign.runs.newest import find_run
-from campaign.store import RunFolder
-from scenarios.errors import BoresightError, display
+from boresight.campaign.cli.terminal import console
+from boresight.campaign.runs.newest import find_run
+from boresight.campaign.store import RunFolder
+from boresight.scenarios.errors import BoresightError, display
 
 _COUNTED = ("scenario", "estimator", "trial", "status")
 

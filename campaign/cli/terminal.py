@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from scenarios.errors import printable
+from boresight.scenarios.errors import printable
 
 _WIDTH = 160
 

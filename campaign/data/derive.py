@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scenarios.bodies.readers import read_shape
-from scenarios.errors import BoresightError
+from boresight.scenarios.bodies.readers import read_shape
+from boresight.scenarios.errors import BoresightError
 
 _APOPHIS_KM = 0.375
 """Volume-equivalent diameter of Apophis in Table 1 of Delpech et al. (2015)."""

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import requests
 
-from campaign.data.derive import DERIVATIONS
-from scenarios.atomic import write_atomically, write_text
-from scenarios.data import DATA_VARIABLE
-from scenarios.data.datasets import REGISTRY, DataSet, FileSpec, RawFile
-from scenarios.errors import BoresightError
+from boresight.campaign.data.derive import DERIVATIONS
+from boresight.scenarios.atomic import write_atomically, write_text
+from boresight.scenarios.data import DATA_VARIABLE
+from boresight.scenarios.data.datasets import REGISTRY, DataSet, FileSpec, RawFile
+from boresight.scenarios.errors import BoresightError
 
 TIMEOUT_S = 30.0
 _CHUNK_BYTES = 1 << 16

@@ -11,14 +11,14 @@ import spiceypy
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from renderers.images import open_product
-from renderers.images.product import ImageProduct
-from renderers.spice import INSTRUMENTS, loaded_kernels
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View, pixel_to_opencv
-from scenarios.limits import LARGEST_NUMBER
-from scenarios.observation import Frame
+from boresight.renderers.images import open_product
+from boresight.renderers.images.product import ImageProduct
+from boresight.renderers.spice import INSTRUMENTS, loaded_kernels
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View, pixel_to_opencv
+from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.observation import Frame
 
 FloatArray = NDArray[np.float64]
 

@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.data.msi_image import MsiImage, open_msi
-from estimators.craters.contract import CraterDetections, CraterDetector
-from estimators.craters.detection.classic import CraterClassic, DetectionStages
-from reports.figures.craters import draw_detections, draw_stages
-from reports.figures.style import save_figure
-from scenarios.atomic import write_text
-from scenarios.bodies import load_body
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, TriangleMesh, View, project_circles
-from scenarios.limits import LARGEST_NUMBER
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.body import BodySpec
+from boresight.campaign.data.msi_image import MsiImage, open_msi
+from boresight.estimators.craters.contract import CraterDetections, CraterDetector
+from boresight.estimators.craters.detection.classic import CraterClassic, DetectionStages
+from boresight.reports.figures.craters import draw_detections, draw_stages
+from boresight.reports.figures.style import save_figure
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, TriangleMesh, View, project_circles
+from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.body import BodySpec
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

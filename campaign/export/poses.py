@@ -18,15 +18,15 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from campaign.inspection.case import Case
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
-from campaign.resolved import ResolvedCampaign
-from campaign.store import RunFolder
-from campaign.trial.pose_score import pose_of
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.pose_score import pose_of
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from campaign.store import TABLES, RunFolder
-from reports.kinds import report_grids
-from reports.pages.content import read_content
-from reports.schema.named_figure import file_stem
-from scenarios.atomic import write_atomically, write_text
+from boresight.campaign.store import TABLES, RunFolder
+from boresight.reports.kinds import report_grids
+from boresight.reports.pages.content import read_content
+from boresight.reports.schema.named_figure import file_stem
+from boresight.scenarios.atomic import write_atomically, write_text
 
 
 def write_tables(

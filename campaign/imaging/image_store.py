@@ -20,9 +20,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from campaign.machine import package_versions, processor
-from renderers.detector import Detector
-from renderers.mitsuba3 import (
+from boresight.campaign.machine import package_versions, processor
+from boresight.renderers.detector import Detector
+from boresight.renderers.mitsuba3 import (
     BodyRenderer,
     MitsubaRenderer,
     TiledRenderer,
@@ -30,15 +30,15 @@ from renderers.mitsuba3 import (
     code_generator,
     renderer_version,
 )
-from scenarios.bodies import load_body
-from scenarios.cache import Cache, default_cache
-from scenarios.craters import cratered_surface, shape_digest
-from scenarios.draw import Stream
-from scenarios.geometry import View
-from scenarios.limits import MOST_PIXELS
-from scenarios.load import LoadedScenario, canonical_json
-from scenarios.parquet import PARQUET_FAULTS
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.cache import Cache, default_cache
+from boresight.scenarios.craters import cratered_surface, shape_digest
+from boresight.scenarios.draw import Stream
+from boresight.scenarios.geometry import View
+from boresight.scenarios.limits import MOST_PIXELS
+from boresight.scenarios.load import LoadedScenario, canonical_json
+from boresight.scenarios.parquet import PARQUET_FAULTS
+from boresight.scenarios.spec.base import SpecModel
 
 KIND = "images"
 SWITCH = "BORESIGHT_IMAGE_STORE"

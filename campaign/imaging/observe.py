@@ -7,12 +7,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.world import TrialImage, World
-from renderers.rectify import rectify
-from scenarios.draw import Stream, degrade, generator, prior_covariance
-from scenarios.geometry import View
-from scenarios.observation import Frame, Observation, RangeReading
-from scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
+from boresight.campaign.imaging.world import TrialImage, World
+from boresight.renderers.rectify import rectify
+from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
+from boresight.scenarios.geometry import View
+from boresight.scenarios.observation import Frame, Observation, RangeReading
+from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
 
 T = TypeVar("T", bound=np.generic)
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-from renderers.images import ImageSet, PosedImageSet, keep_clear
-from renderers.mitsuba3.rays import outline_points
-from scenarios.bodies import body_digest, load_body
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
+from boresight.renderers.images import ImageSet, PosedImageSet, keep_clear
+from boresight.renderers.mitsuba3.rays import outline_points
+from boresight.scenarios.bodies import body_digest, load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
 
 
 def images_digest(scenario: LoadedScenario) -> str:
@@ -70,6 +70,6 @@ def _all_images(scenario: LoadedScenario) -> ImageSet:
     if spec.images.spice is None:
         return PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
     # Imported here, as most runs need no SPICE.
-    from renderers.spice import SpiceImageSet
+    from boresight.renderers.spice import SpiceImageSet
 
     return SpiceImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)

@@ -9,18 +9,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.image_store import Imager, open_renderer
-from campaign.imaging.real_images import images_digest, open_images
-from renderers.images import ImageSet, keep_clear_violation
-from renderers.mitsuba3 import BodyRenderer
-from scenarios.bodies import Body, load_body
-from scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
-from scenarios.draw import Stream, draw_aimed_view, draw_view, generator
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View
-from scenarios.load import LoadedScenario
-from scenarios.onboard import onboard_spec
-from scenarios.spec.world import ViewpointSpec
+from boresight.campaign.imaging.image_store import Imager, open_renderer
+from boresight.campaign.imaging.real_images import images_digest, open_images
+from boresight.renderers.images import ImageSet, keep_clear_violation
+from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.scenarios.bodies import Body, load_body
+from boresight.scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
+from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
 

@@ -13,20 +13,20 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from campaign.inspection.case import ORDER, Case, Choice, worst_cases
-from campaign.inspection.recompute import Recomputed, StoredComparison, recompute
-from campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
-from campaign.resolved import ResolvedCampaign
-from campaign.store import RunFolder
-from campaign.trial.image_trials import write_image
-from campaign.trial.kind import Record
-from reports.pages.case import CasePage, write_case
-from reports.run.data import read_run
-from reports.schema.grid import NO_VALUE, Grid, number
-from reports.schema.labels import as_title
-from reports.schema.named_figure import NamedFigure
-from reports.schema.tables import TABLES, schema
-from scenarios.atomic import write_atomically, write_text
+from boresight.campaign.inspection.case import ORDER, Case, Choice, worst_cases
+from boresight.campaign.inspection.recompute import Recomputed, StoredComparison, recompute
+from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.image_trials import write_image
+from boresight.campaign.trial.kind import Record
+from boresight.reports.pages.case import CasePage, write_case
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.grid import NO_VALUE, Grid, number
+from boresight.reports.schema.labels import as_title
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.tables import TABLES, schema
+from boresight.scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables with few rows per case, shown on its page; longer ones are only written as Parquet."""

@@ -8,10 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from reports.compare.metrics import N_FINDABLE, Metric, choose_metric, detection_counts, metric_names, metric_values
-from reports.run.data import TRIAL_KEY, RunData, in_order_of
-from reports.schema.named_figure import file_stem
-from scenarios.errors import BoresightError
+from boresight.reports.compare.metrics import (
+    N_FINDABLE,
+    Metric,
+    choose_metric,
+    detection_counts,
+    metric_names,
+    metric_values,
+)
+from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
+from boresight.reports.schema.named_figure import file_stem
+from boresight.scenarios.errors import BoresightError
 
 CONTROLS = ("prior", "dead-reckoning")
 """Baseline estimators that use no measurement, whose worst cases are of no interest."""

@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
-from campaign.inspection.show import EstimatorRun, show_of
-from campaign.resolved import ResolvedCampaign
-from campaign.store import RunFolder
-from reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
-from reports.run.data import RunData, select
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
+from boresight.campaign.inspection.show import EstimatorRun, show_of
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder
+from boresight.reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
+from boresight.reports.run.data import RunData, select
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 _FINER = 1.25
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from campaign.inspection.case import Case
-from campaign.pool.guard import STOPPED, Call, Loss, guarding
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.resolve import reload, unlike
-from campaign.runs.worker import trials_of
-from campaign.store import TABLES, RunFolder
-from campaign.trial.kind import Bench, Record, Records, Trials
-from reports.schema.tables import schema
-from scenarios.errors import BoresightError
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.pool.guard import STOPPED, Call, Loss, guarding
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.resolve import reload, unlike
+from boresight.campaign.runs.worker import trials_of
+from boresight.campaign.store import TABLES, RunFolder
+from boresight.campaign.trial.kind import Bench, Record, Records, Trials
+from boresight.reports.schema.tables import schema
+from boresight.scenarios.errors import BoresightError
 
 _MOST_NAMED = 3
 

@@ -11,16 +11,16 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.recompute import Recomputed
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.worker import opened
-from campaign.store import RunFolder
-from campaign.trial.kind import module_of
-from reports.pages.view3d import View3D
-from reports.run.data import RunData
-from reports.schema.named_figure import NamedFigure
-from scenarios.geometry import Camera, Pose
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import Recomputed
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.worker import opened
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import module_of
+from boresight.reports.pages.view3d import View3D
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.geometry import Camera, Pose
 
 T = TypeVar("T")
 

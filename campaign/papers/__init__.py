@@ -1,5 +1,5 @@
 """Pages of papers, with figures and tables from stored runs; each paper is a module that defines ``PAPER``."""
 
-from campaign.catalog import PAPERS
+from boresight.campaign.catalog import PAPERS
 
 __all__ = ["PAPERS"]

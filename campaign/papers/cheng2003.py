@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from campaign.kinds.crater_detection.show import detected, stages_of
-from campaign.kinds.crater_matching.show import matching_example
-from campaign.papers.gather import FinishedRun
-from campaign.papers.page import Draw, Paper, PaperFigure, Runs
-from estimators.craters.planning import PLANNER
-from reports.kinds import report_grids
-from reports.kinds.crater_navigation import counts_figure
-from reports.kinds.image_survey import survey_figures
-from reports.kinds.orbit_determination import reference_scenarios, residual_figure
-from reports.run.data import select
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure
+from boresight.campaign.kinds.crater_detection.show import detected, stages_of
+from boresight.campaign.kinds.crater_matching.show import matching_example
+from boresight.campaign.papers.gather import FinishedRun
+from boresight.campaign.papers.page import Draw, Paper, PaperFigure, Runs
+from boresight.estimators.craters.planning import PLANNER
+from boresight.reports.kinds import report_grids
+from boresight.reports.kinds.crater_navigation import counts_figure
+from boresight.reports.kinds.image_survey import survey_figures
+from boresight.reports.kinds.orbit_determination import reference_scenarios, residual_figure
+from boresight.reports.run.data import select
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
 
 _DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
 _MATCHERS = ("invariants", "hybrid")

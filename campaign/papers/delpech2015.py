@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.sequence.images import OrbitImages
-from campaign.papers.gather import FinishedRun
-from campaign.papers.page import Draw, Paper, PaperFigure, Runs
-from reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
-from reports.kinds.designs.tables import design_grids
-from reports.kinds.sequence.tables import (
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.papers.gather import FinishedRun
+from boresight.campaign.papers.page import Draw, Paper, PaperFigure, Runs
+from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
+from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.sequence.tables import (
     ratio_grids,
     revolution_figure,
     revolution_series,
@@ -23,11 +23,11 @@ from reports.kinds.sequence.tables import (
     trace_figure,
     without_pooled,
 )
-from reports.kinds.sequence.vision import vision_grid
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
+from boresight.reports.kinds.sequence.vision import vision_grid
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
 
 _STRONGEST = 30
 _SENSITIVITY = "delpech2015-sensitivity"

@@ -9,17 +9,17 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.newest import start_of
-from campaign.runs.read import campaign_names
-from campaign.runs.resolve import reload
-from campaign.store import RunFolder
-from reports.kinds import Content
-from reports.pages.content import content_of
-from reports.published import load_published
-from reports.run.data import RunData, read_run
-from scenarios.errors import BoresightError, one_line
-from scenarios.reading import plain_json
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.newest import start_of
+from boresight.campaign.runs.read import campaign_names
+from boresight.campaign.runs.resolve import reload
+from boresight.campaign.store import RunFolder
+from boresight.reports.kinds import Content
+from boresight.reports.pages.content import content_of
+from boresight.reports.published import load_published
+from boresight.reports.run.data import RunData, read_run
+from boresight.scenarios.errors import BoresightError, one_line
+from boresight.scenarios.reading import plain_json
 
 
 @dataclass(frozen=True, eq=False)

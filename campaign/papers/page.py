@@ -9,21 +9,21 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
-from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.request import RUNS
-from campaign.runs.requirements import needs
-from reports.figures.provenance import add_provenance, with_trial_counts
-from reports.papers.page import PaperLine, PaperPage, paper_lines
-from reports.papers.tables import lines_by_table, table_figure
-from reports.published import load_published
-from reports.run.limits import short_line
-from reports.schema.grid import Grid
-from reports.schema.labels import count_of
-from reports.schema.named_figure import NamedFigure
-from reports.verdicts import Verdict
-from scenarios.errors import BoresightError
-from scenarios.load import load_campaign
+from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
+from boresight.campaign.runs.read import CATALOG, campaign_names
+from boresight.campaign.runs.request import RUNS
+from boresight.campaign.runs.requirements import needs
+from boresight.reports.figures.provenance import add_provenance, with_trial_counts
+from boresight.reports.papers.page import PaperLine, PaperPage, paper_lines
+from boresight.reports.papers.tables import lines_by_table, table_figure
+from boresight.reports.published import load_published
+from boresight.reports.run.limits import short_line
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.verdicts import Verdict
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_campaign
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
@@ -76,7 +76,7 @@ class Paper:
 
 def paper_called(name: str) -> Paper:
     """Return the paper of that name, one of `campaign.papers.PAPERS`."""
-    return cast("Paper", import_module(f"campaign.papers.{name}").PAPER)
+    return cast("Paper", import_module(f"boresight.campaign.papers.{name}").PAPER)
 
 
 def paper_campaigns(paper: Paper) -> list[str]:

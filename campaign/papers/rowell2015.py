@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.imaging.world import World, open_world, typical_range_m
-from campaign.inspection.case import Case
-from campaign.kinds.single_image.examples import (
+from boresight.campaign.imaging.world import World, open_world, typical_range_m
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.kinds.single_image.examples import (
     SecondLook,
     alignment_of,
     credit_lines,
@@ -20,13 +20,13 @@ from campaign.kinds.single_image.examples import (
     median_trial,
     second_look,
 )
-from campaign.papers.gather import FinishedRun
-from campaign.papers.page import Paper, PaperFigure, Runs
-from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
-from campaign.products.landmark_database import KIND as DATABASE
-from campaign.threads import workers
-from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild
-from reports.figures import (
+from boresight.campaign.papers.gather import FinishedRun
+from boresight.campaign.papers.page import Paper, PaperFigure, Runs
+from boresight.campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from boresight.campaign.products.landmark_database import KIND as DATABASE
+from boresight.campaign.threads import workers
+from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild
+from boresight.reports.figures import (
     draw_alignment_panels,
     draw_centroid_offsets,
     draw_clusters,
@@ -35,16 +35,16 @@ from reports.figures import (
     draw_method_errors,
     draw_triangulation,
 )
-from reports.kinds.designs.tables import design_grids
-from reports.kinds.single_image.figures import centroid_offsets, landmark_figures, pose_figure
-from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
-from reports.published import load_published
-from reports.run.data import select
-from reports.schema.grid import Grid
-from reports.schema.labels import count_of
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
+from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.single_image.figures import centroid_offsets, landmark_figures, pose_figure
+from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
+from boresight.reports.published import load_published
+from boresight.reports.run.data import select
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
 
 RECOGNISER = "landmark-harris"
 _SENSITIVITY = ("rowell2015-sensitivity", "rowell2015-sensitivity-sun")

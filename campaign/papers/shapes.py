@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from campaign.imaging.world import World
-from campaign.products.landmark_database import landmark_candidates
-from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
-from estimators.landmark.clustering import PointCluster
-from estimators.landmark.database import LandmarkDatabase
-from reports.figures import ClusterView, SurfaceView
-from scenarios.geometry import TriangleMesh, View, look_at
+from boresight.campaign.imaging.world import World
+from boresight.campaign.products.landmark_database import landmark_candidates
+from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
+from boresight.estimators.landmark.clustering import PointCluster
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.reports.figures import ClusterView, SurfaceView
+from boresight.scenarios.geometry import TriangleMesh, View, look_at
 
 FloatArray = NDArray[np.float64]
 

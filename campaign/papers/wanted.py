@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.papers import PAPERS
-from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.requirements import needs
-from scenarios.data.datasets import DataSet, datasets, datasets_providing
-from scenarios.errors import BoresightError
-from scenarios.load import load_campaign
-from scenarios.load.find import SUFFIXES
+from boresight.campaign.papers import PAPERS
+from boresight.campaign.runs.read import CATALOG, campaign_names
+from boresight.campaign.runs.requirements import needs
+from boresight.scenarios.data.datasets import DataSet, datasets, datasets_providing
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_campaign
+from boresight.scenarios.load.find import SUFFIXES
 
 ALL = "all"
 
@@ -48,7 +48,7 @@ def wanted(name: str) -> Wanted:
         return Wanted((one,), ())
     if name in PAPERS:
         # Imported here: a paper's figures take 2 s.
-        from campaign.papers.page import paper_called, paper_campaigns
+        from boresight.campaign.papers.page import paper_called, paper_campaigns
 
         return wanted_by(paper_campaigns(paper_called(name)))
     if name in campaign_names() or Path(name).suffix in SUFFIXES:

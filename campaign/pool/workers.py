@@ -23,10 +23,10 @@ from typing import TypeVar, cast
 
 from joblib.externals.loky import ProcessPoolExecutor
 
-from campaign.imaging.image_store import store_is_on, store_switched
-from campaign.pool.guard import guarding
-from renderers.mitsuba3.variant import gpu_of_worker
-from scenarios.errors import MachineError
+from boresight.campaign.imaging.image_store import store_is_on, store_switched
+from boresight.campaign.pool.guard import guarding
+from boresight.renderers.mitsuba3.variant import gpu_of_worker
+from boresight.scenarios.errors import MachineError
 
 T = TypeVar("T")
 Call = tuple[object, ...]

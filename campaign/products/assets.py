@@ -12,26 +12,26 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from campaign.draft import drafted
-from campaign.handles import Handle, target_of
-from campaign.imaging.world import believed
-from campaign.products.databases import (
+from boresight.campaign.draft import drafted
+from boresight.campaign.handles import Handle, target_of
+from boresight.campaign.imaging.world import believed
+from boresight.campaign.products.databases import (
     content_key,
     drawn_per_database,
     with_database_craters,
     with_database_knowledge,
     with_database_seed,
 )
-from campaign.threads import one_blas_thread
-from estimators.contract import ImageRenderer, NoProductError
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.atomic import explain_write_error
-from scenarios.bodies import load_body
-from scenarios.cache import default_cache
-from scenarios.errors import BoresightError, MachineError, text_of
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.load import LoadedScenario
-from scenarios.spec.base import SpecModel
+from boresight.campaign.threads import one_blas_thread
+from boresight.estimators.contract import ImageRenderer, NoProductError
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.errors import BoresightError, MachineError, text_of
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 
 _FAILURE = "unmade.txt"
 """File with the reason why a product cannot be built, in place of the product."""
@@ -88,7 +88,7 @@ def product_kind(name: str) -> ProductKind:
     """
     if name not in _KINDS:
         raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
-    return cast("ProductKind", import_module(f"campaign.products.{name.replace('-', '_')}"))
+    return cast("ProductKind", import_module(f"boresight.campaign.products.{name.replace('-', '_')}"))
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:

@@ -7,21 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.imaging.world import open_world
-from campaign.products.database_images import DatabaseImage, database_images, map_images
-from campaign.products.databases import checked_options
-from estimators.contract import NoProductError
-from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
-from estimators.craters.database.build import build_database, triangulate_landmarks
-from estimators.craters.database.files import CraterDatabase
-from estimators.craters.matching.preliminary import PreliminaryOptions
-from estimators.craters.pose import PRODUCT, CraterDatabaseOptions
-from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
-from scenarios.observation import Frame
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.base import SpecModel
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.products.database_images import DatabaseImage, database_images, map_images
+from boresight.campaign.products.databases import checked_options
+from boresight.estimators.contract import NoProductError
+from boresight.estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
+from boresight.estimators.craters.database.build import build_database, triangulate_landmarks
+from boresight.estimators.craters.database.files import CraterDatabase
+from boresight.estimators.craters.matching.preliminary import PreliminaryOptions
+from boresight.estimators.craters.pose import PRODUCT, CraterDatabaseOptions
+from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.base import SpecModel
 
 KIND = PRODUCT
 VERSION = 2

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from campaign.imaging.world import typical_range_m
-from renderers.mitsuba3 import renderer_version
-from scenarios.craters import shape_digest
-from scenarios.load import LoadedScenario, canonical_json
-from scenarios.spec.base import SpecModel
-from scenarios.spec.scenario import OnboardSpec
+from boresight.campaign.imaging.world import typical_range_m
+from boresight.renderers.mitsuba3 import renderer_version
+from boresight.scenarios.craters import shape_digest
+from boresight.scenarios.load import LoadedScenario, canonical_json
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from campaign.products.database_images import database_images, map_images
-from campaign.products.databases import checked_options
-from estimators.descriptors.database import (
+from boresight.campaign.products.database_images import database_images, map_images
+from boresight.campaign.products.databases import checked_options
+from boresight.estimators.descriptors.database import (
     METHOD_VERSION,
     DescriptorDatabase,
     DescriptorOptions,
     ViewFeatures,
     view_features,
 )
-from scenarios.load import LoadedScenario
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 
 KIND = "descriptors"
 

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.products.database_images import database_images, map_images
-from campaign.products.databases import checked_options, content_key
-from estimators.landmark.build import (
+from boresight.campaign.products.database_images import database_images, map_images
+from boresight.campaign.products.databases import checked_options, content_key
+from boresight.estimators.landmark.build import (
     METHOD_VERSION,
     CandidateOptions,
     DatabaseOptions,
     database_from_candidates,
     extract_candidates,
 )
-from estimators.landmark.database import LandmarkDatabase
-from scenarios.cache import default_cache
-from scenarios.load import LoadedScenario
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 
 KIND = "landmark-database"
 VERSION = 1

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from campaign.products.databases import checked_options
-from estimators.maplets.build import METHOD_VERSION, MapletOptions, build_maplets
-from estimators.maplets.database import MapletDatabase
-from scenarios.bodies import load_body
-from scenarios.load import LoadedScenario
-from scenarios.spec.base import SpecModel
+from boresight.campaign.products.databases import checked_options
+from boresight.estimators.maplets.build import METHOD_VERSION, MapletOptions, build_maplets
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 
 KIND = "maplets"
 

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from campaign.imaging.image_store import store_switched
-from campaign.machine import describe, package_versions
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.request import RunRequest
-from campaign.runs.runner import run_campaign
-from campaign.trial.kind import Records, kind_named
-from reports.schema.common import FRESH_IMAGE
-from scenarios.errors import BoresightError
+from boresight.campaign.imaging.image_store import store_switched
+from boresight.campaign.machine import describe, package_versions
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.trial.kind import Records, kind_named
+from boresight.reports.schema.common import FRESH_IMAGE
+from boresight.scenarios.errors import BoresightError
 
 WHOLE_TRIAL = "whole trial"
 _YARDSTICK_PX = 1024

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from campaign.catalog import PAPERS
-from campaign.imaging.world import check_bodies, trial_limit
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.read import campaign_names
-from campaign.trial.kind import kind_named
-from reports.published import load_published
-from scenarios.bodies import Body
-from scenarios.data import data_folder, is_there
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
-from scenarios.onboard import onboard_spec
-from scenarios.spec.body import STAND_INS
+from boresight.campaign.catalog import PAPERS
+from boresight.campaign.imaging.world import check_bodies, trial_limit
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.read import campaign_names
+from boresight.campaign.trial.kind import kind_named
+from boresight.reports.published import load_published
+from boresight.scenarios.bodies import Body
+from boresight.scenarios.data import data_folder, is_there
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import STAND_INS
 
 _KINDS = {
     "viewpoint": "single-image",

@@ -10,15 +10,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from campaign.imaging.real_images import left_out_notes, open_images
-from campaign.machine import describe, package_versions
-from campaign.products import BuiltProduct, MissingProduct
-from campaign.products.assets import product_kind
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.newest import KEY, next_start
-from campaign.runs.request import RunRequest
-from reports.schema.tables import FORMAT_VERSION
-from scenarios.load import canonical_json
+from boresight.campaign.imaging.real_images import left_out_notes, open_images
+from boresight.campaign.machine import describe, package_versions
+from boresight.campaign.products import BuiltProduct, MissingProduct
+from boresight.campaign.products.assets import product_kind
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.newest import KEY, next_start
+from boresight.campaign.runs.request import RunRequest
+from boresight.reports.schema.tables import FORMAT_VERSION
+from boresight.scenarios.load import canonical_json
 
 
 def make_manifest(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from campaign.runs.request import RUNS
-from campaign.store import RunFolder
-from scenarios.errors import BoresightError
-from scenarios.reading import plain_json
+from boresight.campaign.runs.request import RUNS
+from boresight.campaign.store import RunFolder
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.reading import plain_json
 
 KEY = "start"
 

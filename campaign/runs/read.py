@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scenarios.designs import GridCell, GridVariation, grid_cells
-from scenarios.errors import BoresightError
-from scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
-from scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.designs import GridCell, GridVariation, grid_cells
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
+from boresight.scenarios.spec.campaign import CampaignSpec
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 

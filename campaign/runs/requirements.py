@@ -13,12 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
-from estimators.slam.registry import EXTRAS
-from scenarios.cache import default_cache
-from scenarios.data import is_there
-from scenarios.load import LoadedCampaign, LoadedScenario, load_scenario
-from scenarios.onboard import onboard_spec
-from scenarios.spec.body import EMBEDDED_NAMES
+from boresight.estimators.slam.registry import EXTRAS
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.data import is_there
+from boresight.scenarios.load import LoadedCampaign, LoadedScenario, load_scenario
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import EMBEDDED_NAMES
 
 _KIND, _FILE = "rates", "rate.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from campaign.resolved import ResolvedCampaign, Versions
-from campaign.runs.read import read_campaign
-from campaign.trial.kind import Kind, kind_named
-from estimators.registry import base_of, needed_sensors
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedCampaign, LoadedScenario
-from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.campaign.resolved import ResolvedCampaign, Versions
+from boresight.campaign.runs.read import read_campaign
+from boresight.campaign.trial.kind import Kind, kind_named
+from boresight.estimators.registry import base_of, needed_sensors
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedCampaign, LoadedScenario
+from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 def resolve(

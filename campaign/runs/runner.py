@@ -7,20 +7,20 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
-from campaign.imaging.real_images import left_out_notes
-from campaign.pool.workers import in_order
-from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
-from campaign.resolved import ResolvedCampaign
-from campaign.runs import manifest as manifests
-from campaign.runs.request import RunRequest
-from campaign.runs.requirements import remember
-from campaign.runs.worker import Losses, run_block
-from campaign.store import RunFolder, RunLock
-from campaign.store.folder import Block, BlockState, blocks
-from campaign.trial.kind import Bench, Records, kind_named
-from campaign.trial.methods import missing
-from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.errors import BoresightError
+from boresight.campaign.imaging.real_images import left_out_notes
+from boresight.campaign.pool.workers import in_order
+from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs import manifest as manifests
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.requirements import remember
+from boresight.campaign.runs.worker import Losses, run_block
+from boresight.campaign.store import RunFolder, RunLock
+from boresight.campaign.store.folder import Block, BlockState, blocks
+from boresight.campaign.trial.kind import Bench, Records, kind_named
+from boresight.campaign.trial.methods import missing
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.scenarios.errors import BoresightError
 
 
 class Listener(Protocol):
@@ -135,7 +135,7 @@ def _computed(
     """Yield each block with its records, in order, holding only what is in flight."""
     if request.cluster is not None:
         # Imported here: Dask is optional, and slow to import.
-        from campaign.runs.dask.cluster import blocks_in_order
+        from boresight.campaign.runs.dask.cluster import blocks_in_order
 
         there = blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
         yield from zip(todo, there, strict=True)

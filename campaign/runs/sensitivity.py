@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from SALib.sample import sobol
 from scipy.stats import qmc
 
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.read import CATALOG, read_source, sources
-from reports.compare.global_sensitivity import (
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.read import CATALOG, read_source, sources
+from boresight.reports.compare.global_sensitivity import (
     Sensitivity,
     VariedKey,
     outcome_of,
@@ -22,12 +22,12 @@ from reports.compare.global_sensitivity import (
     same_results,
     sobol_shares,
 )
-from reports.compare.metrics import Metric
-from reports.run.data import RunData
-from reports.statistics.measured import Statistic
-from scenarios.errors import BoresightError
-from scenarios.load import ConfigEntry, LoadedScenario, load_campaign, parse_override
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.run.data import RunData
+from boresight.reports.statistics.measured import Statistic
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import ConfigEntry, LoadedScenario, load_campaign, parse_override
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 METHODS = ("sobol", "latin-hypercube")

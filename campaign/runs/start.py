@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.check import check_campaign
-from campaign.runs.request import RUNS, Cluster, RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import Listener, run_campaign
-from campaign.store import RunFolder
-from campaign.threads import workers
-from campaign.trial.kind import Records
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.request import RUNS, Cluster, RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import Listener, run_campaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.threads import workers
+from boresight.campaign.trial.kind import Records
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
-    from campaign.runs.until import Until
+    from boresight.campaign.runs.until import Until
 
 _log = logging.getLogger("campaign")
 
@@ -143,7 +143,7 @@ class Start:
         if self.until is None:
             return run_campaign(self.campaign, self.request, listener)
         # Imported here, as below: scipy.stats takes a third of the start-up, and most runs need none of it.
-        from campaign.runs.until import run_until
+        from boresight.campaign.runs.until import run_until
 
         return run_until(self.campaign, self.request, self.until, listener)
 
@@ -192,6 +192,6 @@ def start(
 
 
 def _condition(until: str, campaign: ResolvedCampaign) -> Until:
-    from campaign.runs.until import parse_until
+    from boresight.campaign.runs.until import parse_until
 
     return parse_until(until, campaign.spec.experiment)

@@ -21,19 +21,19 @@ from types import MappingProxyType
 
 import numpy as np
 
-from campaign.resolved import ResolvedCampaign
-from campaign.runs import manifest as manifests
-from campaign.runs.request import RunRequest
-from campaign.runs.runner import Listener, run_campaign
-from campaign.store import RunFolder
-from campaign.trial.kind import Records, kind_named
-from reports.compare.metrics import Metric, metric_values
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData, read_run
-from reports.schema.records import CONTROL
-from reports.schema.tables import kind_schema
-from reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
-from scenarios.errors import BoresightError
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs import manifest as manifests
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.runner import Listener, run_campaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import Records, kind_named
+from boresight.reports.compare.metrics import Metric, metric_values
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, read_run
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.tables import kind_schema
+from boresight.reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
+from boresight.scenarios.errors import BoresightError
 
 STATISTICS: Mapping[str, Statistic] = MappingProxyType(
     {"median": MEDIAN, "mean": MEAN, "rms": RMS, "p75": P75, "p95": P95, "p99": P99}

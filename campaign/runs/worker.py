@@ -10,15 +10,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
-from campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
-from campaign.pool.workers import Call as Arguments
-from campaign.pool.workers import no_replacement
-from campaign.resolved import ResolvedCampaign
-from campaign.store import TABLES
-from campaign.store.folder import Block
-from campaign.threads import use_threads
-from campaign.trial.image_trials import part_of
-from campaign.trial.kind import Bench, Records, Trials, kind_named
+from boresight.campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
+from boresight.campaign.pool.workers import Call as Arguments
+from boresight.campaign.pool.workers import no_replacement
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import TABLES
+from boresight.campaign.store.folder import Block
+from boresight.campaign.threads import use_threads
+from boresight.campaign.trial.image_trials import part_of
+from boresight.campaign.trial.kind import Bench, Records, Trials, kind_named
 
 T = TypeVar("T")
 

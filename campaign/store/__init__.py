@@ -4,8 +4,8 @@ Everything that a report needs is here, and nothing is counted twice: a block's 
 before its rows, and only a block whose rows are complete counts as done.
 """
 
-from campaign.store.folder import RunFolder, RunLock
-from reports.schema.column import Column
-from reports.schema.tables import TABLES
+from boresight.campaign.store.folder import RunFolder, RunLock
+from boresight.reports.schema.column import Column
+from boresight.reports.schema.tables import TABLES
 
 __all__ = ["TABLES", "Column", "RunFolder", "RunLock"]

@@ -18,13 +18,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field
 
-from reports.schema.tables import TABLES, layout, refuse_older, schema
-from scenarios import checksums
-from scenarios.atomic import make_folder, write_atomically, write_text
-from scenarios.checksums import refuse_damaged
-from scenarios.errors import BoresightError, display
-from scenarios.parquet import read_column, read_table, read_where
-from scenarios.reading import held_to, plain_json, unreadable
+from boresight.reports.schema.tables import TABLES, layout, refuse_older, schema
+from boresight.scenarios import checksums
+from boresight.scenarios.atomic import make_folder, write_atomically, write_text
+from boresight.scenarios.checksums import refuse_damaged
+from boresight.scenarios.errors import BoresightError, display
+from boresight.scenarios.parquet import read_column, read_table, read_where
+from boresight.scenarios.reading import held_to, plain_json, unreadable
 
 if TYPE_CHECKING:
     import pandas as pd

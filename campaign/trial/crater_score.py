@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.trial.checks import check_array, check_type
-from estimators.craters.contract import CraterDetections
-from scenarios.craters.truth import LEAST_DIAMETER_PX
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses
-from scenarios.load import LoadedScenario
+from boresight.campaign.trial.checks import check_array, check_type
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.load import LoadedScenario
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.trial.kind import Records, Trials, Witness, add_records
-from scenarios.atomic import write_atomically
-from scenarios.errors import BoresightError
+from boresight.campaign.trial.kind import Records, Trials, Witness, add_records
+from boresight.scenarios.atomic import write_atomically
+from boresight.scenarios.errors import BoresightError
 
 ImageSink = Callable[[int, NDArray[np.float32]], None]
 

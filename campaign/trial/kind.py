@@ -10,12 +10,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self, cast
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
-    from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
-    from campaign.resolved import ResolvedCampaign
-    from scenarios.load import LoadedScenario
+    from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+    from boresight.campaign.resolved import ResolvedCampaign
+    from boresight.scenarios.load import LoadedScenario
 
 Record = dict[str, object]
 Records = dict[str, list[Record]]
@@ -24,7 +24,7 @@ Witness = Callable[[object], None]
 
 Prepare = Callable[["ResolvedCampaign", "LoadedScenario", "BuiltAssets"], "Sequence[BuiltProduct | MissingProduct]"]
 
-_KINDS = "campaign.kinds"
+_KINDS = "boresight.campaign.kinds"
 
 
 def add_records(records: Records, found: Records, key: Record | None = None) -> None:

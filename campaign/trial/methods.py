@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NoReturn, TypeVar
 
-from campaign.pool.guard import unmoved
-from campaign.products import MissingProduct
-from campaign.resolved import ResolvedCampaign
-from estimators.contract import ImageRenderer, NoProductError
-from estimators.options import OptionsError
-from estimators.registry import estimator_class
-from scenarios.errors import BoresightError, MachineError, text_of
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.load import LoadedScenario
-from scenarios.onboard import onboard_camera
-from scenarios.spec.campaign import EstimatorSpec
+from boresight.campaign.pool.guard import unmoved
+from boresight.campaign.products import MissingProduct
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.estimators.contract import ImageRenderer, NoProductError
+from boresight.estimators.options import OptionsError
+from boresight.estimators.registry import estimator_class
+from boresight.scenarios.errors import BoresightError, MachineError, text_of
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.onboard import onboard_camera
+from boresight.scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T")
 

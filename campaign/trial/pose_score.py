@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.pose.stack import PoseStack
-from scenarios.geometry import Pose
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from campaign.pool.captured import CapturedOutput
-from campaign.pool.guard import STOPPED, Call, StoppedError, guarded, unmoved
-from campaign.trial.kind import Record, Records
-from estimators.contract import NoProductError
-from scenarios.errors import printable
+from boresight.campaign.pool.captured import CapturedOutput
+from boresight.campaign.pool.guard import STOPPED, Call, StoppedError, guarded, unmoved
+from boresight.campaign.trial.kind import Record, Records
+from boresight.estimators.contract import NoProductError
+from boresight.scenarios.errors import printable
 
 T = TypeVar("T")
 

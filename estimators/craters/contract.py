@@ -9,8 +9,8 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Camera, Ellipses
-from scenarios.observation import Frame
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.observation import Frame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -21,14 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
-from scenarios.draw import TARGET_KINDS, TargetKind, emission_incidence_deg, is_lit_and_facing, near_limb_or_terminator
-from scenarios.dynamics.propagation import PiecewiseAcceleration
-from scenarios.dynamics.variational import propagate_partials
-from scenarios.errors import BoresightError
-from scenarios.geometry import look_at
-from scenarios.orbits.data import Knowledge
-from scenarios.sequences.ground import MeshGround
+from boresight.estimators.craters.database.records import TextRecord, format_record, read_records, write_records
+from boresight.scenarios.draw import (
+    TARGET_KINDS,
+    TargetKind,
+    emission_incidence_deg,
+    is_lit_and_facing,
+    near_limb_or_terminator,
+)
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import propagate_partials
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
+from boresight.scenarios.orbits.data import Knowledge
+from boresight.scenarios.sequences.ground import MeshGround
 
 PLANNER, PLANNER_VERSION = "planner", 1
 """Name and version of the planner: raise the version when plans change."""

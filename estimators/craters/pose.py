@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, Stage, Stopwatch
-from estimators.craters.contract import CraterDetector, GroundModel
-from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.matching.association import (
+from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch
+from boresight.estimators.craters.contract import CraterDetector, GroundModel
+from boresight.estimators.craters.database.files import CraterDatabase
+from boresight.estimators.craters.database.landmarks import Landmarks
+from boresight.estimators.craters.matching.association import (
     Association,
     CraterAssociationOptions,
     ExpectedCraters,
@@ -22,14 +22,14 @@ from estimators.craters.matching.association import (
     associate,
     centre_noise,
 )
-from estimators.craters.matching.transfer import occluded
-from estimators.craters.registry import crater_detector_class
-from estimators.options import parse_options
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
-from scenarios.observation import Frame, Observation
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.matching.transfer import occluded
+from boresight.estimators.craters.registry import crater_detector_class
+from boresight.estimators.options import parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

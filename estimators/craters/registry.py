@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from estimators.craters.contract import CraterDetector, CraterMatcher
-from estimators.registry import Registry
+from boresight.estimators.craters.contract import CraterDetector, CraterMatcher
+from boresight.estimators.registry import Registry
 
 _DETECTORS: Registry[CraterDetector] = Registry(
     own={
-        "crater-classic": "estimators.craters.detection.classic:CraterClassic",
-        "crater-learned": "estimators.craters.learned.detector:CraterLearned",
+        "crater-classic": "boresight.estimators.craters.detection.classic:CraterClassic",
+        "crater-learned": "boresight.estimators.craters.learned.detector:CraterLearned",
     },
     group="boresight.crater_detectors",
     parts=("name", "version", "from_options", "detect"),
@@ -17,11 +17,11 @@ crater_detector_names, crater_detector_class = _DETECTORS.names, _DETECTORS.find
 
 _MATCHERS: Registry[CraterMatcher] = Registry(
     own={
-        "context": "estimators.craters.matching.context:ContextMatcher",
-        "correlation": "estimators.craters.matching.correlation:CorrelationMatcher",
-        "hybrid": "estimators.craters.matching.hybrid:HybridMatcher",
-        "invariants": "estimators.craters.matching.invariants:InvariantMatcher",
-        "vote": "estimators.craters.matching.vote:VoteMatcher",
+        "context": "boresight.estimators.craters.matching.context:ContextMatcher",
+        "correlation": "boresight.estimators.craters.matching.correlation:CorrelationMatcher",
+        "hybrid": "boresight.estimators.craters.matching.hybrid:HybridMatcher",
+        "invariants": "boresight.estimators.craters.matching.invariants:InvariantMatcher",
+        "vote": "boresight.estimators.craters.matching.vote:VoteMatcher",
     },
     group="boresight.crater_matchers",
     parts=("name", "version", "from_options", "match"),

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import DifferentiableRenderer, ImageRenderer
-from estimators.landmark.alignment import AlignmentOptions, MeshView
-from estimators.landmark.pose.posterior import PosePrior
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import DifferentiableRenderer, ImageRenderer
+from boresight.estimators.landmark.alignment import AlignmentOptions, MeshView
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -8,16 +8,16 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
-from estimators.dense.gauss_newton import RegistrationOptions, available_gradient, inverse
-from estimators.dense.registration import Registration, register
-from estimators.landmark.alignment import MeshView
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import observed_signal
-from estimators.options import parse_options
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.observation import Frame, Observation
+from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from boresight.estimators.dense.gauss_newton import RegistrationOptions, available_gradient, inverse
+from boresight.estimators.dense.registration import Registration, register
+from boresight.estimators.landmark.alignment import MeshView
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.recognizer import landmark_database
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.observation import Frame, Observation
 
 
 class PhotometricOptions(RegistrationOptions):

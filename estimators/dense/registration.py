@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Stopwatch
-from estimators.dense.gauss_newton import LevelFit, RegistrationOptions, fit_level, inverse
-from estimators.landmark.alignment import Alignment, MeshView, align_translation, correlation_pair
-from estimators.landmark.pose.posterior import PosePrior
-from estimators.prior import floor_variances
-from scenarios.geometry import Pose
-from scenarios.observation import Frame
+from boresight.estimators.contract import Stopwatch
+from boresight.estimators.dense.gauss_newton import LevelFit, RegistrationOptions, fit_level, inverse
+from boresight.estimators.landmark.alignment import Alignment, MeshView, align_translation, correlation_pair
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.prior import floor_variances
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.observation import Frame
 
 STAGE = "registration"
 

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Stopwatch
-from estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
-from estimators.dense.registration import STAGE, register
-from estimators.landmark.alignment import Alignment, MeshView
-from estimators.landmark.pose.outliers import PoseOptions
-from estimators.landmark.recognizer import (
+from boresight.estimators.contract import Assets, Stopwatch
+from boresight.estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
+from boresight.estimators.dense.registration import STAGE, register
+from boresight.estimators.landmark.alignment import Alignment, MeshView
+from boresight.estimators.landmark.pose.outliers import PoseOptions
+from boresight.estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,
     RecognitionOptions,
     landmark_database,
     shape_renderer,
 )
-from estimators.options import parse_options
-from scenarios.observation import Frame
+from boresight.estimators.options import parse_options
+from boresight.scenarios.observation import Frame
 
 _SAMPLES_PER_PIXEL = 4
 # The facets of the mesh are a dozen pixels wide: finer levels improve the rotation little and double the time.

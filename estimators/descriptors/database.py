@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.archive import Archive
-from estimators.descriptors.features import DESCRIPTOR_BYTES, FeatureOptions, Kind, find_features
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
-from scenarios.limits import LARGEST_NUMBER
-from scenarios.spec.base import SpecModel
+from boresight.estimators.archive import Archive
+from boresight.estimators.descriptors.features import DESCRIPTOR_BYTES, FeatureOptions, Kind, find_features
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
+from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.signal import extract_signal
-from scenarios.geometry import pixel_from_opencv
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.geometry import pixel_from_opencv
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -12,18 +12,24 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtrc
 
-from estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
-from estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
-from estimators.descriptors.features import DescribedFeatures, FeatureOptions, Kind, find_features, match_features
-from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import observed_signal
-from estimators.options import parse_options
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, pixel_to_opencv
-from scenarios.observation import Frame, Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
+from boresight.estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
+from boresight.estimators.descriptors.features import (
+    DescribedFeatures,
+    FeatureOptions,
+    Kind,
+    find_features,
+    match_features,
+)
+from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
+from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.options import parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import ImageRenderer, Stopwatch
-from estimators.landmark.signal import KNOWN_SKY, extract_signal
-from scenarios.geometry import Camera, Pose, View
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import ImageRenderer, Stopwatch
+from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import NoProductError
-from estimators.landmark.clustering import ClusterOptions, ClusterStages, PointCluster, cluster_stages
-from estimators.landmark.corners import CornerOptions, detect_corners
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.hull import concave_hull
-from scenarios.errors import BoresightError
-from scenarios.spec.base import SpecModel
-from scenarios.spec.camera import CameraSpec
+from boresight.estimators.contract import NoProductError
+from boresight.estimators.landmark.clustering import ClusterOptions, ClusterStages, PointCluster, cluster_stages
+from boresight.estimators.landmark.corners import CornerOptions, detect_corners
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.hull import concave_hull
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.camera import CameraSpec
 
 FloatArray = NDArray[np.float64]
 

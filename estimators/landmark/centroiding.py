@@ -8,15 +8,21 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
-from estimators.landmark.alignment import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import observed_signal
-from estimators.options import parse_options
-from scenarios.geometry import Camera
-from scenarios.observation import Frame, Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from boresight.estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    centroid_pair,
+)
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.recognizer import landmark_database
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 
 class CentroidOptions(SpecModel):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

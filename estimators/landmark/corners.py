@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from estimators.landmark.fast_hessian import fast_hessian
-from estimators.landmark.signal import extract_signal
-from scenarios.geometry import pixel_from_opencv
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.fast_hessian import fast_hessian
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.geometry import pixel_from_opencv
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -25,10 +25,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError, one_line
-from scenarios.geometry import TriangleMesh
-from scenarios.limits import LARGEST_NUMBER
-from scenarios.reading import read_json
+from boresight.scenarios.errors import BoresightError, one_line
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import read_json
 
 FloatArray = NDArray[np.float64]
 

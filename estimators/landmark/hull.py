@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

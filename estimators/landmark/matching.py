@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Table
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.projection import project_landmarks
-from scenarios.geometry import Camera, Pose
+from boresight.estimators.contract import Table
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.projection import project_landmarks
+from boresight.scenarios.geometry import Camera, Pose
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.landmark.database import LandmarkDatabase
-from scenarios.geometry import Camera, Pose, TriangleMesh
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

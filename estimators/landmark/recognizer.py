@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table, typed_product
-from estimators.landmark.alignment import (
+from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table, typed_product
+from boresight.estimators.landmark.alignment import (
     Alignment,
     AlignmentOptions,
     MeshView,
@@ -22,17 +22,17 @@ from estimators.landmark.alignment import (
     correlation_pair,
     image_correlation,
 )
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.corners import CornerOptions, Corners, detect_corners
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import MatchedFrame, matched_table
-from estimators.landmark.pose.levenberg_marquardt import PoseFit
-from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
-from estimators.landmark.signal import observed_signal
-from estimators.options import parse_options
-from scenarios.geometry import Camera, Pose
-from scenarios.observation import Frame, Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.corners import CornerOptions, Corners, detect_corners
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.matching import MatchedFrame, matched_table
+from boresight.estimators.landmark.pose.levenberg_marquardt import PoseFit
+from boresight.estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

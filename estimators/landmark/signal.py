@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Stopwatch
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.observation import Frame
+from boresight.estimators.contract import Stopwatch
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.observation import Frame
 
 KNOWN_SKY = (0.0, 0.0)
 """Level and noise of the background of a rendered image."""

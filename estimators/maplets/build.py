@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial import cKDTree
 
-from estimators.contract import NoProductError
-from estimators.maplets.database import MapletDatabase
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import NoProductError
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from estimators.archive import Archive
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.limits import LARGEST_NUMBER
+from boresight.estimators.archive import Archive
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.limits import LARGEST_NUMBER
 
 FloatArray = NDArray[np.float64]
 

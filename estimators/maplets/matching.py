@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from estimators.contract import ImageRenderer
-from estimators.landmark.alignment import MeshView
-from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.posterior import window_overlap
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import KNOWN_SKY, extract_signal
-from estimators.maplets.database import MapletDatabase
-from estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
-from estimators.maplets.visibility import Windows, body_mask, visible_windows
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.contract import ImageRenderer
+from boresight.estimators.landmark.alignment import MeshView
+from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from boresight.estimators.landmark.pose.posterior import window_overlap
+from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
+from boresight.estimators.maplets.visibility import Windows, body_mask, visible_windows
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
-from estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
-from estimators.landmark.matching import inverse_2x2, point_columns
-from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import observed_signal
-from estimators.maplets.build import MapletOptions
-from estimators.maplets.database import MapletDatabase
-from estimators.maplets.matching import (
+from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
+from boresight.estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
+from boresight.estimators.landmark.matching import inverse_2x2, point_columns
+from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
+from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.maplets.build import MapletOptions
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.estimators.maplets.matching import (
     MapletMatches,
     MapletScene,
     MatchingOptions,
@@ -26,10 +26,10 @@ from estimators.maplets.matching import (
     match_by_least_squares,
     render_maplets,
 )
-from estimators.options import parse_options
-from scenarios.geometry import Camera, Pose
-from scenarios.observation import Frame, Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.maplets.database import MapletDatabase
-from scenarios.geometry import Camera, Pose
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.geometry import Camera, Pose
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.orbit.kernels import consistent_rays
-from estimators.orbit.model import MeasurementModel, Measurements, Unknowns, measurements_until
-from estimators.orbit.parameters import OrbitOptions, ParameterLayout
-from estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
-from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
-from scenarios.orbits.data import OrbitData
+from boresight.estimators.orbit.kernels import consistent_rays
+from boresight.estimators.orbit.model import MeasurementModel, Measurements, Unknowns, measurements_until
+from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
+from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

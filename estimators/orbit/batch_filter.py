@@ -10,14 +10,20 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.orbit.arc import BatchState, DataArc
-from estimators.orbit.contract import Orbit, OrbitEstimate
-from estimators.orbit.model import MeasurementModel, Unknowns, measurements_until, propagate_orbit, state_derivatives
-from estimators.orbit.parameters import OrbitOptions, ParameterLayout
-from estimators.orbit.solve import GaussNewtonResult, HuberLoss, StoppingCriteria
-from scenarios.dynamics.propagation import OrbitLostError
-from scenarios.orbits.data import OrbitData
+from boresight.estimators.options import parse_options
+from boresight.estimators.orbit.arc import BatchState, DataArc
+from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
+from boresight.estimators.orbit.model import (
+    MeasurementModel,
+    Unknowns,
+    measurements_until,
+    propagate_orbit,
+    state_derivatives,
+)
+from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, StoppingCriteria
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
 

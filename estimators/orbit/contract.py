@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
+from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
 
 __all__ = [
     "Knowledge",

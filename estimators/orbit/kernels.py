@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.compiled import compiler
+from boresight.scenarios.compiled import compiler
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

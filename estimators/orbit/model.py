@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.orbit.parameters import ParameterLayout
-from scenarios.dynamics.variational import OrbitPartials, propagate_partials
-from scenarios.orbits.data import OrbitData, Radiometry
+from boresight.estimators.orbit.parameters import ParameterLayout
+from boresight.scenarios.dynamics.variational import OrbitPartials, propagate_partials
+from boresight.scenarios.orbits.data import OrbitData, Radiometry
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import toeplitz
 
-from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.propagation import PiecewiseAcceleration
-from scenarios.dynamics.variational import OrbitPartials
-from scenarios.orbits.data import Knowledge, OrbitData
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.dynamics.field import HarmonicField
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import OrbitPartials
+from boresight.scenarios.orbits.data import Knowledge, OrbitData
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from estimators.orbit.contract import OrbitEstimator
-from estimators.registry import Registry
+from boresight.estimators.orbit.contract import OrbitEstimator
+from boresight.estimators.registry import Registry
 
 _ESTIMATORS: Registry[OrbitEstimator] = Registry(
-    own={"batch-filter": "estimators.orbit.batch_filter:BatchFilter"},
+    own={"batch-filter": "boresight.estimators.orbit.batch_filter:BatchFilter"},
     group="boresight.orbit_estimators",
     parts=("name", "version", "from_options", "determine"),
 )

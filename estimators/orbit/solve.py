@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
-from estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
-from scenarios.dynamics.propagation import OrbitLostError
-from scenarios.dynamics.variational import OrbitPartials
+from boresight.estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
+from boresight.estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.dynamics.variational import OrbitPartials
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

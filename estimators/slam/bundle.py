@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import ConfiguredEstimator, Follower, LostError
-from estimators.slam.keyframes import (
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.following import ConfiguredEstimator, Follower, LostError
+from boresight.estimators.slam.keyframes import (
     DepthGauge,
     gauge_distances,
     hand_over_gauge,
@@ -19,14 +19,14 @@ from estimators.slam.keyframes import (
     reestimate_gauge,
     trailing_views,
 )
-from estimators.slam.motion_filter import Propagator
-from estimators.slam.options import BundleOptions
-from estimators.slam.outliers import MAX_ROUNDS, OutlierGate
-from estimators.slam.prediction import predict_from_window
-from estimators.slam.problem import AdjustedWindow, Adjustment, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, reduced_rank_deficiency
-from scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.estimators.slam.motion_filter import Propagator
+from boresight.estimators.slam.options import BundleOptions
+from boresight.estimators.slam.outliers import MAX_ROUNDS, OutlierGate
+from boresight.estimators.slam.prediction import predict_from_window
+from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.solver import StoppingRule, reduced_rank_deficiency
+from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

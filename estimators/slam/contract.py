@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.tracks import TrackSequence
+from boresight.scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

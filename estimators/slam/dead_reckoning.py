@@ -9,11 +9,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.following import frames_of
-from scenarios.spec.base import SpecModel
-from scenarios.tracks import TrackSequence
+from boresight.estimators.options import parse_options
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.following import frames_of
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.tracks import TrackSequence
 
 
 class DeadReckoningOptions(SpecModel):

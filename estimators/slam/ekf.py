@@ -10,20 +10,20 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.ekf_pose import PoseState
-from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import (
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.ekf_pose import PoseState
+from boresight.estimators.slam.ekf_state import FilterState
+from boresight.estimators.slam.ekf_update import (
     FrameMeasurements,
     IterationRule,
     innovation_covariance,
     iterated_update,
     kalman_update,
 )
-from estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, LostError, check_scale
-from estimators.slam.gating import gate_pixels
-from estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
-from scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, LostError, check_scale
+from boresight.estimators.slam.gating import gate_pixels
+from boresight.estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
+from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

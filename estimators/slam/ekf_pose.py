@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
-from estimators.slam.ekf_update import Innovation, kalman_update
-from scenarios.geometry import Camera, cross_matrix
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
+from boresight.estimators.slam.ekf_update import Innovation, kalman_update
+from boresight.scenarios.geometry import Camera, cross_matrix
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 

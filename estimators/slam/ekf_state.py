@@ -13,8 +13,8 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Camera, cross_matrix
-from scenarios.tracks import TrackFrame
+from boresight.scenarios.geometry import Camera, cross_matrix
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from estimators.slam.ekf_state import FilterState
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.ekf_state import FilterState
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_che
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.compiled import tracks as kernels
-from estimators.slam.compiled.problem import floats
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.spec.base import SpecModel
-from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
+from boresight.estimators.options import parse_options
+from boresight.estimators.slam.compiled import tracks as kernels
+from boresight.estimators.slam.compiled.problem import floats
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estimators.slam.options import Gate
-from estimators.slam.prediction import DEPTH_SIGMA, PredictedLines
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.options import Gate
+from boresight.estimators.slam.prediction import DEPTH_SIGMA, PredictedLines
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,14 +9,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale
-from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame, TrackSequence
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale
+from boresight.estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from estimators.slam.following import LostError, check_connected
-from estimators.slam.options import BundleOptions
-from estimators.slam.problem import Distances
-from estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.following import LostError, check_connected
+from boresight.estimators.slam.options import BundleOptions
+from boresight.estimators.slam.problem import Distances
+from boresight.estimators.slam.slam_map import SlamMap
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.problem import Adjustment, Motions, QuadraticPrior
-from estimators.slam.slam_map import SlamMap
-from scenarios.tracks import TrackFrame, TrackSequence
+from boresight.estimators.slam.problem import Adjustment, Motions, QuadraticPrior
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import ConfiguredEstimator, Follower, LostError, lookup
-from estimators.slam.loop_history import GlobalMap
-from estimators.slam.marginal import Retained, landmark_covariance, marginalise_outside
-from estimators.slam.options import LoopOptions
-from estimators.slam.outliers import without_tracks
-from estimators.slam.problem import Adjustment, State
-from estimators.slam.smoother import WindowSmoother
-from estimators.slam.solver import StoppingRule
-from scenarios.tracks import TrackFrame, TrackSequence
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.following import ConfiguredEstimator, Follower, LostError, lookup
+from boresight.estimators.slam.loop_history import GlobalMap
+from boresight.estimators.slam.marginal import Retained, landmark_covariance, marginalise_outside
+from boresight.estimators.slam.options import LoopOptions
+from boresight.estimators.slam.outliers import without_tracks
+from boresight.estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.smoother import WindowSmoother
+from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.compiled import marginal as kernels
-from estimators.slam.compiled.problem import floats
-from estimators.slam.normal import VariableOrdering, normal_equations
-from estimators.slam.problem import Adjustment, QuadraticPrior, State
+from boresight.estimators.slam.compiled import marginal as kernels
+from boresight.estimators.slam.compiled.problem import floats
+from boresight.estimators.slam.normal import VariableOrdering, normal_equations
+from boresight.estimators.slam.problem import Adjustment, QuadraticPrior, State
 
 BoolArray = NDArray[np.bool_]
 

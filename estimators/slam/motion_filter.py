@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from estimators.slam.dynamics.force_model import ForceModel, propagate
-from estimators.slam.following import LostError
-from estimators.slam.options import BundleOptions
-from scenarios.tracks import Forces, TrackFrame, TrackSequence
+from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate
+from boresight.estimators.slam.following import LostError
+from boresight.estimators.slam.options import BundleOptions
+from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

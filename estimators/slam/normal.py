@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

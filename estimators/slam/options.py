@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel
 
 Gate = Literal["none", "individual", "one-point"]
 

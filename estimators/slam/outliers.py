@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estimators.slam.following import lookup
-from estimators.slam.gating import gate_frame
-from estimators.slam.prediction import (
+from boresight.estimators.slam.following import lookup
+from boresight.estimators.slam.gating import gate_frame
+from boresight.estimators.slam.prediction import (
     PredictedLines,
     SharedUncertainty,
     guessed_points,
     predict_guessed,
     predict_mapped,
 )
-from estimators.slam.problem import AdjustedWindow, Adjustment, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, residual_squares
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, residual_squares
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

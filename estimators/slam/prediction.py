@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.normal import VariableOrdering, bearing_jacobians, distance_jacobians, normal_equations
-from estimators.slam.problem import AdjustedWindow, Adjustment, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import reduced_system
-from scenarios.tracks import Prediction, TrackFrame
+from boresight.estimators.slam.normal import VariableOrdering, bearing_jacobians, distance_jacobians, normal_equations
+from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.solver import reduced_system
+from boresight.scenarios.tracks import Prediction, TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.problem import BOOL, INDEX, FlatProblem, floats, plain
-from scenarios.geometry import Camera
+from boresight.estimators.slam.compiled.problem import BOOL, INDEX, FlatProblem, floats, plain
+from boresight.scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

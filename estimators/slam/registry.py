@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from estimators.registry import Registry
+from boresight.estimators.registry import Registry
 
 if TYPE_CHECKING:
-    from estimators.slam.contract import SequenceEstimator
+    from boresight.estimators.slam.contract import SequenceEstimator
 
 _ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={
-        "dead-reckoning": "estimators.slam.dead_reckoning:DeadReckoning",
-        "ba-slam": "estimators.slam.bundle:BundleSlam",
-        "batch": "estimators.slam.smoother:BatchAdjustment",
-        "dynamic-smoother": "estimators.slam.dynamics.smoother:DynamicSmoother",
-        "consistent-ekf-slam": "estimators.slam.ekf:ConsistentEkfSlam",
-        "ekf-slam": "estimators.slam.ekf:EkfSlam",
-        "loop-smoother": "estimators.slam.loop_smoother:LoopSmoother",
-        "gtsam-fixed-lag": "estimators.slam.gtsam_smoothers:GtsamFixedLag",
-        "gtsam-isam2": "estimators.slam.gtsam_smoothers:GtsamIsam2",
-        "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
-        "iterated-ekf-slam": "estimators.slam.ekf:IteratedEkfSlam",
+        "dead-reckoning": "boresight.estimators.slam.dead_reckoning:DeadReckoning",
+        "ba-slam": "boresight.estimators.slam.bundle:BundleSlam",
+        "batch": "boresight.estimators.slam.smoother:BatchAdjustment",
+        "dynamic-smoother": "boresight.estimators.slam.dynamics.smoother:DynamicSmoother",
+        "consistent-ekf-slam": "boresight.estimators.slam.ekf:ConsistentEkfSlam",
+        "ekf-slam": "boresight.estimators.slam.ekf:EkfSlam",
+        "loop-smoother": "boresight.estimators.slam.loop_smoother:LoopSmoother",
+        "gtsam-fixed-lag": "boresight.estimators.slam.gtsam_smoothers:GtsamFixedLag",
+        "gtsam-isam2": "boresight.estimators.slam.gtsam_smoothers:GtsamIsam2",
+        "fixed-lag": "boresight.estimators.slam.smoother:FixedLagSmoother",
+        "iterated-ekf-slam": "boresight.estimators.slam.ekf:IteratedEkfSlam",
     },
     group="boresight.sequence_estimators",
     parts=("name", "version", "from_options", "follow"),

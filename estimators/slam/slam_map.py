@@ -10,13 +10,13 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import tracks as kernels
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import LostError, lookup, median_distance
-from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
-from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise, place_view
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.compiled import tracks as kernels
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.following import LostError, lookup, median_distance
+from boresight.estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
+from boresight.estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise, place_view
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,16 +10,23 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale, lookup
-from estimators.slam.marginal import marginalise_view
-from estimators.slam.options import BatchOptions, SmootherOptions
-from estimators.slam.outliers import MAX_ROUNDS, OutlierGate, without_tracks
-from estimators.slam.prediction import predict_from_window
-from estimators.slam.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
-from estimators.slam.slam_map import SlamMap, values_or_nan
-from estimators.slam.solver import StoppingRule, view_covariance
-from scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.following import (
+    ConfiguredEstimator,
+    Follower,
+    LostError,
+    check_connected,
+    check_scale,
+    lookup,
+)
+from boresight.estimators.slam.marginal import marginalise_view
+from boresight.estimators.slam.options import BatchOptions, SmootherOptions
+from boresight.estimators.slam.outliers import MAX_ROUNDS, OutlierGate, without_tracks
+from boresight.estimators.slam.prediction import predict_from_window
+from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
+from boresight.estimators.slam.slam_map import SlamMap, values_or_nan
+from boresight.estimators.slam.solver import StoppingRule, view_covariance
+from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

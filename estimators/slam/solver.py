@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from estimators.slam.compiled import descent
-from estimators.slam.compiled import equations as kernels
-from estimators.slam.compiled.envelope import dense
-from estimators.slam.compiled.problem import floats
-from estimators.slam.problem import Adjustment, State, pinhole_of
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame
+from boresight.estimators.slam.compiled import descent
+from boresight.estimators.slam.compiled import equations as kernels
+from boresight.estimators.slam.compiled.envelope import dense
+from boresight.estimators.slam.compiled.problem import floats
+from boresight.estimators.slam.problem import Adjustment, State, pinhole_of
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

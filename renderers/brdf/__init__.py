@@ -1,10 +1,16 @@
 """Reflectance models, each formula written once for both NumPy and Dr.Jit arrays."""
 
-from renderers.brdf.arrays import NUMPY, ArrayMath, phase_angle, phase_of_rays
-from renderers.brdf.hapke import HapkeParameters, hapke
-from renderers.brdf.lunar_lambert import LommelSeeligerParameters, McEwenParameters, lambert, lommel_seeliger, mcewen
-from renderers.brdf.models import MODELS, ReflectanceModel, brdf_value
-from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
+from boresight.renderers.brdf.arrays import NUMPY, ArrayMath, phase_angle, phase_of_rays
+from boresight.renderers.brdf.hapke import HapkeParameters, hapke
+from boresight.renderers.brdf.lunar_lambert import (
+    LommelSeeligerParameters,
+    McEwenParameters,
+    lambert,
+    lommel_seeliger,
+    mcewen,
+)
+from boresight.renderers.brdf.models import MODELS, ReflectanceModel, brdf_value
+from boresight.renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 
 __all__ = [
     "MODELS",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import (
+from boresight.renderers.brdf.arrays import (
     Array,
     ArrayMath,
     azimuth_squares,
@@ -22,7 +22,7 @@ from renderers.brdf.arrays import (
     sine,
     smaller_and_larger_angle,
 )
-from renderers.brdf.lunar_lambert import henyey_greenstein
+from boresight.renderers.brdf.lunar_lambert import henyey_greenstein
 
 
 @dataclass(frozen=True, slots=True)

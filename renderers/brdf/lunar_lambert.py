@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-from renderers.brdf.arrays import Array, ArrayMath, clipped_cosine
+from boresight.renderers.brdf.arrays import Array, ArrayMath, clipped_cosine
 
 # Lower bound of 1 + b^2 -+ 2 b cos g, which is 0 at |b| = 1 in the centre of a lobe.
 _TINY = 1e-12

@@ -6,12 +6,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from renderers.brdf.arrays import NUMPY, Array, ArrayMath
-from renderers.brdf.hapke import HapkeParameters, hapke
-from renderers.brdf.lunar_lambert import LommelSeeligerParameters, McEwenParameters, lambert, lommel_seeliger, mcewen
-from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
-from scenarios.spec.base import SpecModel
-from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from boresight.renderers.brdf.arrays import NUMPY, Array, ArrayMath
+from boresight.renderers.brdf.hapke import HapkeParameters, hapke
+from boresight.renderers.brdf.lunar_lambert import (
+    LommelSeeligerParameters,
+    McEwenParameters,
+    lambert,
+    lommel_seeliger,
+    mcewen,
+)
+from boresight.renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.brdf import (
+    BrdfSpec,
+    HapkeSpec,
+    LambertSpec,
+    LommelSeeligerSpec,
+    McEwenSpec,
+    OrenNayarSpec,
+)
 
 Values = Mapping[str, Any]
 

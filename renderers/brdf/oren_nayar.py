@@ -11,7 +11,14 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, clipped_cosine, sine, smaller_and_larger_angle
+from boresight.renderers.brdf.arrays import (
+    Array,
+    ArrayMath,
+    azimuth_squares,
+    clipped_cosine,
+    sine,
+    smaller_and_larger_angle,
+)
 
 
 @dataclass(frozen=True, slots=True)

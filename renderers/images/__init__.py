@@ -1,9 +1,9 @@
 """Sets of real images that replace rendered ones, and readers of the formats in which missions publish images."""
 
-from renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation
-from renderers.images.pixels import read_image
-from renderers.images.posed_set import PosedImageSet, PoseTable, read_table
-from renderers.images.product import ImageMetadata, ImageProduct, open_product
+from boresight.renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation
+from boresight.renderers.images.pixels import read_image
+from boresight.renderers.images.posed_set import PosedImageSet, PoseTable, read_table
+from boresight.renderers.images.product import ImageMetadata, ImageProduct, open_product
 
 __all__ = [
     "ImageMetadata",

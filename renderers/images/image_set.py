@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, View
 
 FloatArray = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]

@@ -16,8 +16,8 @@ from pvl.decoder import OmniDecoder
 from pvl.exceptions import LexerError, ParseError, QuantityError
 from pvl.parser import OmniParser
 
-from scenarios.errors import BoresightError, one_line
-from scenarios.limits import MOST_PIXELS
+from boresight.scenarios.errors import BoresightError, one_line
+from boresight.scenarios.limits import MOST_PIXELS
 
 LABEL_SUFFIXES = (".lbl",)
 ATTACHED_SUFFIXES = (".img",)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError, one_line
-from scenarios.limits import MOST_PIXELS
+from boresight.scenarios.errors import BoresightError, one_line
+from boresight.scenarios.limits import MOST_PIXELS
 
 if TYPE_CHECKING:
     from astropy.io import fits

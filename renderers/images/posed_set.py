@@ -24,13 +24,13 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.images.image_set import check_size, files_digest
-from renderers.images.pixels import read_image
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View
-from scenarios.limits import LARGEST_NUMBER
-from scenarios.spec.images import ImageSetSpec
+from boresight.renderers.images.image_set import check_size, files_digest
+from boresight.renderers.images.pixels import read_image
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.spec.images import ImageSetSpec
 
 FloatArray = NDArray[np.float64]
 QUATERNION_TOLERANCE = 1e-3

@@ -12,11 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pvl.collections import Quantity
 
-from renderers.images.pds3 import ATTACHED_SUFFIXES, LABEL_SUFFIXES, Label, has_label, number, parse_label, pixel_file
-from renderers.images.pds3 import read_pixels as read_pds3_pixels
-from renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_fits_header
-from scenarios.errors import BoresightError
-from scenarios.limits import LARGEST_NUMBER
+from boresight.renderers.images.pds3 import (
+    ATTACHED_SUFFIXES,
+    LABEL_SUFFIXES,
+    Label,
+    has_label,
+    number,
+    parse_label,
+    pixel_file,
+)
+from boresight.renderers.images.pds3 import read_pixels as read_pds3_pixels
+from boresight.renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_fits_header
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import LARGEST_NUMBER
 
 _UNKNOWN = ("", "N/A", "NA", "UNK", "UNKNOWN", "NULL")
 _SECONDS = {"S": 1.0, "SECOND": 1.0, "SECONDS": 1.0, "SEC": 1.0, "MS": 1e-3, "MILLISECOND": 1e-3, "MILLISECONDS": 1e-3}

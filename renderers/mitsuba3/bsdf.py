@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from renderers.brdf import MODELS, ReflectanceModel, phase_angle
-from renderers.mitsuba3.variant import Variant, load_mitsuba
-from renderers.mitsuba3.wavefront import drjit_math
-from scenarios.errors import BoresightError
+from boresight.renderers.brdf import MODELS, ReflectanceModel, phase_angle
+from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.renderers.mitsuba3.wavefront import drjit_math
+from boresight.scenarios.errors import BoresightError
 
 
 @dataclass(frozen=True, slots=True)

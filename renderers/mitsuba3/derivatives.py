@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.rays import PixelWindow, ray_bundle
-from renderers.mitsuba3.variant import load_mitsuba
-from renderers.mitsuba3.wavefront import opaque
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
+from boresight.renderers.mitsuba3.rays import PixelWindow, ray_bundle
+from boresight.renderers.mitsuba3.variant import load_mitsuba
+from boresight.renderers.mitsuba3.wavefront import opaque
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
 
 if TYPE_CHECKING:
-    from renderers.mitsuba3.wavefront import WavefrontTracer
+    from boresight.renderers.mitsuba3.wavefront import WavefrontTracer
 
 Image = NDArray[np.float32]
 

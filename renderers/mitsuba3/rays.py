@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.derivatives import image_and_derivatives
-from renderers.mitsuba3.rays import (
+from boresight.renderers.mitsuba3.derivatives import image_and_derivatives
+from boresight.renderers.mitsuba3.rays import (
     body_window,
     check_outside,
     corner_weights,
@@ -17,12 +17,12 @@ from renderers.mitsuba3.rays import (
     ray_bundle,
     vertex_normals,
 )
-from renderers.mitsuba3.scalar import ScalarTracer
-from renderers.mitsuba3.variant import Variant, choose_variant
-from renderers.mitsuba3.wavefront import WavefrontTracer
-from scenarios.errors import BoresightError
-from scenarios.geometry import SurfaceHits, TriangleMesh, View
-from scenarios.spec.brdf import BrdfSpec
+from boresight.renderers.mitsuba3.scalar import ScalarTracer
+from boresight.renderers.mitsuba3.variant import Variant, choose_variant
+from boresight.renderers.mitsuba3.wavefront import WavefrontTracer
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import SurfaceHits, TriangleMesh, View
+from boresight.scenarios.spec.brdf import BrdfSpec
 
 # Samples traced at once, which bounds the memory for large images.
 _MAX_SAMPLES = 1 << 22

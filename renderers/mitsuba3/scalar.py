@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import PixelWindow, corner_weights, interpolate, ray_bundle
-from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
-from renderers.mitsuba3.variant import Variant, load_mitsuba
-from scenarios.geometry import Camera, TriangleMesh, View
-from scenarios.spec.brdf import BrdfSpec
+from boresight.renderers.brdf import brdf_value, phase_of_rays
+from boresight.renderers.mitsuba3.rays import PixelWindow, corner_weights, interpolate, ray_bundle
+from boresight.renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
+from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.spec.brdf import BrdfSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,9 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.variant import Variant, load_mitsuba
-from scenarios.craters.tiles import facet_normals
-from scenarios.geometry import TriangleMesh
+from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.scenarios.craters.tiles import facet_normals
+from boresight.scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

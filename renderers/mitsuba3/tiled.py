@@ -9,18 +9,25 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import PixelWindow, body_window, check_outside, grid_positions, outline_points, ray_bundle
-from renderers.mitsuba3.renderer import MitsubaRenderer
-from renderers.mitsuba3.scene import FacetScene
-from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
-from renderers.mitsuba3.wavefront import drjit_math
-from scenarios.craters import CrateredSurface
-from scenarios.craters.ray_culling import RayProjection, candidate_facets
-from scenarios.craters.tiles import may_face, overlap
-from scenarios.geometry import SurfaceHits, TriangleMesh, View
-from scenarios.spec.brdf import BrdfSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.renderers.brdf import brdf_value, phase_of_rays
+from boresight.renderers.mitsuba3.rays import (
+    PixelWindow,
+    body_window,
+    check_outside,
+    grid_positions,
+    outline_points,
+    ray_bundle,
+)
+from boresight.renderers.mitsuba3.renderer import MitsubaRenderer
+from boresight.renderers.mitsuba3.scene import FacetScene
+from boresight.renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
+from boresight.renderers.mitsuba3.wavefront import drjit_math
+from boresight.scenarios.craters import CrateredSurface
+from boresight.scenarios.craters.ray_culling import RayProjection, candidate_facets
+from boresight.scenarios.craters.tiles import may_face, overlap
+from boresight.scenarios.geometry import SurfaceHits, TriangleMesh, View
+from boresight.scenarios.spec.brdf import BrdfSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

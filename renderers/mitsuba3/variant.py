@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
-from scenarios.errors import BoresightError
+from boresight.renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
+from boresight.scenarios.errors import BoresightError
 
 CUDA, LLVM, SCALAR = "cuda_ad_mono", "llvm_ad_mono", "scalar_rgb"
 CUDA_PROBED = "BORESIGHT_CUDA_PROBED"

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import ArrayMath, brdf_value, phase_angle
-from renderers.mitsuba3.rays import PixelWindow, RayBundle, grid_positions, ray_bundle
-from renderers.mitsuba3.scene import mesh_on_device
-from renderers.mitsuba3.variant import Variant, load_mitsuba
-from scenarios.geometry import TriangleMesh, View
-from scenarios.spec.brdf import BrdfSpec
+from boresight.renderers.brdf import ArrayMath, brdf_value, phase_angle
+from boresight.renderers.mitsuba3.rays import PixelWindow, RayBundle, grid_positions, ray_bundle
+from boresight.renderers.mitsuba3.scene import mesh_on_device
+from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.scenarios.geometry import TriangleMesh, View
+from boresight.scenarios.spec.brdf import BrdfSpec
 
 # Distance from the surface at which shadow rays start, in units of the body's radius: ten times what single precision
 # needs.

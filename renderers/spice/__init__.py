@@ -1,8 +1,8 @@
 """Poses, directions to the Sun and camera models from SPICE kernels."""
 
-from renderers.spice.image_set import ApparentGeometry, SpiceImageSet, SpiceNames, apparent_geometry
-from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import Constants, loaded_kernels
+from boresight.renderers.spice.image_set import ApparentGeometry, SpiceImageSet, SpiceNames, apparent_geometry
+from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
+from boresight.renderers.spice.kernels import Constants, loaded_kernels
 
 __all__ = [
     "INSTRUMENTS",

@@ -11,14 +11,14 @@ import numpy as np
 import spiceypy
 from numpy.typing import NDArray
 
-from renderers.images.image_set import check_size, files_digest
-from renderers.images.product import ImageProduct, open_product
-from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
-from scenarios.data import find_data_file, find_data_folder
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View
-from scenarios.spec.images import ImageSetSpec, SpiceSpec
+from boresight.renderers.images.image_set import check_size, files_digest
+from boresight.renderers.images.product import ImageProduct, open_product
+from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
+from boresight.renderers.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
+from boresight.scenarios.data import find_data_file, find_data_folder
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.spec.images import ImageSetSpec, SpiceSpec
 
 # Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01

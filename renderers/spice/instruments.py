@@ -14,10 +14,10 @@ from types import MappingProxyType
 
 import spiceypy
 
-from renderers.images.product import ImageMetadata, ImageProduct
-from renderers.spice.kernels import Constants
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, RadialDistortion
+from boresight.renderers.images.product import ImageMetadata, ImageProduct
+from boresight.renderers.spice.kernels import Constants
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, RadialDistortion
 
 
 @dataclass(frozen=True, slots=True)

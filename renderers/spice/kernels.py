@@ -15,8 +15,8 @@ import spiceypy
 from numpy.typing import NDArray
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
-from scenarios.errors import BoresightError
-from scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import LARGEST_NUMBER
 
 SPICE_ERRORS = (SpiceyError, NotFoundError)
 # CSPICE has one kernel pool in a process and is not thread-safe.

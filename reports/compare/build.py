@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from reports.compare.figures import comparison_figures
-from reports.compare.subjects import RunComparison
-from reports.compare.tables import (
+from boresight.reports.compare.figures import comparison_figures
+from boresight.reports.compare.subjects import RunComparison
+from boresight.reports.compare.tables import (
     consistency_grid,
     consistency_table,
     contrast_grid,
@@ -16,15 +16,15 @@ from reports.compare.tables import (
     subject_grid,
     subject_table,
 )
-from reports.compare.trials import is_pooled_control
-from reports.figures.provenance import add_provenance
-from reports.figures.style import save_figure
-from reports.run.limits import known_lines
-from reports.schema.grid import Grid
-from reports.schema.labels import as_title
-from reports.schema.named_figure import NamedFigure
-from reports.schema.records import CONTROL
-from scenarios.errors import BoresightError
+from boresight.reports.compare.trials import is_pooled_control
+from boresight.reports.figures.provenance import add_provenance
+from boresight.reports.figures.style import save_figure
+from boresight.reports.run.limits import known_lines
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.labels import as_title
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import CONTROL
+from boresight.scenarios.errors import BoresightError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

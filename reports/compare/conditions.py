@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.metrics import Metric
-from reports.compare.trials import CONDITIONS
-from reports.figures.scenario_grids import Points
-from reports.schema.common import BORESIGHT, LATERAL
-from reports.schema.kinds.crater_detection import DETECTION
-from reports.schema.kinds.crater_matching import MATCHING
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEDIAN, measure, share_of
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.compare.trials import CONDITIONS
+from boresight.reports.figures.scenario_grids import Points
+from boresight.reports.schema.common import BORESIGHT, LATERAL
+from boresight.reports.schema.kinds.crater_detection import DETECTION
+from boresight.reports.schema.kinds.crater_matching import MATCHING
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import MEDIAN, measure, share_of
 
 ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports.compare.conditions import (
+from boresight.reports.compare.conditions import (
     ATTITUDE,
     ConditionTables,
     axis_label,
@@ -17,19 +17,25 @@ from reports.compare.conditions import (
     prepare_frames,
     trials_by_condition,
 )
-from reports.compare.metrics import Metric
-from reports.compare.subjects import RunComparison, Subject
-from reports.compare.tables import SubjectConsistency, differing_level, subject_consistencies
-from reports.compare.trials import ESTIMATOR
-from reports.figures.comparison import CoverageCurve, SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
-from reports.figures.pose import draw_cumulative_errors
-from reports.figures.style import PlotStyle, plot_styles
-from reports.run.data import TRIAL_KEY
-from reports.schema.labels import as_title
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import CONTROL
-from reports.statistics.consistency import normalised_label
-from reports.statistics.measured import Measured
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.compare.subjects import RunComparison, Subject
+from boresight.reports.compare.tables import SubjectConsistency, differing_level, subject_consistencies
+from boresight.reports.compare.trials import ESTIMATOR
+from boresight.reports.figures.comparison import (
+    CoverageCurve,
+    SubjectSummary,
+    draw_binned_errors,
+    draw_coverage,
+    draw_summaries,
+)
+from boresight.reports.figures.pose import draw_cumulative_errors
+from boresight.reports.figures.style import PlotStyle, plot_styles
+from boresight.reports.run.data import TRIAL_KEY
+from boresight.reports.schema.labels import as_title
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.consistency import normalised_label
+from boresight.reports.statistics.measured import Measured
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:

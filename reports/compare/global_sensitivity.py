@@ -16,16 +16,16 @@ import numpy as np
 import pandas as pd
 from SALib.analyze import sobol
 
-from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
-from reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
-from reports.figures.provenance import add_provenance
-from reports.figures.style import save_figure
-from reports.run.data import RunData
-from reports.schema.grid import NO_VALUE, Grid
-from reports.schema.records import CONTROL
-from reports.statistics.intervals import LEVEL, RESAMPLES, FloatArray, content_rng
-from reports.statistics.measured import WORST, Measured, Statistic, bounded
-from reports.tables import interval
+from boresight.reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from boresight.reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
+from boresight.reports.figures.provenance import add_provenance
+from boresight.reports.figures.style import save_figure
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import NO_VALUE, Grid
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, FloatArray, content_rng
+from boresight.reports.statistics.measured import WORST, Measured, Statistic, bounded
+from boresight.reports.tables import interval
 
 _KEY = ("trial", "scenario")
 _CONDITIONS = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")

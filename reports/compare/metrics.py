@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.data import TRIAL_KEY, RunData, in_order_of
-from reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
-from reports.schema.kinds.crater_detection import CENTRE_ERROR, COMMON_CENTRE_ERROR, FALSE_ALARMS, MISSED
-from reports.schema.kinds.crater_matching import MATCHING, WRONG
-from reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
-from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from reports.schema.tables import is_error, kind_schema, measure_label, unit_of
-from scenarios.errors import BoresightError
+from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
+from boresight.reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
+from boresight.reports.schema.kinds.crater_detection import CENTRE_ERROR, COMMON_CENTRE_ERROR, FALSE_ALARMS, MISSED
+from boresight.reports.schema.kinds.crater_matching import MATCHING, WRONG
+from boresight.reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.tables import is_error, kind_schema, measure_label, unit_of
+from boresight.scenarios.errors import BoresightError
 
 _AFTER = re.compile(r"error_after_([1-9]\d*)_m")
 _TURN_DEG = 360.0

@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.trials import KEY
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
-from reports.statistics.paired import rate_difference, sign_test
+from boresight.reports.compare.trials import KEY
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
+from boresight.reports.statistics.paired import rate_difference, sign_test
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,26 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.metrics import Metric, choose_metric
-from reports.compare.pairs import Contrast, holm_corrected, independent_contrast, paired_contrast, without_failures
-from reports.compare.trials import ESTIMATOR, SCENARIO, all_factors, check_factors, check_pairs, tabulate_trials
-from reports.run.data import RunData, read_run
-from reports.schema.records import CONTROL
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import (
+from boresight.reports.compare.metrics import Metric, choose_metric
+from boresight.reports.compare.pairs import (
+    Contrast,
+    holm_corrected,
+    independent_contrast,
+    paired_contrast,
+    without_failures,
+)
+from boresight.reports.compare.trials import (
+    ESTIMATOR,
+    SCENARIO,
+    all_factors,
+    check_factors,
+    check_pairs,
+    tabulate_trials,
+)
+from boresight.reports.run.data import RunData, read_run
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import (
     MEDIAN,
     P75,
     P95,
@@ -31,7 +44,7 @@ from reports.statistics.measured import (
     measure,
     share_of,
 )
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 STATISTICS = (MEDIAN, RMS, P75, P95, P99)
 DEFAULT_FACTORS = (ESTIMATOR, SCENARIO)

@@ -9,18 +9,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.pairs import Contrast
-from reports.compare.subjects import STATISTICS, RunComparison, Subject
-from reports.run.data import TRIAL_KEY
-from reports.run.limits import short_line
-from reports.run.outcomes import MEANING
-from reports.schema.grid import NO_VALUE, Grid, number
-from reports.schema.labels import as_title
-from reports.schema.records import CONTROL, FAILURES_AT_PRIOR
-from reports.statistics.consistency import ConsistencyTest, consistency_test, normalised_errors, normalised_label
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import Measured
-from reports.tables import chance, interval
+from boresight.reports.compare.pairs import Contrast
+from boresight.reports.compare.subjects import STATISTICS, RunComparison, Subject
+from boresight.reports.run.data import TRIAL_KEY
+from boresight.reports.run.limits import short_line
+from boresight.reports.run.outcomes import MEANING
+from boresight.reports.schema.grid import NO_VALUE, Grid, number
+from boresight.reports.schema.labels import as_title
+from boresight.reports.schema.records import CONTROL, FAILURES_AT_PRIOR
+from boresight.reports.statistics.consistency import (
+    ConsistencyTest,
+    consistency_test,
+    normalised_errors,
+    normalised_label,
+)
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import Measured
+from boresight.reports.tables import chance, interval
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""

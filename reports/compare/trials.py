@@ -15,13 +15,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData
-from reports.run.outcomes import succeeded
-from reports.schema.common import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS
-from reports.schema.records import CONTROL
-from scenarios.errors import BoresightError
+from boresight.reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData
+from boresight.reports.run.outcomes import succeeded
+from boresight.reports.schema.common import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS
+from boresight.reports.schema.records import CONTROL
+from boresight.scenarios.errors import BoresightError
 
 KEY = ["seed", "draws", "rest", "trial"]
 """Columns that are equal in two trials that are the same."""

@@ -11,7 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from reports.statistics.intervals import has_quantile
+from boresight.reports.statistics.intervals import has_quantile
 
 _FEW_DECADES = 300.0
 """Ratio of the limits below which 2 and 5 of each decade are labelled too."""

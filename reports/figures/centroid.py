@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from reports.figures.style import BLUE, VERMILION, FloatArray, grid_figure, styled
-from reports.schema.grid import shortest
+from boresight.reports.figures.style import BLUE, VERMILION, FloatArray, grid_figure, styled
+from boresight.reports.schema.grid import shortest
 
 
 @styled

@@ -12,10 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.special import chdtr
 
-from reports.figures.axes import mark_decades
-from reports.figures.scenario_grids import Points
-from reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, grid_figure, new_figure, styled
-from reports.statistics.measured import Measured
+from boresight.reports.figures.axes import mark_decades
+from boresight.reports.figures.scenario_grids import Points
+from boresight.reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, grid_figure, new_figure, styled
+from boresight.reports.statistics.measured import Measured
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
 """Label of the error and label of the condition to the curves of a panel, by their labels."""

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.style import (
+from boresight.reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
@@ -27,7 +27,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
-from scenarios.geometry import Ellipses
+from boresight.scenarios.geometry import Ellipses
 
 IndexArray = NDArray[np.int64]
 _MISSED = "#ffffff"

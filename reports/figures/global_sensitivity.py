@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
-from reports.statistics.measured import Measured
+from boresight.reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
+from boresight.reports.statistics.measured import Measured
 
 _LONG = 18
 _SHOWN = (-1.1, 1.4)

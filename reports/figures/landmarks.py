@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.special import gammaln, xlogy
 
-from reports.figures.style import (
+from boresight.reports.figures.style import (
     BLUE,
     GREY,
     LINE_STYLES,
@@ -26,7 +26,7 @@ from reports.figures.style import (
     step_histogram,
     styled,
 )
-from reports.schema.grid import shortest
+from boresight.reports.schema.grid import shortest
 
 DEGREES_OF_FREEDOM = 3
 # The range of the theoretical distribution. Wrong matches reach values a hundred times larger and would hide it.

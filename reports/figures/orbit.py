@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from reports.figures.axes import mark_decades, percentile_band
-from reports.figures.style import (
+from boresight.reports.figures.axes import mark_decades, percentile_band
+from boresight.reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
@@ -25,7 +25,7 @@ from reports.figures.style import (
     raise_top,
     styled,
 )
-from reports.schema.grid import shortest
+from boresight.reports.schema.grid import shortest
 
 _MOST_BARS = 60
 

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from reports.figures.axes import mark_decades
-from reports.figures.style import (
+from boresight.reports.figures.axes import mark_decades
+from boresight.reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
@@ -31,7 +31,7 @@ from reports.figures.style import (
     step_histogram,
     styled,
 )
-from reports.schema.grid import shortest
+from boresight.reports.schema.grid import shortest
 
 _PANELS = (
     ("attitude_error_deg", "attitude error, deg", "deg", "frequency per degree"),

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.style import (
+from boresight.reports.figures.style import (
     BLUE,
     GREEN,
     ORANGE,
@@ -21,7 +21,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
-from reports.schema.grid import shortest
+from boresight.reports.schema.grid import shortest
 
 POSE_COLOURS = {"prior": ORANGE, "estimate": BLUE, "truth": GREEN}
 _MARGIN = 0.08

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from matplotlib.figure import Figure
 
-from reports.figures.style import add_footer
-from reports.run.data import Manifest, RunData
-from reports.schema.labels import count_of
-from reports.schema.named_figure import NamedFigure
+from boresight.reports.figures.style import add_footer
+from boresight.reports.run.data import Manifest, RunData
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.named_figure import NamedFigure
 
 _FEW = 6
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from reports.figures.style import (
+from boresight.reports.figures.style import (
     BLUE,
     GREY,
     ORANGE,
@@ -25,7 +25,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
-from reports.schema.grid import shortest
+from boresight.reports.schema.grid import shortest
 
 MATCH_SIGMAS = 6.0
 

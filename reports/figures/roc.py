@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, new_figure, plot_styles, styled
+from boresight.reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, new_figure, plot_styles, styled
 
 MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""

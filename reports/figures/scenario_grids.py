@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from reports.figures.axes import mark_decades
-from reports.figures.style import BLUE, GREY, FloatArray, new_figure, plot_styles, styled
+from boresight.reports.figures.axes import mark_decades
+from boresight.reports.figures.style import BLUE, GREY, FloatArray, new_figure, plot_styles, styled
 
 _PANELS_A_ROW = 3
 

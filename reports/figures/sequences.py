@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.axes import mark_revolutions, percentile_band, scale_ordinate
-from reports.figures.style import (
+from boresight.reports.figures.axes import mark_revolutions, percentile_band, scale_ordinate
+from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     SERIES_COLOURS,
@@ -23,7 +23,7 @@ from reports.figures.style import (
     show_image,
     styled,
 )
-from reports.statistics.measured import MEAN, measure
+from boresight.reports.statistics.measured import MEAN, measure
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.axes import mark_decades
-from reports.figures.style import GREY, add_credits, grid_figure, plot_styles, styled
-from reports.statistics.measured import Measured
+from boresight.reports.figures.axes import mark_decades
+from boresight.reports.figures.style import GREY, add_credits, grid_figure, plot_styles, styled
+from boresight.reports.statistics.measured import Measured
 
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 

@@ -10,8 +10,18 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.axes import mark_revolutions
-from reports.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, FloatArray, grid_figure, new_figure, styled
+from boresight.reports.figures.axes import mark_revolutions
+from boresight.reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    FloatArray,
+    grid_figure,
+    new_figure,
+    styled,
+)
 
 SIGMAS = 3.0
 _COMPONENTS = ("radial", "along-track", "cross-track")

@@ -10,17 +10,17 @@ from typing import cast
 
 import pandas as pd
 
-from reports.published import Comparison
-from reports.run.data import RunData
-from reports.run.limits import short_line, with_single_draws
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure
-from reports.schema.records import Record
-from reports.tables import failure_grid
-from reports.verdicts import ComparedClaim, ComparedValue, claim_grid, verdict_grid
+from boresight.reports.published import Comparison
+from boresight.reports.run.data import RunData
+from boresight.reports.run.limits import short_line, with_single_draws
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import Record
+from boresight.reports.tables import failure_grid
+from boresight.reports.verdicts import ComparedClaim, ComparedValue, claim_grid, verdict_grid
 
 _BESIDE = ["published", "tolerance", "verdict", "place"]
-_KINDS = "reports.kinds"
+_KINDS = "boresight.reports.kinds"
 _USUAL = "single-image"
 """The kind whose report trials have that have none of their own: poses, or numbers alone."""
 

@@ -10,15 +10,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.figures.craters import ShareCurve, draw_shares
-from reports.kinds import ReportKind
-from reports.run.data import RunData
-from reports.schema.grid import NO_VALUE, Grid, value_of
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record
-from reports.schema.tables import unit_of
-from reports.statistics.measured import MEDIAN, P95, measure, measure_share
-from reports.verdicts import comparison_grid
+from boresight.reports.figures.craters import ShareCurve, draw_shares
+from boresight.reports.kinds import ReportKind
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import NO_VALUE, Grid, value_of
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.measured import MEDIAN, P95, measure, measure_share
+from boresight.reports.verdicts import comparison_grid
 
 FloatArray = NDArray[np.float64]
 

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports.figures.orbit import draw_crater_counts, draw_landmark_spans
-from reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
-from reports.run.clusters import clusters_of
-from reports.run.data import TRIAL_KEY, RunData, select
-from reports.run.limits import limited_title
-from reports.schema.grid import Grid, value_of_ended
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record, find
-from reports.schema.tables import unit_of
-from reports.statistics.measured import MEAN, MEDIAN, measure
+from boresight.reports.figures.orbit import draw_crater_counts, draw_landmark_spans
+from boresight.reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import TRIAL_KEY, RunData, select
+from boresight.reports.run.limits import limited_title
+from boresight.reports.schema.grid import Grid, value_of_ended
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import Record, find
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.measured import MEAN, MEDIAN, measure
 
 NAVIGATION = "navigation"
 """Stage of what the chain comes to before the orbit."""

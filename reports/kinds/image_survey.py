@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reports.figures.orbit import draw_count_histogram
-from reports.kinds import ReportKind
-from reports.published import Comparison
-from reports.run.data import RunData
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import DIAGNOSTICS, Record
-from reports.tables import diagnostic_grid
-from reports.verdicts import ComparedValue, comparison_grid
+from boresight.reports.figures.orbit import draw_count_histogram
+from boresight.reports.kinds import ReportKind
+from boresight.reports.published import Comparison
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import DIAGNOSTICS, Record
+from boresight.reports.tables import diagnostic_grid
+from boresight.reports.verdicts import ComparedValue, comparison_grid
 
 _MEAN, _FEW = ("detections_an_image", "mean"), ("few_craters_share", 7.0)
 

@@ -6,22 +6,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reports.figures.axes import band_label
-from reports.figures.orbit import draw_orbit_errors, draw_residuals
-from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as DESIGN_REPORT
-from reports.published import Comparison, within_statistic
-from reports.run.clusters import clusters_of
-from reports.run.data import TRIAL_KEY, RunData, in_order_of, select
-from reports.schema.grid import Grid, value_of_ended
-from reports.schema.labels import count_of
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record, find
-from reports.schema.tables import unit_of
-from reports.statistics.consistency import AT_EPOCH, consistency_grid
-from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, share_of
-from reports.tables import diagnostic_grid, timing_grid
-from reports.verdicts import ComparedValue, comparison_grid
+from boresight.reports.figures.axes import band_label
+from boresight.reports.figures.orbit import draw_orbit_errors, draw_residuals
+from boresight.reports.kinds import Content, ReportKind, Tables
+from boresight.reports.kinds.designs import REPORT as DESIGN_REPORT
+from boresight.reports.published import Comparison, within_statistic
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of, select
+from boresight.reports.schema.grid import Grid, value_of_ended
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import Record, find
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.consistency import AT_EPOCH, consistency_grid
+from boresight.reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, share_of
+from boresight.reports.tables import diagnostic_grid, timing_grid
+from boresight.reports.verdicts import ComparedValue, comparison_grid
 
 ORBIT = "orbit"
 """Stage of what a trial of orbit determination comes to."""

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.figures.provenance import add_provenance, with_trial_counts
-from reports.figures.style import report_styles, save_figure
-from reports.kinds import Content, draw_figures, report_grids
-from reports.pages.content import read_content
-from reports.pages.distributions import distributions
-from reports.pages.templates import embed_figures, fill_template, template_text
-from reports.run.row_files import row_links, write_row_files
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
+from boresight.reports.figures.provenance import add_provenance, with_trial_counts
+from boresight.reports.figures.style import report_styles, save_figure
+from boresight.reports.kinds import Content, draw_figures, report_grids
+from boresight.reports.pages.content import read_content
+from boresight.reports.pages.distributions import distributions
+from boresight.reports.pages.templates import embed_figures, fill_template, template_text
+from boresight.reports.run.row_files import row_links, write_row_files
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:

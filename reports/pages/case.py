@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from reports.figures.style import save_figure
-from reports.pages.templates import embed_figures, fill_template
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure
-from scenarios.atomic import write_text
+from boresight.reports.figures.style import save_figure
+from boresight.reports.pages.templates import embed_figures, fill_template
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.atomic import write_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

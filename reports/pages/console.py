@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.console import Group
 
-from reports.kinds import Content, brief_grids
-from reports.pages.content import read_content
-from reports.pages.rich_tables import rich_parts
+from boresight.reports.kinds import Content, brief_grids
+from boresight.reports.pages.content import read_content
+from boresight.reports.pages.rich_tables import rich_parts
 
 
 def console_table(run: Path | Content) -> Group:

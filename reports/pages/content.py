@@ -8,19 +8,19 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.kinds import Content, report_kind
-from reports.kinds.sequence.tables import without_pooled
-from reports.published import Comparison, load_published
-from reports.run.clusters import image_set
-from reports.run.data import RunData, read_run
-from reports.run.limits import database_line, known_lines
-from reports.schema.labels import count_of
-from reports.schema.records import Record
-from reports.statistics.consistency import consistency_records
-from reports.statistics.measures import measure_run
-from reports.statistics.paired import paired_records
-from reports.statistics.roc import outlier_records
-from reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims, on_embedded_body
+from boresight.reports.kinds import Content, report_kind
+from boresight.reports.kinds.sequence.tables import without_pooled
+from boresight.reports.published import Comparison, load_published
+from boresight.reports.run.clusters import image_set
+from boresight.reports.run.data import RunData, read_run
+from boresight.reports.run.limits import database_line, known_lines
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import Record
+from boresight.reports.statistics.consistency import consistency_records
+from boresight.reports.statistics.measures import measure_run
+from boresight.reports.statistics.paired import paired_records
+from boresight.reports.statistics.roc import outlier_records
+from boresight.reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims, on_embedded_body
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:

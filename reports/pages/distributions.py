@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.figures.style import PlotStyle, plot_styles
-from reports.run.data import RunData, select
+from boresight.reports.figures.style import PlotStyle, plot_styles
+from boresight.reports.run.data import RunData, select
 
 FloatArray = NDArray[np.float64]
 

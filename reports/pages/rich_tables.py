@@ -8,8 +8,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from reports.schema.grid import Grid, says_of_ended
-from scenarios.errors import printable
+from boresight.reports.schema.grid import Grid, says_of_ended
+from boresight.scenarios.errors import printable
 
 
 def rich_parts(grid: Grid) -> Iterator[Table | Text]:

@@ -8,21 +8,21 @@ from importlib import resources
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.named_figure import NamedFigure
 
 
 def fill_template(template: str, **values: object) -> str:
     """Fill a template with values and the style sheet."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        loader=PackageLoader("reports.pages", "."),
+        loader=PackageLoader("boresight.reports.pages", "."),
     )  # fmt: skip
     return environment.get_template(template).render(css=template_text("page.css"), **values)
 
 
 def template_text(name: str) -> str:
     """Read a file that lies beside the templates."""
-    return resources.files("reports.pages").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("boresight.reports.pages").joinpath(name).read_text(encoding="utf-8")
 
 
 def embed_figures(figures: Iterable[tuple[NamedFigure, bytes]]) -> list[tuple[NamedFigure, str]]:

@@ -14,9 +14,9 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from reports.figures.style import BLUE, GREEN, VERMILION
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
+from boresight.reports.figures.style import BLUE, GREEN, VERMILION
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.figures import save_figure
-from reports.kinds import Content
-from reports.pages.content import beside_published
-from reports.pages.templates import embed_figures, fill_template
-from reports.published import Comparison
-from reports.schema.grid import NO_VALUE, Grid, counts, value_of
-from reports.schema.labels import stage_label
-from reports.schema.named_figure import NamedFigure
-from reports.schema.records import Record
-from reports.schema.tables import measure_label, unit_of
-from reports.verdicts import (
+from boresight.reports.figures import save_figure
+from boresight.reports.kinds import Content
+from boresight.reports.pages.content import beside_published
+from boresight.reports.pages.templates import embed_figures, fill_template
+from boresight.reports.published import Comparison
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.verdicts import (
     VERDICT_RULE,
     ComparedClaim,
     ComparedValue,

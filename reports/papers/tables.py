@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from reports.figures.style import hide_axes, new_figure, styled
-from reports.papers.page import PaperLine, paper_grid
-from reports.schema.grid import NO_VALUE, Grid
-from reports.schema.named_figure import NamedFigure
+from boresight.reports.figures.style import hide_axes, new_figure, styled
+from boresight.reports.papers.page import PaperLine, paper_grid
+from boresight.reports.schema.grid import NO_VALUE, Grid
+from boresight.reports.schema.named_figure import NamedFigure
 
 _PLACE = re.compile(r"table (\d+)\b", re.IGNORECASE)
 _SHOWN = ("scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "tolerance", "verdict")

@@ -9,11 +9,11 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from reports.schema.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION
-from reports.schema.tables import measures, unit_of
-from scenarios.errors import BoresightError
-from scenarios.load.yaml_text import parse_yaml
-from scenarios.reading import held_to
+from boresight.reports.schema.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION
+from boresight.reports.schema.tables import measures, unit_of
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load.yaml_text import parse_yaml
+from boresight.scenarios.reading import held_to
 
 _FILES = ("cheng2003.yaml", "delpech2015.yaml", "rowell2015.yaml")
 _SCALE = {

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.data import TRIAL_KEY, RunData
+from boresight.reports.run.data import TRIAL_KEY, RunData
 
 
 @dataclass(frozen=True, slots=True)

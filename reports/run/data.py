@@ -15,14 +15,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from reports.schema.column import names
-from reports.schema.tables import ALL_ROW_COLUMNS, TABLES, columns_of, layout, refuse_older
-from scenarios.checksums import refuse_damaged
-from scenarios.errors import BoresightError, printable
-from scenarios.known import Known, known_on_board
-from scenarios.parquet import read_frame
-from scenarios.reading import held_to, plain_json, unreadable
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.reports.schema.column import names
+from boresight.reports.schema.tables import ALL_ROW_COLUMNS, TABLES, columns_of, layout, refuse_older
+from boresight.scenarios.checksums import refuse_damaged
+from boresight.scenarios.errors import BoresightError, printable
+from boresight.scenarios.known import Known, known_on_board
+from boresight.scenarios.parquet import read_frame
+from boresight.scenarios.reading import held_to, plain_json, unreadable
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _NOT_REPORTED = ("said", "tracebacks")
 TRIAL_KEY = ["scenario", "estimator", "trial"]

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from reports.run.data import RunData
-from reports.schema.grid import Grid
-from reports.schema.tables import kind_schema
-from scenarios.known import Known, merged
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.tables import kind_schema
+from boresight.scenarios.known import Known, merged
 
 KNOWLEDGE_UNREADABLE = (
     "What was known exactly on board cannot be stated: the scenarios are of another version of boresight."

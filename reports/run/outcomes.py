@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.data import RunData, select
-from reports.schema.common import POSE_COLUMNS
-from reports.schema.labels import count_of
-from reports.schema.records import CONTROL
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import CONTROL
 
 MEANING = (
     "Solved: trials with an estimate. Success: those of them whose position error is not above that of their prior,"

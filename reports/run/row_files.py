@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from reports.run.data import RunData
-from reports.schema.grid import Grid
-from reports.schema.named_figure import file_stem
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import file_stem
 
 _MOST_ROWS = 50_000
 _FOLDER = "rows"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from reports.schema.column import Column, Columns, Measure, count, measured, names, number, text
+from boresight.reports.schema.column import Column, Columns, Measure, count, measured, names, number, text
 
 FRESH_IMAGE, STORED_IMAGE = "image", "stored_image"
 """Stages of ``timings``: an image that was rendered or read in this run, or kept from another."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.schema.records import Record
+from boresight.reports.schema.records import Record
 
 NO_VALUE = "-"
 _OF = " of the "

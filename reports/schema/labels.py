@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from reports.schema.records import CONTROL, DERIVED, DIAGNOSTICS, FAILURES_AT_PRIOR
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.records import CONTROL, DERIVED, DIAGNOSTICS, FAILURES_AT_PRIOR
 
 _STAGES = {
     CONTROL: "prior",

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from reports.schema import common
-from reports.schema import kinds as _kinds
-from reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
-from scenarios.errors import BoresightError
-from scenarios.parquet import TableLayout
+from boresight.reports.schema import common
+from boresight.reports.schema import kinds as _kinds
+from boresight.reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.parquet import TableLayout
 
 FORMAT_VERSION = 3
 _USUAL = "single_image"

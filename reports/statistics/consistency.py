@@ -15,12 +15,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from reports.run.clusters import clusters_of
-from reports.run.data import TRIAL_KEY, RunData, select
-from reports.schema.grid import NO_VALUE, Grid, number, value_of
-from reports.schema.records import Record, find
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import TRIAL_KEY, RunData, select
+from boresight.reports.schema.grid import NO_VALUE, Grid, number, value_of
+from boresight.reports.schema.records import Record, find
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 
 CONSISTENCY = "consistency"
 """Stage of the records that compare errors with a covariance or a bound."""

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.statistics.intervals import FloatArray, Interval, has_quantile, interval_of_sums, quantile_interval, wilson
+from boresight.reports.statistics.intervals import (
+    FloatArray,
+    Interval,
+    has_quantile,
+    interval_of_sums,
+    quantile_interval,
+    wilson,
+)
 
 WORST = 1e150
 """Error assigned to a failure: above every error, and its square does not overflow."""

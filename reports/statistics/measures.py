@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.clusters import clusters_of, groups, rows_by_group
-from reports.run.data import RunData, select
-from reports.run.outcomes import errors_by_stage, final_stage, succeeded
-from reports.schema.common import POSE_COLUMNS
-from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record
-from reports.schema.tables import unit_of
-from reports.statistics.measured import (
+from boresight.reports.run.clusters import clusters_of, groups, rows_by_group
+from boresight.reports.run.data import RunData, select
+from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
+from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.measured import (
     DEVIATION,
     MEAN,
     MEDIAN,

@@ -14,14 +14,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData, select
-from reports.run.outcomes import succeeded
-from reports.schema.grid import Grid, counts, value_of
-from reports.schema.records import CONTROL, Record, find
-from reports.schema.tables import unit_of
-from reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
-from reports.statistics.measured import MEDIAN, Measured, measure, share_of, widened
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, select
+from boresight.reports.run.outcomes import succeeded
+from boresight.reports.schema.grid import Grid, counts, value_of
+from boresight.reports.schema.records import CONTROL, Record, find
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of, widened
 
 PAIRED = "paired"
 """Stage of the records that compare an estimator with another, which their ``reference`` names."""

@@ -16,12 +16,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData, select
-from reports.schema.grid import Grid, value_of
-from reports.schema.records import CONTROL, Record, find
-from reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
-from reports.statistics.measured import Measured
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.grid import Grid, value_of
+from boresight.reports.schema.records import CONTROL, Record, find
+from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
+from boresight.reports.statistics.measured import Measured
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

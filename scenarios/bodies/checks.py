@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.bodies.readers import RawShape
-from scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys, is_closed
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.bodies.readers import RawShape
+from boresight.scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys, is_closed
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}

@@ -8,11 +8,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.readers.icq import cube_lattice, cube_quads, weld_seams
-from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.body import EMBEDDED_NAMES
+from boresight.scenarios.bodies.detail.noise import Band, fractal_field
+from boresight.scenarios.bodies.readers.icq import cube_lattice, cube_quads, weld_seams
+from boresight.scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.body import EMBEDDED_NAMES
 
 __all__ = ["EMBEDDED", "apophis_like", "apophis_sphere", "contact_binary", "eros_like", "itokawa_like", "sphere"]
 

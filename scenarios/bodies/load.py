@@ -12,18 +12,18 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.checks import checked_mesh
-from scenarios.bodies.detail import DETAIL_VERSION, add_detail
-from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.subdivide import rounds_for
-from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
-from scenarios.bodies.readers import READER_VERSION, read_shape
-from scenarios.bodies.topology import find_edges, vertex_normals
-from scenarios.cache import Cache, default_cache
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.body import BodySpec, HeightErrorSpec
+from boresight.scenarios.bodies.checks import checked_mesh
+from boresight.scenarios.bodies.detail import DETAIL_VERSION, add_detail
+from boresight.scenarios.bodies.detail.noise import Band, fractal_field
+from boresight.scenarios.bodies.detail.subdivide import rounds_for
+from boresight.scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
+from boresight.scenarios.bodies.readers import READER_VERSION, read_shape
+from boresight.scenarios.bodies.topology import find_edges, vertex_normals
+from boresight.scenarios.cache import Cache, default_cache
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec
 
 HEIGHT_ERROR_VERSION = 1
 """Part of the digest of every body with a height error: increase it when the same spec gives another mesh."""

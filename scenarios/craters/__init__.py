@@ -1,10 +1,16 @@
 """Cratered surfaces with a known population: relief on a smooth body, and the true craters of an image."""
 
-from scenarios.craters.population import Craters, draw_craters
-from scenarios.craters.rims import Rims
-from scenarios.craters.surface import CrateredSurface, build_surfaces, cratered_surface, shape_digest, surface_digest
-from scenarios.craters.tiles import Tiling, check_size
-from scenarios.craters.truth import CraterTruth, crater_truth
+from boresight.scenarios.craters.population import Craters, draw_craters
+from boresight.scenarios.craters.rims import Rims
+from boresight.scenarios.craters.surface import (
+    CrateredSurface,
+    build_surfaces,
+    cratered_surface,
+    shape_digest,
+    surface_digest,
+)
+from boresight.scenarios.craters.tiles import Tiling, check_size
+from boresight.scenarios.craters.truth import CraterTruth, crater_truth
 
 __all__ = [
     "CraterTruth",

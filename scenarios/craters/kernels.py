@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.compiled import compiler
+from boresight.scenarios.compiled import compiler
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

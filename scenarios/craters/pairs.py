@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.simulated import (
+from boresight.scenarios.craters.simulated import (
     DetectionErrors,
     LabelledDetections,
     PlaneCraters,
@@ -16,13 +16,13 @@ from scenarios.craters.simulated import (
     raise_craters,
     sample_plane_craters,
 )
-from scenarios.draw import Stream, degrade, generator, prior_covariance
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View, look_at
-from scenarios.observation import Frame
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
-from scenarios.spec.world import PoseErrorSpec
+from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View, look_at
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
+from boresight.scenarios.spec.world import PoseErrorSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scenarios.bodies.topology import unit
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.craters import CratersSpec
+from boresight.scenarios.bodies.topology import unit
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.topology import tangent_axes
-from scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
-from scenarios.craters.surface import CrateredSurface
-from scenarios.geometry import View
+from boresight.scenarios.bodies.topology import tangent_axes
+from boresight.scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
+from boresight.scenarios.craters.surface import CrateredSurface
+from boresight.scenarios.geometry import View
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

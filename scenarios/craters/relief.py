@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from scenarios.bodies.detail.noise import Band
-from scenarios.bodies.topology import tangent_axes
-from scenarios.craters.kernels import add_crater, add_octave
-from scenarios.craters.population import Craters
-from scenarios.craters.tiles import Tiling
-from scenarios.spec.body import RoughnessSpec
-from scenarios.spec.craters import CratersSpec
+from boresight.scenarios.bodies.detail.noise import Band
+from boresight.scenarios.bodies.topology import tangent_axes
+from boresight.scenarios.craters.kernels import add_crater, add_octave
+from boresight.scenarios.craters.population import Craters
+from boresight.scenarios.craters.tiles import Tiling
+from boresight.scenarios.spec.body import RoughnessSpec
+from boresight.scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scenarios.craters.kernels import edge_crossings
-from scenarios.craters.population import Craters
-from scenarios.craters.relief import crater_frames
-from scenarios.craters.tiles import Tiling
+from boresight.scenarios.craters.kernels import edge_crossings
+from boresight.scenarios.craters.population import Craters
+from boresight.scenarios.craters.relief import crater_frames
+from boresight.scenarios.craters.tiles import Tiling
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

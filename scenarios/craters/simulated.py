@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Ellipses, View, project_circles
-from scenarios.sequences.ground import MeshGround, faces_camera
+from boresight.scenarios.geometry import Ellipses, View, project_circles
+from boresight.scenarios.sequences.ground import MeshGround, faces_camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

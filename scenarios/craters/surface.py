@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.detail.subdivide import interpolating_control, limit, refine, smoothed
-from scenarios.bodies.load import Body, body_digest, load_body
-from scenarios.bodies.topology import find_edges, unit, vertex_normals
-from scenarios.cache import Cache, default_cache
-from scenarios.craters.kernels import least_heights
-from scenarios.craters.population import Craters, draw_craters
-from scenarios.craters.relief import add_roughness, crater_relief
-from scenarios.craters.rims import Rims, find_rims
-from scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
-from scenarios.geometry import TriangleMesh
-from scenarios.limits import installed_memory_bytes
-from scenarios.spec.body import BodySpec
-from scenarios.spec.craters import CratersSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.bodies.detail.subdivide import interpolating_control, limit, refine, smoothed
+from boresight.scenarios.bodies.load import Body, body_digest, load_body
+from boresight.scenarios.bodies.topology import find_edges, unit, vertex_normals
+from boresight.scenarios.cache import Cache, default_cache
+from boresight.scenarios.craters.kernels import least_heights
+from boresight.scenarios.craters.population import Craters, draw_craters
+from boresight.scenarios.craters.relief import add_roughness, crater_relief
+from boresight.scenarios.craters.rims import Rims, find_rims
+from boresight.scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.limits import installed_memory_bytes
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.craters import CratersSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.topology import MeshEdges, find_edges, vertex_normals
-from scenarios.craters.kernels import (
+from boresight.scenarios.bodies.topology import MeshEdges, find_edges, vertex_normals
+from boresight.scenarios.craters.kernels import (
     TileLayout,
     cut_tiles,
     kernel,
@@ -19,10 +19,10 @@ from scenarios.craters.kernels import (
     place_inner_vertices,
     tile_buffer,
 )
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.limits import installed_memory_bytes
-from scenarios.spec.craters import CratersSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.limits import installed_memory_bytes
+from boresight.scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

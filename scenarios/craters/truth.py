@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.rims import Rims
-from scenarios.geometry import Ellipses, View
-from scenarios.geometry.ellipse import fit_conics, sampson_distances
+from boresight.scenarios.craters.rims import Rims
+from boresight.scenarios.geometry import Ellipses, View
+from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

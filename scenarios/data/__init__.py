@@ -8,7 +8,7 @@ from pathlib import Path
 
 import platformdirs
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 __all__ = ["DATA_VARIABLE", "data_folder", "find_data_file", "find_data_folder", "is_there"]
 
@@ -76,7 +76,7 @@ def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_want
 
 def _advice(given: Path, folder: str) -> str:
     # Imported here: the registry of data sets is a YAML file that is read only if a file is missing.
-    from scenarios.data.datasets import datasets_providing
+    from boresight.scenarios.data.datasets import datasets_providing
 
     paths = [f"{folder}/{given.as_posix()}", given.as_posix()]
     for known in [] if given.is_absolute() else datasets_providing(paths):

@@ -9,10 +9,10 @@ from urllib.parse import quote
 
 from pydantic import Field, model_validator
 
-from scenarios.load.entry import ConfigEntry
-from scenarios.load.files import validated
-from scenarios.load.find import read
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.load.entry import ConfigEntry
+from boresight.scenarios.load.files import validated
+from boresight.scenarios.load.find import read
+from boresight.scenarios.spec.base import SpecModel
 
 REGISTRY = Path(__file__).parent / "datasets.yaml"
 RAW_FILES = "https://raw.githubusercontent.com"

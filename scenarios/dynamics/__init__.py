@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scenarios.compiled import compiler
+from boresight.scenarios.compiled import compiler
 
 kernel = compiler(Path(__file__).parent)
 """The decorator of the kernels of this package."""

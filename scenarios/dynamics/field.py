@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.dynamics import kernel
-from scenarios.dynamics.harmonics import (
+from boresight.scenarios.dynamics import kernel
+from boresight.scenarios.dynamics.harmonics import (
     Harmonics,
     HarmonicTable,
     derivative,

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 

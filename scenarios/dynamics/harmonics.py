@@ -15,9 +15,9 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.dynamics import kernel
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.dynamics import kernel
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 

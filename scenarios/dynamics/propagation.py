@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from scenarios.errors import BoresightError
-from scenarios.spec.sequence import ForcesSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.sequence import ForcesSpec
 
 FloatArray = NDArray[np.float64]
 Acceleration = Callable[[float, FloatArray], FloatArray]

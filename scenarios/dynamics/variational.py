@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
-from scenarios.dynamics import kernel
-from scenarios.dynamics.field import FlatField, HarmonicField, differentiate
-from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
+from boresight.scenarios.dynamics import kernel
+from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
+from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
 
 FloatArray = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ Conventions:
 - Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
 """
 
-from scenarios.geometry.camera import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
-from scenarios.geometry.ellipse import Ellipses, project_circles
-from scenarios.geometry.mesh import TriangleMesh
-from scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
-from scenarios.geometry.view import SurfaceHits, View
+from boresight.scenarios.geometry.camera import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
+from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
+from boresight.scenarios.geometry.mesh import TriangleMesh
+from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
+from boresight.scenarios.geometry.view import SurfaceHits, View
 
 __all__ = [
     "Camera",

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry.pose import plane_axes
-from scenarios.geometry.view import View
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry.pose import plane_axes
+from boresight.scenarios.geometry.view import View
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int32]

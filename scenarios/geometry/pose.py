@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry.camera import Camera
-from scenarios.geometry.pose import Pose
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry.camera import Camera
+from boresight.scenarios.geometry.pose import Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

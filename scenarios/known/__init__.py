@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from scenarios.known.images import crater_detection, crater_pairs, data_bases, pose_solvers, real_images, single_images
-from scenarios.known.orbits import orbits, plans
-from scenarios.known.record import Item, Known, correlated, merged
-from scenarios.known.sequences import sequences
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.known.images import (
+    crater_detection,
+    crater_pairs,
+    data_bases,
+    pose_solvers,
+    real_images,
+    single_images,
+)
+from boresight.scenarios.known.orbits import orbits, plans
+from boresight.scenarios.known.record import Item, Known, correlated, merged
+from boresight.scenarios.known.sequences import sequences
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 __all__ = ["Item", "Known", "correlated", "known_on_board", "merged"]
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scenarios.known.record import Item, Known, item, listed
-from scenarios.onboard import onboard_spec
-from scenarios.spec.body import AlbedoSpec, BodySpec
-from scenarios.spec.camera import CameraSpec
-from scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
-from scenarios.spec.images import ImageSetSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.known.record import Item, Known, item, listed
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
+from boresight.scenarios.spec.camera import CameraSpec
+from boresight.scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
+from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 ERROR_LAW = "law of the pose errors"
 ALBEDO = "albedo variation"

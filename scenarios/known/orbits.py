@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenarios.known.images import THRESHOLDS, unmodelled
-from scenarios.known.record import Item, Known, item, listed, spin_item
-from scenarios.spec.orbit import OrbitSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.known.images import THRESHOLDS, unmodelled
+from boresight.scenarios.known.record import Item, Known, item, listed, spin_item
+from boresight.scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _SHARED = ("centre of mass", "Sun and Earth", "law of the forces", "RMS error of the shape on board")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenarios.known.record import Item, Known, item, listed, spin_item
-from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
+from boresight.scenarios.known.record import Item, Known, item, listed, spin_item
+from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
 
 
 def sequences(section: SequenceSpec) -> Known:

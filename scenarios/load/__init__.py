@@ -3,8 +3,8 @@
 Precedence: defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every error is one line with its location.
 """
 
-from scenarios.load.entry import ConfigEntry
-from scenarios.load.files import (
+from boresight.scenarios.load.entry import ConfigEntry
+from boresight.scenarios.load.files import (
     LoadedCampaign,
     LoadedScenario,
     file_kind,
@@ -13,11 +13,11 @@ from scenarios.load.files import (
     scenario_names,
     validated,
 )
-from scenarios.load.find import names_in
-from scenarios.load.merge import parse_override
-from scenarios.load.schema import json_schema
-from scenarios.load.yaml_text import dump_yaml
-from scenarios.spec.base import canonical_json, digest
+from boresight.scenarios.load.find import names_in
+from boresight.scenarios.load.merge import parse_override
+from boresight.scenarios.load.schema import json_schema
+from boresight.scenarios.load.yaml_text import dump_yaml
+from boresight.scenarios.spec.base import canonical_json, digest
 
 __all__ = [
     "ConfigEntry",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from scenarios.errors import printable
+from boresight.scenarios.errors import printable
 
 Scalar = str | int | float | bool | None
 _LARGEST_EXACT = 2**53  # beyond, not every whole number is a float

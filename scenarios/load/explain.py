@@ -11,10 +11,10 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from scenarios.errors import printable
-from scenarios.load.entry import ConfigEntry, describe
-from scenarios.load.merge import Models, field_models
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import printable
+from boresight.scenarios.load.entry import ConfigEntry, describe
+from boresight.scenarios.load.merge import Models, field_models
+from boresight.scenarios.spec.base import SpecModel
 
 _TAG = "<tag>"
 _WANTED = {

@@ -11,14 +11,14 @@ from typing import Literal, TypeVar
 
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError, display
-from scenarios.load.entry import ConfigEntry, describe, entry_of
-from scenarios.load.explain import explain
-from scenarios.load.find import exists, find, name_of, names_in, read
-from scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
-from scenarios.spec.base import SpecModel
-from scenarios.spec.campaign import CampaignSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.errors import BoresightError, display
+from boresight.scenarios.load.entry import ConfigEntry, describe, entry_of
+from boresight.scenarios.load.explain import explain
+from boresight.scenarios.load.find import exists, find, name_of, names_in, read
+from boresight.scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _MAX_GENERATIONS = 20
 CATALOG = Path(__file__).parents[1] / "catalog"

@@ -6,9 +6,9 @@ import difflib
 import os
 from pathlib import Path
 
-from scenarios.errors import BoresightError, display
-from scenarios.load.entry import ConfigEntry, shortened
-from scenarios.load.yaml_text import parse_yaml
+from boresight.scenarios.errors import BoresightError, display
+from boresight.scenarios.load.entry import ConfigEntry, shortened
+from boresight.scenarios.load.yaml_text import parse_yaml
 
 SUFFIXES = (".yaml", ".yml")
 _MAX_BYTES = 1_000_000

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, Literal, get_args, get_origin
 
-from scenarios.errors import BoresightError, printable
-from scenarios.load.entry import ConfigEntry, entry_of, nested
-from scenarios.load.yaml_text import parse_yaml
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import BoresightError, printable
+from boresight.scenarios.load.entry import ConfigEntry, entry_of, nested
+from boresight.scenarios.load.yaml_text import parse_yaml
+from boresight.scenarios.spec.base import SpecModel
 
 Models = tuple[type[SpecModel], ...]
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any, Literal
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.campaign import CampaignSpec
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _MODELS: Mapping[str, type[SpecModel]] = {"scenario": ScenarioSpec, "campaign": CampaignSpec}

@@ -20,8 +20,8 @@ from yaml.events import (
     StreamEndEvent,
 )
 
-from scenarios.errors import BoresightError, one_line
-from scenarios.load.entry import ConfigEntry, Scalar
+from boresight.scenarios.errors import BoresightError, one_line
+from boresight.scenarios.load.entry import ConfigEntry, Scalar
 
 MAX_VALUES = 20_000
 MAX_DEPTH = 40

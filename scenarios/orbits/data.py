@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.dynamics.field import HarmonicField
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
+from boresight.scenarios.dynamics.field import HarmonicField
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

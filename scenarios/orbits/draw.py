@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import UniformRotation
-from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
-from scenarios.dynamics.variational import propagate_states
-from scenarios.geometry import Camera
-from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from scenarios.orbits.imaging import PointingErrors
-from scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
-from scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
-from scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import propagate_states
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
+from boresight.scenarios.orbits.imaging import PointingErrors
+from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
+from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
+from boresight.scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, generator
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View
-from scenarios.orbits.true_orbit import DAY_S, TrueOrbit
-from scenarios.orbits.world import OrbitWorld
-from scenarios.spec.orbit import ImagingSpec
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit
+from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.orbit import ImagingSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from scenarios.dynamics.harmonics import normalisation, solid_harmonics
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.dynamics.harmonics import normalisation, solid_harmonics
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import TriangleMesh, plane_axes
-from scenarios.spec.orbit import CraterSightingSpec
+from boresight.scenarios.geometry import TriangleMesh, plane_axes
+from boresight.scenarios.spec.orbit import CraterSightingSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
-from scenarios.orbits.world import OrbitWorld
-from scenarios.spec.orbit import ArcSpec
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.dynamics.field import HarmonicField
+from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
+from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.orbit import ArcSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import HarmonicField, UniformRotation
-from scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics
-from scenarios.dynamics.propagation import SUNLIGHT_N_M2
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.shape import StarShape, fit_star_shape
-from scenarios.orbits.sightings import Horizons
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
+from boresight.scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics
+from boresight.scenarios.dynamics.propagation import SUNLIGHT_N_M2
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.orbits.shape import StarShape, fit_star_shape
+from boresight.scenarios.orbits.sightings import Horizons
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.orbit import OrbitSpec, SunEarthSpec
 
 FloatArray = NDArray[np.float64]
 

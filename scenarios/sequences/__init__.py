@@ -1,10 +1,15 @@
 """Simulated image sequences: camera trajectory, landmark surface, tracks and onboard knowledge."""
 
-from scenarios.dynamics.propagation import OrbitLostError
-from scenarios.sequences.draw import SequenceTruth, draw_sequence
-from scenarios.sequences.ground import LandmarkGround, MeshGround, SphereGround
-from scenarios.sequences.onboard import FrameTracks, measured_ranges, onboard_sequence
-from scenarios.sequences.trajectory import CameraTrajectory, camera_trajectory, draw_unmodelled_m_s2, nominal_trajectory
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.sequences.draw import SequenceTruth, draw_sequence
+from boresight.scenarios.sequences.ground import LandmarkGround, MeshGround, SphereGround
+from boresight.scenarios.sequences.onboard import FrameTracks, measured_ranges, onboard_sequence
+from boresight.scenarios.sequences.trajectory import (
+    CameraTrajectory,
+    camera_trajectory,
+    draw_unmodelled_m_s2,
+    nominal_trajectory,
+)
 
 __all__ = [
     "CameraTrajectory",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,21 +9,21 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.draw import Stream, generator
-from scenarios.geometry import Camera, Pose
-from scenarios.sequences.ground import LandmarkGround
-from scenarios.sequences.onboard import FrameTracks, onboard_sequence
-from scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
-from scenarios.sequences.trajectory import (
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.sequences.ground import LandmarkGround
+from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
+from boresight.scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
+from boresight.scenarios.sequences.trajectory import (
     CameraTrajectory,
     anomalies_deg,
     camera_trajectory,
     draw_unmodelled_m_s2,
     nominal_trajectory,
 )
-from scenarios.sequences.visibility import Visibility
-from scenarios.spec.sequence import SequenceSpec, VisionSpec
-from scenarios.tracks import TrackSequence
+from boresight.scenarios.sequences.visibility import Visibility
+from boresight.scenarios.spec.sequence import SequenceSpec, VisionSpec
+from boresight.scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

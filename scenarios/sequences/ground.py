@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import TriangleMesh
-from scenarios.sequences.bvh import FacetTree
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.sequences.bvh import FacetTree
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, draw_direction, generator
-from scenarios.geometry import Camera, Pose
-from scenarios.sequences.trajectory import CameraTrajectory, angular_velocity, attitude_function
-from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
-from scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.draw import Stream, draw_direction, generator
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.sequences.trajectory import CameraTrajectory, angular_velocity, attitude_function
+from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
+from boresight.scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

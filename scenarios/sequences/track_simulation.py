@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose, View
-from scenarios.sequences.visibility import Visibility
-from scenarios.spec.sequence import VisionSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose, View
+from boresight.scenarios.sequences.visibility import Visibility
+from boresight.scenarios.spec.sequence import VisionSpec
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, generator
-from scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
-from scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View
-from scenarios.sequences.ground import LandmarkGround, MeshGround
-from scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
+from boresight.scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.sequences.ground import LandmarkGround, MeshGround
+from boresight.scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
 
 FloatArray = NDArray[np.float64]
 

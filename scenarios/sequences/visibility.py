@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
-from scenarios.sequences.ground import LandmarkGround, SphereGround
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
+from boresight.scenarios.sequences.ground import LandmarkGround, SphereGround
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, is_none
 
 EMBEDDED_NAMES = ("contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like")
 """Names of the built-in bodies of `scenarios.bodies.embedded`."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel
 
 
 class LambertSpec(SpecModel):

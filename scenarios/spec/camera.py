@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from scenarios.geometry import Camera, RadialDistortion
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.geometry import Camera, RadialDistortion
+from boresight.scenarios.spec.base import SpecModel
 
 # Far beyond any camera; the bounds keep derived quantities finite.
 FocalLength = Annotated[float, Field(ge=1, le=1e9)]

@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, JsonValue, model_validator
 
-from scenarios.spec.base import PlainValue, SpecModel
-from scenarios.spec.scenario import NAME_PATTERN
+from boresight.scenarios.spec.base import PlainValue, SpecModel
+from boresight.scenarios.spec.scenario import NAME_PATTERN
 
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
 

@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.body import RoughnessSpec, SizesSpec
-from scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.body import RoughnessSpec, SizesSpec
+from boresight.scenarios.spec.distribution import Uniform
 
 LISTED_PX = 6.0
 """Diameter of the smallest listed crater by default: detectors find craters from 9 px on, and a match may be smaller by

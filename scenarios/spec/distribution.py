@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
 
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Bounds = tuple[float, float]

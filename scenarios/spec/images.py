@@ -8,8 +8,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.camera import Rectangle
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.camera import Rectangle
 
 
 class SpiceSpec(SpecModel):

@@ -6,8 +6,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 
 Vector = tuple[float, float, float]
 

@@ -6,16 +6,16 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel, is_none
-from scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
-from scenarios.spec.brdf import BrdfSpec, LambertSpec
-from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
-from scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
-from scenarios.spec.distribution import Scalar
-from scenarios.spec.images import ImageSetSpec
-from scenarios.spec.orbit import OrbitSpec
-from scenarios.spec.sequence import SequenceSpec
-from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
+from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.brdf import BrdfSpec, LambertSpec
+from boresight.scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
+from boresight.scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
+from boresight.scenarios.spec.distribution import Scalar
+from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 _ONBOARD_OF = {
     "sequence": frozenset[str](),

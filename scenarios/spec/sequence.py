@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel
 
 MOST_FRAMES = 1_000_000
 

@@ -6,9 +6,9 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.camera import Rectangle
-from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.camera import Rectangle
+from boresight.scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
 
 
 def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:

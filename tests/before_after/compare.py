@@ -55,7 +55,7 @@ def run(checkout: Path, folder: Path) -> int:
         if (folder / name).exists():
             continue
         command = ["run", *words, "--jobs", "2", "--no-report", "--out", str(folder / name)]
-        code = f"import sys; sys.path.insert(0, {str(checkout)!r}); from campaign.cli import main; sys.exit(main())"
+        code = f"import sys; sys.path.insert(0, {str(checkout)!r}); from boresight.campaign.cli import main; sys.exit(main())"
         environment = {**os.environ, "PYTHONPATH": str(checkout)}
         print(name, flush=True)
         worst = max(

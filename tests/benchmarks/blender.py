@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from benchmarks.scene import ALBEDO, FOV_RAD, SIZE_PX, SUN_DIR_BODY, SpeedScene
 from benchmarks.timing import Seconds
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
 
 VARIABLE = "BORESIGHT_BLENDER_PYTHON"
 _SCRIPT = Path(__file__).with_name("blender_script.py")

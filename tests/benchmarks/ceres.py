@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers import PeerSolution
-from estimators.slam.normal import cost
-from estimators.slam.problem import Adjustment, State
-from scenarios.errors import BoresightError
+from boresight.estimators.slam.normal import cost
+from boresight.estimators.slam.problem import Adjustment, State
+from boresight.scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]
 Case = tuple[Adjustment, State]

@@ -12,9 +12,9 @@ from benchmarks.history import HISTORY, Kept, read_history, record, regressions,
 from benchmarks.ratio import Ratio, SpeedTable
 from benchmarks.settings import Settings
 from benchmarks.works import names_of, speed_table
-from campaign.cli.terminal import console
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.terminal import console
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
 
 EXIT_REGRESSION = 1
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.ratio import Ratio, SpeedTable
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
 
 HISTORY = Path(__file__).with_name("history.jsonl")
 REGRESSION = 0.30

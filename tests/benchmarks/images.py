@@ -13,9 +13,9 @@ from benchmarks.ratio import CLOCKS, Absent, Ratio
 from benchmarks.scene import SAMPLES, SpeedScene, agreement, speed_scene
 from benchmarks.settings import Settings
 from benchmarks.timing import Seconds, in_turn, timed
-from campaign.machine import cores
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
-from scenarios.errors import BoresightError
+from boresight.campaign.machine import cores
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
+from boresight.scenarios.errors import BoresightError
 
 WORK = "image of 3.1 M facets, 512 x 512, 4 samples, shadows"
 AIM = 5.0

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from benchmarks.ratio import Absent, Ratio
 from benchmarks.settings import Settings
-from campaign.runs.benchmark import StageTime, benchmark
-from campaign.runs.resolve import resolve
-from renderers.mitsuba3 import choose_variant
-from reports.published import load_published
+from boresight.campaign.runs.benchmark import StageTime, benchmark
+from boresight.campaign.runs.resolve import resolve
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.published import load_published
 
 CAMPAIGN = "quickstart"
 _PAPER, _TABLE = "rowell2015-simulated", "table 1"

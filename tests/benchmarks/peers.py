@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.gtsam_smoothers import Factors, load_gtsam
-from estimators.slam.normal import cost
-from estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.gtsam_smoothers import Factors, load_gtsam
+from boresight.estimators.slam.normal import cost
+from boresight.estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
 

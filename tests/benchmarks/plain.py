@@ -13,12 +13,12 @@ from benchmarks.ratio import Absent, Ratio
 from benchmarks.scene import ALBEDO, FOV_RAD, SAMPLES, SIZE_PX, SUN_DIR_BODY, SpeedScene, agreement, speed_scene
 from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
-from renderers.mitsuba3 import Variant, choose_variant, limit_threads
-from renderers.mitsuba3.rays import PixelWindow
-from renderers.mitsuba3.scene import build_shape
-from renderers.mitsuba3.variant import load_mitsuba
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
+from boresight.renderers.mitsuba3 import Variant, choose_variant, limit_threads
+from boresight.renderers.mitsuba3.rays import PixelWindow
+from boresight.renderers.mitsuba3.scene import build_shape
+from boresight.renderers.mitsuba3.variant import load_mitsuba
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
 
 _FACETS = 190_000
 LEAST_CORRELATION = 0.97  # at four samples, which Mitsuba draws at random

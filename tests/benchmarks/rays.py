@@ -15,11 +15,11 @@ from benchmarks.ratio import Absent, Ratio
 from benchmarks.scene import SAMPLES, SpeedScene, speed_scene
 from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
-from renderers.mitsuba3 import choose_variant, limit_threads
-from renderers.mitsuba3.rays import grid_positions, ray_bundle
-from renderers.mitsuba3.scene import build_shape
-from renderers.mitsuba3.variant import load_mitsuba
-from scenarios.geometry import TriangleMesh
+from boresight.renderers.mitsuba3 import choose_variant, limit_threads
+from boresight.renderers.mitsuba3.rays import grid_positions, ray_bundle
+from boresight.renderers.mitsuba3.scene import build_shape
+from boresight.renderers.mitsuba3.variant import load_mitsuba
+from boresight.scenarios.geometry import TriangleMesh
 
 WORK = "primary and shadow rays of an image of 3.1 M facets"
 AIM = 0.7

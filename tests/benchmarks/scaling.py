@@ -11,8 +11,8 @@ from multiprocessing import get_context
 from benchmarks.ratio import Absent, Ratio
 from benchmarks.scene import SpeedScene, speed_scene
 from benchmarks.settings import Settings
-from campaign.machine import cores
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
+from boresight.campaign.machine import cores
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
 
 WORK = "images, one render thread a worker, two workers"
 AIM = 1.8

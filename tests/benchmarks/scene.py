@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3 import MitsubaRenderer, Variant
-from renderers.mitsuba3.rays import PixelWindow, body_window
-from scenarios.bodies import load_body
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.body import BodySpec
-from scenarios.spec.brdf import LambertSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, Variant
+from boresight.renderers.mitsuba3.rays import PixelWindow, body_window
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.brdf import LambertSpec
 
 RANGE_M = 2000.0
 SIZE_PX = 512

@@ -23,9 +23,9 @@ from benchmarks.windows import (
     make_window,
     window_ratios,
 )
-from campaign.runs.benchmark import one_core
-from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
-from scenarios.errors import BoresightError
+from boresight.campaign.runs.benchmark import one_core
+from boresight.estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
+from boresight.scenarios.errors import BoresightError
 
 _AIMS = {(CERES, 25, 9): 5.0, (CERES, 500, 9): 10.0}
 _GTSAM_AIM, _UPDATE_AIM = 5.0, 2.0

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from benchmarks.ceres import Case, ceres
 from benchmarks.peers import PeerSolution, solved_by_gtsam
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
-from estimators.slam.problem import Adjustment, Distances, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.smoother import FixedLagSmoother
-from estimators.slam.solver import StoppingRule, minimise
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.sequences import SequenceTruth, SphereGround, draw_sequence
-from scenarios.spec.sequence import SequenceSpec
-from scenarios.tracks import TrackSequence
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
+from boresight.estimators.slam.problem import Adjustment, Distances, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.smoother import FixedLagSmoother
+from boresight.estimators.slam.solver import StoppingRule, minimise
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.sequences import SequenceTruth, SphereGround, draw_sequence
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[int], PeerSolution]

@@ -15,9 +15,9 @@ from benchmarks.rays import ray_ratios
 from benchmarks.scaling import scaling_ratios
 from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
 from benchmarks.settings import Settings
-from campaign.machine import describe, load, package_versions
-from campaign.runs.manifest import commit_here, now
-from scenarios.errors import BoresightError
+from boresight.campaign.machine import describe, load, package_versions
+from boresight.campaign.runs.manifest import commit_here, now
+from boresight.scenarios.errors import BoresightError
 
 Work = Callable[[Settings], Iterator[Ratio | Absent]]
 

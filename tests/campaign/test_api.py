@@ -7,9 +7,8 @@ import pytest
 from tiny_campaign import run as run_command
 from tiny_campaign import write_campaign
 
-import campaign
-import reports
-from scenarios.errors import BoresightError
+from boresight import campaign, reports
+from boresight.scenarios.errors import BoresightError
 
 
 class Heard:

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 from tiny_campaign import CAMPAIGN, SCENE, assert_same_results, boresight, compute, files, run, write_campaign
 
-from campaign.cli import main
-from campaign.store import RunFolder
+from boresight.campaign.cli import main
+from boresight.campaign.store import RunFolder
 
 PRIOR_ALONE = "scenarios: [scene]\nestimators: [prior]\ntrials: 4\nseed: 5\n"
 REAL = """\
@@ -141,7 +141,7 @@ def results(out: Path) -> set[str]:
 @pytest.mark.parametrize("fault", FILES)
 def test_a_wrong_file_or_argument(tmp_path, capsys, monkeypatch, fault):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
-    monkeypatch.setattr("scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
+    monkeypatch.setattr("boresight.scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
     campaign, scene, arguments, expected = FILES[fault]
     file = write_campaign(tmp_path, campaign, scene)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.25)
@@ -215,7 +215,9 @@ def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys
 
 def started_by(preparation: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process that is prepared before, and whose workers inherit that."""
-    started = "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'campaign.cli', *sys.argv[1:]])"
+    started = (
+        "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'boresight.campaign.cli', *sys.argv[1:]])"
+    )
     words = [sys.executable, "-c", f"{preparation}; {started}", *map(str, arguments)]
     return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
 
@@ -312,7 +314,11 @@ def test_a_full_disk(tiny_run, tmp_path, limit, jobs, options, stopped_at):
 def test_standard_output_on_a_full_disk():
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "campaign.cli", "list"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [sys.executable, "-m", "boresight.campaign.cli", "list"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
@@ -320,7 +326,7 @@ def test_standard_output_on_a_full_disk():
 
 
 def test_a_reader_that_stops_reading_is_no_fault():
-    code = f"{sys.executable} -m campaign.cli schema | head -c 5; exit ${{PIPESTATUS[0]}}"
+    code = f"{sys.executable} -m boresight.campaign.cli schema | head -c 5; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, '{\n "$', "")
 

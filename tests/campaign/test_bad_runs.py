@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 from stored_runs import seal
 
-from campaign.cli import main
-from campaign.papers.gather import gather_runs, newest_finished, run_folders
+from boresight.campaign.cli import main
+from boresight.campaign.papers.gather import gather_runs, newest_finished, run_folders
 
 COMMANDS = {
     "compare": ("compare", "RUN", "--out", "OUT"),

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tiny_campaign import boresight, write_campaign
 
-from campaign.cli import main
-from campaign.runs.benchmark import WHOLE_TRIAL
-from scenarios.cache import default_cache
+from boresight.campaign.cli import main
+from boresight.campaign.runs.benchmark import WHOLE_TRIAL
+from boresight.scenarios.cache import default_cache
 
 
 @pytest.fixture(scope="module")

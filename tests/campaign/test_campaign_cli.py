@@ -18,20 +18,20 @@ from rich.console import Console
 from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
-from campaign.cli import main
-from campaign.cli.progress import ProgressListener
-from campaign.runs.check import check_campaign
-from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.requirements import needs
-from campaign.runs.resolve import resolve
-from campaign.store import RunFolder
-from campaign.trial.kind import kind_named, kind_names
-from estimators.registry import estimator_names
-from renderers.mitsuba3 import choose_variant
-from reports.published import load_published
-from scenarios.data import DATA_VARIABLE
-from scenarios.load import load_campaign, load_scenario, scenario_names
-from scenarios.load.files import CATALOG as SCENARIOS
+from boresight.campaign.cli import main
+from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.read import CATALOG, campaign_names
+from boresight.campaign.runs.requirements import needs
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import kind_named, kind_names
+from boresight.estimators.registry import estimator_names
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.published import load_published
+from boresight.scenarios.data import DATA_VARIABLE
+from boresight.scenarios.load import load_campaign, load_scenario, scenario_names
+from boresight.scenarios.load.files import CATALOG as SCENARIOS
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -16,15 +16,15 @@ from test_rubbish import install
 from tiny_campaign import boresight, files
 from tiny_sequences import SCENE
 
-from campaign.cli import main
-from campaign.pool.captured import MOST_CHARACTERS, CapturedOutput
-from campaign.pool.guard import Call
-from campaign.trial.work import Work
+from boresight.campaign.cli import main
+from boresight.campaign.pool.captured import MOST_CHARACTERS, CapturedOutput
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.trial.work import Work
 
 MODULE = """
 import logging, os, sys, warnings
 import numpy as np
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 
 for stream in (sys.stdout, sys.stderr):
     logging.getLogger("loud").addHandler(logging.StreamHandler(stream))

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.cli.main import main
-from campaign.imaging.world import open_world
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
-from scenarios.load import load_scenario
+from boresight.campaign.cli.main import main
+from boresight.campaign.imaging.world import open_world
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
 
 SCENE = """
 camera: {width_px: 96, height_px: 96, fov_deg: 20}

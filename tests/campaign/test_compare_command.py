@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from tiny_campaign import run
 
-from campaign.cli import main
+from boresight.campaign.cli import main
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from importlib.util import find_spec
 import pytest
 from tiny_campaign import run, write_campaign
 
-from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.requirements import Need, Rate, needs, rate_of, remember
-from scenarios.load import load_campaign
+from boresight.campaign.runs.read import CATALOG, campaign_names
+from boresight.campaign.runs.requirements import Need, Rate, needs, rate_of, remember
+from boresight.scenarios.load import load_campaign
 
 
 @pytest.fixture(autouse=True)

@@ -13,25 +13,25 @@ import pytest
 from terminal_text import terminal_lines
 from tiny_campaign import Heard, run
 
-from campaign.cli import main
-from campaign.inspection.case import Choice
-from campaign.inspection.look import look_of
-from campaign.inspection.recompute import reopened
-from campaign.kinds.crater_detection import trial as crater_detection
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.store import RunFolder
-from estimators.craters.contract import CraterDetections
-from renderers.mitsuba3 import choose_variant
-from reports.kinds.crater_detection.rates import confidence_curve, crater_records, detector_results
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.schema.grid import number
-from reports.schema.records import find
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses
-from scenarios.observation import Frame
+from boresight.campaign.cli import main
+from boresight.campaign.inspection.case import Choice
+from boresight.campaign.inspection.look import look_of
+from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.kinds.crater_detection import trial as crater_detection
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.store import RunFolder
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.kinds.crater_detection.rates import confidence_curve, crater_records, detector_results
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.grid import number
+from boresight.reports.schema.records import find
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.observation import Frame
 
 SCENE = """\
 description: A small cratered sphere.

@@ -10,31 +10,31 @@ import numpy as np
 import pytest
 from tiny_pairs import PAIRS
 
-from campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
-from campaign.kinds.crater_matching.trial import (
+from boresight.campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
+from boresight.campaign.kinds.crater_matching.trial import (
     CraterMatching,
     check_matches,
     largest_epipolar_offset,
     score_matches,
 )
-from campaign.runs.check import check_campaign
-from campaign.runs.resolve import resolve
-from campaign.trial.crater_score import check_listed
-from campaign.trial.kind import Bench
-from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
-from reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
-from reports.run.data import read_run
-from reports.schema.grid import value_of
-from scenarios.bodies.embedded import icosphere
-from scenarios.craters.pairs import CraterPair, CraterView
-from scenarios.craters.simulated import NO_CRATER, LabelledDetections
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose, View, look_at
-from scenarios.geometry.ellipse import fit_conics
-from scenarios.load import load_scenario
-from scenarios.observation import Frame
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.craters import RenderedLooksSpec
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.trial.crater_score import check_listed
+from boresight.campaign.trial.kind import Bench
+from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from boresight.reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.grid import value_of
+from boresight.scenarios.bodies.embedded import icosphere
+from boresight.scenarios.craters.pairs import CraterPair, CraterView
+from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, View, look_at
+from boresight.scenarios.geometry.ellipse import fit_conics
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.craters import RenderedLooksSpec
 
 _CAMPAIGN = """name: tiny-matching
 experiment: crater-matching
@@ -187,7 +187,7 @@ def test_matches_that_break_the_contract_are_refused(matches, said) -> None:
 
 
 def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, tmp_path, capsys) -> None:
-    from campaign.cli import main
+    from boresight.campaign.cli import main
 
     out = tmp_path / "run"
     assert main(["run", str(campaign_file), "--out", str(out), "--jobs", "1", "--worst", "0"]) == 0
@@ -210,7 +210,7 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
 
 
 def test_the_terminal_has_a_grid_by_its_levels(campaign_file, tmp_path, capsys) -> None:
-    from campaign.cli import main
+    from boresight.campaign.cli import main
 
     levels = "{a: {crater_pairs.errors.centre_px: 0.1}, b: {crater_pairs.errors.centre_px: 0.4}}"
     (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)

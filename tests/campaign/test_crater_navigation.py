@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
-from campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
-from campaign.kinds.crater_navigation.score import match_counts, told_apart
-from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
-from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.numbering import Numbering, PairMatches
-from estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, NavigationRound
-from estimators.craters.navigation.stages import StageFiles
-from estimators.orbit.contract import OrbitEstimate
-from reports.schema.tables import TABLES
-from scenarios.craters.pairs import draw_plane_craters
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose, TriangleMesh
-from scenarios.observation import Frame
-from scenarios.orbits.imaging import imaging_of
-from scenarios.sequences.ground import MeshGround
+from boresight.campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
+from boresight.campaign.kinds.crater_navigation.score import match_counts, told_apart
+from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+from boresight.estimators.craters.contract import CraterDetections, CraterMatches
+from boresight.estimators.craters.database.numbering import Numbering, PairMatches
+from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, NavigationRound
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.reports.schema.tables import TABLES
+from boresight.scenarios.craters.pairs import draw_plane_craters
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose, TriangleMesh
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([7.0, -4.0, 11.0])
 IMAGING = {

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
-from campaign.kinds.orbit_determination.trial import DeterminedOrbit
-from campaign.runs.resolve import resolve
-from campaign.trial.kind import Bench
-from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.trajectory import Trajectory
-from renderers.mitsuba3 import choose_variant
+from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.trial.kind import Bench
+from boresight.estimators.craters.navigation.rounds import CraterNavigation
+from boresight.estimators.craters.navigation.trajectory import Trajectory
+from boresight.renderers.mitsuba3 import choose_variant
 
 pytestmark = pytest.mark.long
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 from tiny_campaign import run, write_campaign
 
-from campaign.products.database_images import database_images
-from campaign.runs.resolve import resolve
-from renderers.mitsuba3 import choose_variant
+from boresight.campaign.products.database_images import database_images
+from boresight.campaign.runs.resolve import resolve
+from boresight.renderers.mitsuba3 import choose_variant
 
 SCENE = """\
 description: A small cratered sphere.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
-from estimators.craters.contract import CraterDetections
-from scenarios.geometry import Ellipses
+from boresight.campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.geometry import Ellipses
 
 
 def circles(*circle: tuple[float, float, float]) -> Ellipses:

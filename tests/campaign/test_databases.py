@@ -10,17 +10,22 @@ import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, RESULTS, assert_same_results, compute, run, write_campaign
 
-from campaign.inspection.case import Case
-from campaign.inspection.recompute import recompute, reopened
-from campaign.products.databases import SEED_STEP, with_database_craters, with_database_knowledge, with_database_seed
-from campaign.runs.resolve import resolve
-from campaign.store import RunFolder
-from estimators.maplets.build import MapletOptions, spread_points
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from scenarios.bodies import load_body
-from scenarios.load import load_scenario
-from scenarios.onboard import onboard_spec
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.products.databases import (
+    SEED_STEP,
+    with_database_craters,
+    with_database_knowledge,
+    with_database_seed,
+)
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.estimators.maplets.build import MapletOptions, spread_points
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.onboard import onboard_spec
 
 DATABASES, TRIALS = 3, 12
 SCENE_ERRED = "onboard: {height_error: {rms_m: 1, min_wavelength_m: 20, seed: 5}}\n"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from training.thresholds import lowest_threshold
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 
 def test_lowest_threshold_lets_the_share_through_and_no_more() -> None:

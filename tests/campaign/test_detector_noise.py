@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from campaign.imaging.world import open_world
-from renderers.detector import Detector
-from renderers.mitsuba3 import choose_variant
-from scenarios.draw import Stream, generator
-from scenarios.load import load_scenario
+from boresight.campaign.imaging.world import open_world
+from boresight.renderers.detector import Detector
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.load import load_scenario
 
 SCENE = """
 camera: {width_px: 48, height_px: 48, fov_deg: 18}

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.imaging.observe import observe
-from campaign.imaging.world import open_world
-from campaign.kinds.single_image.trial import SingleImage
-from renderers.mitsuba3 import choose_variant
-from scenarios.geometry import View
-from scenarios.load import load_scenario
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.geometry import View
+from boresight.scenarios.load import load_scenario
 
 SCENE = """
 camera: {width_px: 160, height_px: 120, fov_deg: 18.3, distortion: {k1: 4.0}}

@@ -6,13 +6,13 @@ import pytest
 from mission_data import needs_data
 from tiny_campaign import Heard
 
-from campaign.draft import as_draft, drafted, kept
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from estimators.landmark.build import DatabaseOptions
-from renderers.mitsuba3 import choose_variant
-from reports.run.data import read_run
+from boresight.campaign.draft import as_draft, drafted, kept
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.run.data import read_run
 
 
 @pytest.mark.parametrize(
@@ -84,6 +84,6 @@ def test_all_of_it_is_no_draft():
 def test_a_draft_is_another_run_by_its_share_and_by_the_rule(monkeypatch):
     whole = resolve("quickstart")
     told = {as_draft(whole, share).digest for share in (0.05, 0.1, 1.0)}
-    monkeypatch.setattr("campaign.resolved.DRAFT_VERSION", 4)
+    monkeypatch.setattr("boresight.campaign.resolved.DRAFT_VERSION", 4)
     assert len(told | {as_draft(whole, 0.05).digest}) == 4
     assert as_draft(whole, 1.0).digest in told

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from campaign.cli import main
-from campaign.papers.gather import finished_runs, gather_runs
-from campaign.runs.read import campaign_names, read_campaign
-from campaign.runs.resolve import reload, resolve
-from reports.pages.content import read_content
-from reports.papers.page import paper_lines
-from reports.published import load_published
-from scenarios.errors import BoresightError
-from scenarios.spec.body import EMBEDDED_NAMES, STAND_INS, BodySpec
+from boresight.campaign.cli import main
+from boresight.campaign.papers.gather import finished_runs, gather_runs
+from boresight.campaign.runs.read import campaign_names, read_campaign
+from boresight.campaign.runs.resolve import reload, resolve
+from boresight.reports.pages.content import read_content
+from boresight.reports.papers.page import paper_lines
+from boresight.reports.published import load_published
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.body import EMBEDDED_NAMES, STAND_INS, BodySpec
 
 SCENE = """extends: itokawa-2km-lambert
 body: {detail: null}

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from tiny_campaign import DATABASE, SCENE
 
-from campaign.imaging.observe import observe
-from campaign.imaging.world import open_world
-from campaign.kinds.single_image.score import check
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.products import BuiltAssets
-from estimators.contract import Assets, Estimate, Estimator
-from estimators.registry import estimator_class, estimator_names
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
-from scenarios.load import load_scenario
-from scenarios.observation import Frame, Observation
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.single_image.score import check
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.products import BuiltAssets
+from boresight.estimators.contract import Assets, Estimate, Estimator
+from boresight.estimators.registry import estimator_class, estimator_names
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.observation import Frame, Observation
 
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {

@@ -18,8 +18,8 @@ from every_key.files import write_files
 from every_key.fingerprints import fingerprint
 from every_key.scenes import RENDERED
 
-from scenarios.spec.base import SpecModel
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @pytest.fixture(scope="module")

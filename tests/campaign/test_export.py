@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tiny_campaign import compute
 
-from campaign.cli import main
-from campaign.inspection.case import Case
-from campaign.inspection.recompute import recompute, reopened
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.runs.worker import opened
-from campaign.store import TABLES, RunFolder
-from scenarios.geometry import Pose, View
+from boresight.campaign.cli import main
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.runs.worker import opened
+from boresight.campaign.store import TABLES, RunFolder
+from boresight.scenarios.geometry import Pose, View
 
 SEQUENCE = """\
 extends: apophis-sphere-sequence
@@ -84,8 +84,8 @@ def test_single_images_have_trajectories_too(tiny_run, tmp_path):
 
 
 def test_trajectories_of_images_are_those_that_are_stored(tiny_run, tmp_path, monkeypatch):
-    monkeypatch.setattr("campaign.inspection.recompute.recompute", None)
-    monkeypatch.setattr("campaign.cli.export.track", None)
+    monkeypatch.setattr("boresight.campaign.inspection.recompute.recompute", None)
+    monkeypatch.setattr("boresight.campaign.cli.export.track", None)
     export(tiny_run.folder, "tum", tmp_path, "--estimator", "landmark-harris", "--trial", 0, 1)
     rows = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'landmark-harris' and trial < 2")
     for name, prefix in (("truth", "true_"), ("estimate", "")):

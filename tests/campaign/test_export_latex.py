@@ -8,8 +8,8 @@ import subprocess
 
 import pytest
 
-from campaign.cli import main
-from reports.schema.grid import _SPECIAL, Grid
+from boresight.campaign.cli import main
+from boresight.reports.schema.grid import _SPECIAL, Grid
 
 LATEX, FINDER = shutil.which("pdflatex"), shutil.which("kpsewhich")
 

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from test_crater_score import circles
 
-from campaign.kinds.crater_matching.trial import check_matches
-from campaign.kinds.sequence.score import check_sequence
-from campaign.kinds.single_image.score import check
-from campaign.pool.guard import Call
-from campaign.trial.crater_score import check_detections
-from campaign.trial.methods import built
-from campaign.trial.work import GaveUpError, Work
-from estimators.contract import Estimate, Stage
-from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.geometry import Camera, Pose
-from scenarios.observation import Frame
-from scenarios.spec.campaign import EstimatorSpec
-from scenarios.tracks import TrackFrame, TrackSequence
+from boresight.campaign.kinds.crater_matching.trial import check_matches
+from boresight.campaign.kinds.sequence.score import check_sequence
+from boresight.campaign.kinds.single_image.score import check
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.trial.crater_score import check_detections
+from boresight.campaign.trial.methods import built
+from boresight.campaign.trial.work import GaveUpError, Work
+from boresight.estimators.contract import Estimate, Stage
+from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.spec.campaign import EstimatorSpec
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
 CAMERA = Camera.from_fov(100, 100, 0.1)

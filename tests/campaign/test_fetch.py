@@ -21,14 +21,14 @@ import numpy as np
 import pytest
 from mission_data import needs_data
 
-from campaign.cli import main
-from campaign.data.derive import apophis, icq
-from campaign.data.fetch import fetch, state
-from campaign.papers.wanted import wanted
-from scenarios.bodies.readers import read_shape
-from scenarios.data import data_folder, find_data_file, find_data_folder
-from scenarios.data.datasets import DataSet, datasets, read_registry
-from scenarios.errors import BoresightError
+from boresight.campaign.cli import main
+from boresight.campaign.data.derive import apophis, icq
+from boresight.campaign.data.fetch import fetch, state
+from boresight.campaign.papers.wanted import wanted
+from boresight.scenarios.bodies.readers import read_shape
+from boresight.scenarios.data import data_folder, find_data_file, find_data_folder
+from boresight.scenarios.data.datasets import DataSet, datasets, read_registry
+from boresight.scenarios.errors import BoresightError
 
 CONTENT = np.random.default_rng(0).bytes(300_000)
 COMMIT = "0123456789abcdef0123" * 2
@@ -146,7 +146,7 @@ def test_licence_credit_and_origin_are_stored_next_to_the_files(server, tmp_path
 def test_without_a_mirror_a_file_comes_from_the_repository_at_the_commit(server, tmp_path, monkeypatch):
     data = dataset(path="some folder/+x/b.bin")
     assert data.url(data.files[0]) == f"https://raw.githubusercontent.com/us/some/{COMMIT}/some%20folder/%2Bx/b.bin"
-    monkeypatch.setattr("scenarios.data.datasets.RAW_FILES", server.url)
+    monkeypatch.setattr("boresight.scenarios.data.datasets.RAW_FILES", server.url)
     assert run(data, tmp_path, "") == [("a.bin", "fetched")]
     assert server.asked == [(f"/us/some/{COMMIT}/some%20folder/%2Bx/b.bin", None)]
 
@@ -317,7 +317,7 @@ def derived(tmp_path: Path) -> tuple[DataSet, bytes]:
 def test_a_derived_file_is_made_of_the_raw_one(tmp_path, server, monkeypatch):
     data, content = derived(tmp_path)
     server.content = TETRAHEDRON
-    monkeypatch.setattr("scenarios.data.datasets.RAW_FILES", server.url)
+    monkeypatch.setattr("boresight.scenarios.data.datasets.RAW_FILES", server.url)
     assert run(data, tmp_path / "data", "") == [("scaled.obj", "derived")]
     assert (tmp_path / "data" / "shapes" / "scaled.obj").read_bytes() == content
     assert run(data, tmp_path / "data", "") == [("scaled.obj", "there")]
@@ -465,7 +465,7 @@ def registry(tmp_path, monkeypatch):
     other = {key: entry[key] for key in ("title", "credit", "licence")} | {"folder": "x", "published": "a paper"}
     entry.pop("name")
     (tmp_path / "registry.yaml").write_text(json.dumps({"some": entry, "yours": other}))
-    monkeypatch.setattr("scenarios.data.datasets.REGISTRY", tmp_path / "registry.yaml")
+    monkeypatch.setattr("boresight.scenarios.data.datasets.REGISTRY", tmp_path / "registry.yaml")
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path / "data"))
     return tmp_path / "data"
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import spearmanr
 from stored_runs import SCENARIO, RunBuilder
 
-from campaign.runs.sensitivity import draw_samples, parse_over
-from reports.compare.global_sensitivity import (
+from boresight.campaign.runs.sensitivity import draw_samples, parse_over
+from boresight.reports.compare.global_sensitivity import (
     FIRST,
     RANK,
     TOTAL,
@@ -16,10 +16,10 @@ from reports.compare.global_sensitivity import (
     same_results,
     sobol_shares,
 )
-from reports.compare.metrics import Metric
-from reports.run.data import read_run
-from reports.statistics.measured import MEAN, MEDIAN
-from scenarios.errors import BoresightError
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.run.data import read_run
+from boresight.reports.statistics.measured import MEAN, MEDIAN
+from boresight.scenarios.errors import BoresightError
 
 PI = [VariedKey(name, -np.pi, np.pi) for name in "abc"]
 

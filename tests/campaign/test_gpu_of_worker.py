@@ -7,12 +7,12 @@ import time
 
 import pytest
 
-from campaign import threads
-from campaign.machine import cores
-from campaign.pool import workers as parallel
-from campaign.threads import workers
-from renderers.mitsuba3 import variant
-from renderers.mitsuba3.variant import CUDA, LLVM
+from boresight.campaign import threads
+from boresight.campaign.machine import cores
+from boresight.campaign.pool import workers as parallel
+from boresight.campaign.threads import workers
+from boresight.renderers.mitsuba3 import variant
+from boresight.renderers.mitsuba3.variant import CUDA, LLVM
 
 
 def told(wait_s: float) -> tuple[int, str | None]:

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from tiny_campaign import SCENE, compute
 
-from campaign.runs.read import CATALOG, campaign_names
-from campaign.runs.resolve import reload, resolve
-from reports.pages.build import write_report
-from scenarios.errors import BoresightError
-from scenarios.load import load_campaign
+from boresight.campaign.runs.read import CATALOG, campaign_names
+from boresight.campaign.runs.resolve import reload, resolve
+from boresight.reports.pages.build import write_report
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_campaign
 
 CAMPAIGN = """\
 scenarios: [scene]

@@ -20,8 +20,8 @@ from tiny_campaign import (
     write_campaign,
 )
 
-from campaign.cli import main
-from campaign.imaging.image_store import (
+from boresight.campaign.cli import main
+from boresight.campaign.imaging.image_store import (
     ImageStore,
     StoredImage,
     image_set_key,
@@ -29,12 +29,12 @@ from campaign.imaging.image_store import (
     store_switched,
     write_images,
 )
-from campaign.store import RunFolder
-from renderers.mitsuba3 import choose_variant
-from scenarios.cache import default_cache
-from scenarios.draw import Stream
-from scenarios.geometry import Camera, View, look_at
-from scenarios.load import load_scenario
+from boresight.campaign.store import RunFolder
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.draw import Stream
+from boresight.scenarios.geometry import Camera, View, look_at
+from boresight.scenarios.load import load_scenario
 
 FEW = 12
 CAMERA = Camera(64, 48, 100.0, 100.0, 32.0, 24.0)
@@ -197,7 +197,7 @@ def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
 def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, monkeypatch):
     compute(write_campaign(tmp_path / "first"), tmp_path / "a", trials=1)
     assert main(["cache", "--clear", "images"]) == 0
-    monkeypatch.setattr("campaign.products.landmark_database.extract_candidates", None)
+    monkeypatch.setattr("boresight.campaign.products.landmark_database.extract_candidates", None)
     clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
     said = compute(write_campaign(tmp_path / "other", clusters), tmp_path / "b", trials=1)
     count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])

@@ -10,15 +10,15 @@ import pytest
 import trimesh
 from orbit_worlds import orbit_world
 
-from campaign.kinds.crater_navigation.images import DrawnSights
-from campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
-from reports.schema.tables import TABLES
-from scenarios.craters.pairs import draw_plane_craters
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.orbits.imaging import imaging_of
-from scenarios.sequences.ground import MeshGround
+from boresight.campaign.kinds.crater_navigation.images import DrawnSights
+from boresight.campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
+from boresight.reports.schema.tables import TABLES
+from boresight.scenarios.craters.pairs import draw_plane_craters
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.sequences.ground import MeshGround
 
 CAMERA = Camera.from_fov(100, 100, np.radians(10.0))
 IMAGING = {

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from mission_data import data_file, needs_data
 
-from campaign.kinds.sequence.images import OrbitImages
-from campaign.kinds.sequence.tracks import ImageTracks
-from campaign.kinds.sequence.trial import ground_of
-from renderers.mitsuba3 import choose_variant
-from scenarios.bodies import load_body
-from scenarios.errors import BoresightError
-from scenarios.load import load_scenario
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.tracks import ImageTracks
+from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
 
 SCENE = """
 body: {shape: apophis-sphere, detail: {facets: 80000, albedo: {sigma: 0.35, wavelength_m: 40}}}

@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from stored_runs import RunBuilder, seal
 from tiny_campaign import CAMPAIGN, compute, write_campaign
 
-from campaign.cli import main
-from campaign.inspection.case import Case, Choice, worst_cases
-from campaign.inspection.recompute import recompute, reopened
-from campaign.store import RunFolder
-from campaign.trial.kind import kind_named, kind_names
-from estimators.landmark.recognizer import LandmarkRecognizer
-from reports.run.data import read_run
+from boresight.campaign.cli import main
+from boresight.campaign.inspection.case import Case, Choice, worst_cases
+from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import kind_named, kind_names
+from boresight.estimators.landmark.recognizer import LandmarkRecognizer
+from boresight.reports.run.data import read_run
 
 
 @pytest.fixture

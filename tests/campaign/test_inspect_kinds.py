@@ -10,14 +10,14 @@ import pytest
 from tiny_campaign import compute
 from tiny_pairs import PAIRS
 
-from campaign.cli import main
-from campaign.inspection.case import Case, Choice
-from campaign.inspection.look import look_of
-from campaign.inspection.recompute import recompute, reopened
-from campaign.kinds.crater_matching.show import draw_pair_case
-from campaign.kinds.sequence.show import followed_of, last_seen, lives_of
-from campaign.store import RunFolder
-from reports.run.data import read_run
+from boresight.campaign.cli import main
+from boresight.campaign.inspection.case import Case, Choice
+from boresight.campaign.inspection.look import look_of
+from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.kinds.crater_matching.show import draw_pair_case
+from boresight.campaign.kinds.sequence.show import followed_of, last_seen, lives_of
+from boresight.campaign.store import RunFolder
+from boresight.reports.run.data import read_run
 
 SEQUENCE = """\
 extends: apophis-sphere-sequence

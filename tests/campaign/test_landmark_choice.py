@@ -2,7 +2,7 @@
 
 from tiny_campaign import DATABASE, compute, write_campaign
 
-from campaign.store import RunFolder
+from boresight.campaign.store import RunFolder
 
 CAMPAIGN = f"""\
 scenarios: [scene]

@@ -3,14 +3,14 @@
 import pytest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
-from campaign.products import landmark_database, product_key
-from campaign.runs.resolve import resolve
-from campaign.store import RunFolder
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.database import LandmarkDatabase
-from renderers.mitsuba3 import choose_variant
-from reports.kinds import report_grids
-from reports.pages.content import read_content
+from boresight.campaign.products import landmark_database, product_key
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.kinds import report_grids
+from boresight.reports.pages.content import read_content
 
 DATABASES = """\
 title: Data bases

@@ -16,14 +16,14 @@ import trimesh
 from browser import needs_chromium, opened
 from tiny_campaign import compute
 
-from campaign.cli import main
-from campaign.inspection.case import Choice
-from campaign.inspection.look import camera_sets, coarsened, look_of
-from campaign.inspection.recompute import reopened
-from campaign.kinds.single_image.show import landmark_marks
-from campaign.store import RunFolder
-from reports.run.data import read_run
-from scenarios.geometry import TriangleMesh
+from boresight.campaign.cli import main
+from boresight.campaign.inspection.case import Choice
+from boresight.campaign.inspection.look import camera_sets, coarsened, look_of
+from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.kinds.single_image.show import landmark_marks
+from boresight.campaign.store import RunFolder
+from boresight.reports.run.data import read_run
+from boresight.scenarios.geometry import TriangleMesh
 
 # What plotly's script and a browser without a graphics card say of their own speed.
 _SPEED = "willReadFrequently|GPU stall due to ReadPixels|software WebGL"

@@ -11,19 +11,19 @@ import pytest
 from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
-from campaign.inspection.case import Case
-from campaign.inspection.look import camera_scale
-from campaign.kinds.crater_matching.show import pair_outcomes
-from campaign.kinds.crater_matching.trial import MatchedPair
-from campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
-from campaign.kinds.orbit_determination.trial import DeterminedOrbit
-from estimators.craters.contract import CraterMatches
-from estimators.orbit.contract import Orbit, OrbitEstimate
-from reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
-from scenarios.craters.pairs import CraterPair, CraterView
-from scenarios.craters.simulated import NO_CRATER, LabelledDetections
-from scenarios.geometry import Ellipses
-from scenarios.orbits.draw import draw_orbit
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.look import camera_scale
+from boresight.campaign.kinds.crater_matching.show import pair_outcomes
+from boresight.campaign.kinds.crater_matching.trial import MatchedPair
+from boresight.campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
+from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from boresight.estimators.craters.contract import CraterMatches
+from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
+from boresight.reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
+from boresight.scenarios.craters.pairs import CraterPair, CraterView
+from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.orbits.draw import draw_orbit
 
 OFFSET_M = np.array([3.0, -4.0, 12.0])
 # What plotly's script and a browser without a graphics card say of their own speed.

@@ -5,14 +5,14 @@ import sys
 
 import pytest
 
-from campaign.machine import cores, sharing_cores
+from boresight.campaign.machine import cores, sharing_cores
 
 SCRIPT = """
 import sys
 import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
-import campaign.runs.worker
-from campaign.threads import use_threads
+import boresight.campaign.runs.worker
+from boresight.campaign.threads import use_threads
 use_threads(int(sys.argv[1]))
 blas = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 print(drjit.thread_count(), cv2.getNumThreads(), *blas)
@@ -39,9 +39,9 @@ AGAIN = """
 import sys
 from pathlib import Path
 from threadpoolctl import threadpool_info
-from campaign.inspection.case import Case
-from campaign.inspection.recompute import recompute, reopened
-from campaign.store import RunFolder
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.store import RunFolder
 folder = RunFolder(Path(sys.argv[1]))
 found = recompute(reopened(folder), folder, Case("scene", "landmark-harris", 1))
 print(*{pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})

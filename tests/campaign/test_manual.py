@@ -12,7 +12,7 @@ import pytest
 from mission_data import needs_data
 from tiny_campaign import CAMPAIGN, TRIALS, write_campaign
 
-from campaign.cli.main import main, make_parser, manual
+from boresight.campaign.cli.main import main, make_parser, manual
 
 PAGES, WHOLE = manual().commands, manual().whole
 
@@ -34,12 +34,12 @@ class ReachedError(Exception):
 
 
 LONG = (
-    "campaign.runs.start.Start.go",
-    "campaign.cli.sensitivity.run_campaign",
-    "campaign.cli.figures.run_missing",
-    "campaign.cli.bench.benchmark",
+    "boresight.campaign.runs.start.Start.go",
+    "boresight.campaign.cli.sensitivity.run_campaign",
+    "boresight.campaign.cli.figures.run_missing",
+    "boresight.campaign.cli.bench.benchmark",
     "benchmarks.door.speed_table",
-    "campaign.cli.fetch.bring",
+    "boresight.campaign.cli.fetch.bring",
 )
 
 

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from tiny_campaign import SCENE, compute, write_campaign
 
-from campaign.store import RunFolder
-from estimators.maplets.database import MapletDatabase
-from scenarios.bodies import load_body
-from scenarios.spec.body import BodySpec
+from boresight.campaign.store import RunFolder
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.spec.body import BodySpec
 
 TIMES = 10.0
 CAMPAIGN = """\

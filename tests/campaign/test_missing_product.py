@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, RESULTS, assert_same_results, compute, files, run, write_campaign
 
-from campaign.cli import main
-from campaign.store import RunFolder
+from boresight.campaign.cli import main
+from boresight.campaign.store import RunFolder
 
 HOPELESS = """\
   - landmark-harris:

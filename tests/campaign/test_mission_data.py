@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from mission_data import data_file, needs_data
 
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
 
 ROOT = Path(__file__).parents[2]
 SHAPE = "shapes/apophis_lightcurve.obj"

@@ -9,7 +9,7 @@ from tiny_campaign import SCENE, boresight, write_campaign
 
 MODULE = """
 import os
-from estimators.contract import Estimate
+from boresight.estimators.contract import Estimate
 
 class Moves:
     name, version = "moves", 1

@@ -7,8 +7,8 @@ from test_paper_cheng import CRATERED, ORBIT
 from tiny_campaign import SCENE, write_campaign
 from tiny_pairs import PAIRS
 
-from campaign.cli import main
-from campaign.trial import work as fault
+from boresight.campaign.cli import main
+from boresight.campaign.trial import work as fault
 
 ORBITING = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.1}}\n"
 OF_SEQUENCES = "experiment: sequence\nestimators: [dead-reckoning]\n"

@@ -16,42 +16,51 @@ from test_image_tracks import SCENE as IMAGES
 from test_rubbish import install
 from tiny_campaign import SCENE, Heard, write_campaign
 
-from campaign.handles import Handle, own_copy
-from campaign.imaging.image_store import Imager, ImageStore
-from campaign.imaging.world import TrialImage, World
-from campaign.kinds.crater_detection import trial as detection
-from campaign.kinds.crater_matching import trial as matching
-from campaign.kinds.orbit_determination.trial import OrbitTrials
-from campaign.kinds.sequence import trial as sequences
-from campaign.kinds.sequence.images import OrbitImages
-from campaign.kinds.sequence.tracks import ImageTracks, Watch
-from campaign.kinds.single_image import trial as single_image
-from campaign.products import BuiltAssets
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.store import RunFolder
-from campaign.trial.methods import able
-from estimators.craters.matching.vote import VoteMatcher
-from estimators.registry import estimator_class
-from renderers.mitsuba3 import choose_variant
-from scenarios.cache import default_cache
-from scenarios.craters import CraterTruth
-from scenarios.craters.pairs import CraterPair, CraterView
-from scenarios.craters.simulated import LabelledDetections
-from scenarios.draw import Stream, estimator_generator, generator
-from scenarios.load import LoadedScenario
-from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.true_orbit import TrueOrbit
-from scenarios.orbits.world import Asteroid, OrbitWorld
-from scenarios.sequences import CameraTrajectory, SequenceTruth
+from boresight.campaign.handles import Handle, own_copy
+from boresight.campaign.imaging.image_store import Imager, ImageStore
+from boresight.campaign.imaging.world import TrialImage, World
+from boresight.campaign.kinds.crater_detection import trial as detection
+from boresight.campaign.kinds.crater_matching import trial as matching
+from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
+from boresight.campaign.kinds.sequence import trial as sequences
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.tracks import ImageTracks, Watch
+from boresight.campaign.kinds.single_image import trial as single_image
+from boresight.campaign.products import BuiltAssets
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.methods import able
+from boresight.estimators.craters.matching.vote import VoteMatcher
+from boresight.estimators.registry import estimator_class
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.craters import CraterTruth
+from boresight.scenarios.craters.pairs import CraterPair, CraterView
+from boresight.scenarios.craters.simulated import LabelledDetections
+from boresight.scenarios.draw import Stream, estimator_generator, generator
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.draw import OrbitTruth
+from boresight.scenarios.orbits.true_orbit import TrueOrbit
+from boresight.scenarios.orbits.world import Asteroid, OrbitWorld
+from boresight.scenarios.sequences import CameraTrajectory, SequenceTruth
 
 SEED = 987654321
 BEFORE_AFTER = Path(__file__).parents[1] / "before_after" / "campaigns"
 PACKAGES = ("campaign", "estimators", "renderers", "scenarios")
 INPUTS = (
-    *("scenarios.observation", "scenarios.tracks", "scenarios.orbits.data", "estimators.craters.contract"),
-    *("scenarios.geometry.camera", "scenarios.geometry.pose", "scenarios.geometry.ellipse"),
+    *(
+        "boresight.scenarios.observation",
+        "boresight.scenarios.tracks",
+        "boresight.scenarios.orbits.data",
+        "boresight.estimators.craters.contract",
+    ),
+    *(
+        "boresight.scenarios.geometry.camera",
+        "boresight.scenarios.geometry.pose",
+        "boresight.scenarios.geometry.ellipse",
+    ),
 )
 """Modules of the classes of what methods are given."""
 
@@ -324,10 +333,10 @@ def test_a_copy_keeps_values_layout_and_flags():
 CHEATS = """
 import json
 import numpy as np
-from campaign.imaging.world import open_world
-from estimators.contract import Estimate
-from renderers.mitsuba3 import choose_variant
-from scenarios.geometry import Pose
+from boresight.campaign.imaging.world import open_world
+from boresight.estimators.contract import Estimate
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.geometry import Pose
 
 def from_assets(self, observation):
     assets = self.assets
@@ -384,7 +393,7 @@ def test_an_estimator_can_neither_read_the_truth_nor_change_what_the_next_one_ge
 
 PEEKS = """
 import numpy as np
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 
 NONE = np.zeros(0, np.int64), np.zeros((0, 3)), 0.0
 

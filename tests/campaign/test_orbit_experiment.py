@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
-from campaign.kinds.orbit_determination.score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
-from campaign.kinds.orbit_determination.trial import OrbitTrials
-from campaign.runs.check import check_campaign
-from campaign.runs.resolve import resolve
-from estimators.orbit.batch_filter import BatchFilter
-from estimators.orbit.contract import Orbit, OrbitEstimate
-from reports.schema.tables import TABLES
-from scenarios.errors import BoresightError
-from scenarios.load import load_scenario
-from scenarios.orbits.draw import draw_orbit
+from boresight.campaign.kinds.orbit_determination.score import (
+    check_orbit,
+    drawable,
+    orbit_errors,
+    orbit_summary,
+    wrong_sightings,
+)
+from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.resolve import resolve
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
+from boresight.reports.schema.tables import TABLES
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.orbits.draw import draw_orbit
 
 
 @pytest.fixture(scope="module")

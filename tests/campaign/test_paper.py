@@ -15,20 +15,20 @@ from matplotlib.figure import Figure
 from stored_runs import seal
 from tiny_campaign import SCENE, compute, write_campaign
 
-from campaign.cli import main
-from campaign.cli.figures import Wanted, run_missing
-from campaign.imaging.world import open_world
-from campaign.papers.gather import newest_finished, run_folders
-from campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
-from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
-from campaign.runs.resolve import resolve
-from campaign.store import RunFolder
-from estimators.landmark.build import DatabaseOptions
-from renderers.mitsuba3 import choose_variant
-from reports.published import load_published
-from reports.schema.named_figure import NamedFigure
-from reports.schema.tables import FORMAT_VERSION
-from scenarios.errors import BoresightError
+from boresight.campaign.cli import main
+from boresight.campaign.cli.figures import Wanted, run_missing
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.papers.gather import newest_finished, run_folders
+from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
+from boresight.campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.published import load_published
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.tables import FORMAT_VERSION
+from boresight.scenarios.errors import BoresightError
 
 PAPER = paper_called("rowell2015")
 BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}"
@@ -164,7 +164,7 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
 SIDE_BY_SIDE = """
 import sys
 from pathlib import Path
-from campaign.cli.figures import Wanted, run_missing
+from boresight.campaign.cli.figures import Wanted, run_missing
 run_missing(sys.argv[3:], Wanted(Path(sys.argv[1]), 0.6, None, "boresight figures"), int(sys.argv[2]))
 """
 

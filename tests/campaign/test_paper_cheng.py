@@ -10,8 +10,8 @@ import pytest
 from tiny_campaign import compute, write_campaign
 from tiny_pairs import PAIRS
 
-from campaign.cli import main
-from campaign.store import RunFolder
+from boresight.campaign.cli import main
+from boresight.campaign.store import RunFolder
 
 CRATERED = """\
 description: A small cratered sphere.

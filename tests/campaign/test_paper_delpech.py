@@ -7,8 +7,8 @@ import pytest
 from ruamel.yaml import YAML
 from tiny_campaign import compute
 
-from campaign.cli import main
-from campaign.runs.read import CATALOG
+from boresight.campaign.cli import main
+from boresight.campaign.runs.read import CATALOG
 
 TRIALS = 2
 RUN = ("ba-trace", "ekf-trace", "ba-landmarks", "ba-views", "comparison")

@@ -13,10 +13,10 @@ import pytest
 from tiny_campaign import compute
 from tiny_sequences import SCENE
 
-from campaign.cli import main
-from campaign.papers.gather import FinishedRun
-from campaign.store import RunFolder
-from scenarios.errors import BoresightError
+from boresight.campaign.cli import main
+from boresight.campaign.papers.gather import FinishedRun
+from boresight.campaign.store import RunFolder
+from boresight.scenarios.errors import BoresightError
 
 NAME = "delpech2015-ekf-trace"
 CAMPAIGN = f"name: {NAME}\nexperiment: sequence\nscenarios: [orbit.yaml]\nestimators: [ekf-slam]\ntrials: 2\nseed: 5\n"
@@ -104,6 +104,6 @@ def test_other_papers_are_not_concerned(runs: Path, tmp_path: Path, capsys: pyte
 def test_figures_that_render_nothing_load_no_renderer(sound: Path, tmp_path: Path) -> None:
     copied(sound, tmp_path / "runs" / NAME, 1)
     words = ["figures", "delpech2015", "--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
-    code = f"import sys; from campaign.cli import main; print(main({words!r}), 'mitsuba' in sys.modules)"
+    code = f"import sys; from boresight.campaign.cli import main; print(main({words!r}), 'mitsuba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "0 False"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from campaign.pool import workers as parallel
+from boresight.campaign.pool import workers as parallel
 
 LONG_S = 0.3
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from campaign.trial.pose_score import pose_error, pose_errors
-from estimators.landmark.pose.stack import PoseStack
-from scenarios.geometry import Pose
+from boresight.campaign.trial.pose_score import pose_error, pose_errors
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.scenarios.geometry import Pose
 
 # x of the camera along y of the body, y along z, and the boresight along x: no two axes share a name.
 R_CAM_BODY = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])

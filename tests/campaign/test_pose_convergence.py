@@ -7,22 +7,22 @@ import pytest
 from scipy.stats import chi2, kstest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
-from campaign.cli import main
-from campaign.kinds.pose_convergence.trial import (
+from boresight.campaign.cli import main
+from boresight.campaign.kinds.pose_convergence.trial import (
     LANDMARKS,
     PoseConvergence,
     draw_landmarks,
     first_visible,
     problem_stack,
 )
-from campaign.runs.resolve import resolve
-from campaign.store import RunFolder
-from campaign.trial.kind import Bench
-from campaign.trial.pose_score import pose_error, pose_errors
-from estimators.landmark.pose.stack import PoseStack
-from estimators.landmark.projection import project_landmarks, visible_landmarks
-from renderers.mitsuba3 import choose_variant
-from scenarios.draw import Stream, draw_view, generator
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import Bench
+from boresight.campaign.trial.pose_score import pose_error, pose_errors
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.draw import Stream, draw_view, generator
 
 CONVERGENCE = """\
 title: Pose solvers

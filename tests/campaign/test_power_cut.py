@@ -25,14 +25,14 @@ from tiny_campaign import (
 )
 from tiny_sequences import write_sequences
 
-from campaign.kinds.sequence import KIND
-from campaign.pool import workers as parallel
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.store import RunFolder
-from campaign.store.folder import BlockState, blocks
-from scenarios import atomic
+from boresight.campaign.kinds.sequence import KIND
+from boresight.campaign.pool import workers as parallel
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.store.folder import BlockState, blocks
+from boresight.scenarios import atomic
 
 CUT_TRIALS, KILL_TRIALS = 20, 100
 INSTANTS = [5, pytest.param(50, marks=pytest.mark.long)]
@@ -120,10 +120,10 @@ def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkey
 SERVER = f"""
 import os, sys
 from pathlib import Path
-import campaign.kinds.sequence.trial
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
+import boresight.campaign.kinds.sequence.trial
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
 campaign = resolve(sys.argv[1])
 campaign.digest
 

@@ -9,10 +9,10 @@ from contextlib import redirect_stdout
 import pytest
 from tiny_campaign import run
 
-import campaign
-from campaign.cli import printed
-from campaign.store import RunFolder
-from scenarios.errors import BoresightError
+from boresight import campaign
+from boresight.campaign.cli import printed
+from boresight.campaign.store import RunFolder
+from boresight.scenarios.errors import BoresightError
 
 
 def reported(file, folder):

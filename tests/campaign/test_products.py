@@ -13,20 +13,20 @@ import trimesh
 from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
-from campaign.products import BuiltAssets, landmark_database, product_key
-from campaign.products.database_images import IN_THIS_PROCESS
-from campaign.products.landmark_database import landmark_candidates
-from campaign.threads import use_threads
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.database import LandmarkDatabase
-from estimators.maplets.build import MapletOptions, build_maplets
-from renderers.mitsuba3 import choose_variant
-from scenarios.bodies import load_body
-from scenarios.cache import default_cache
-from scenarios.errors import BoresightError
-from scenarios.geometry import View, look_at
-from scenarios.load import LoadedScenario, load_scenario
-from scenarios.onboard import onboard_spec
+from boresight.campaign.products import BuiltAssets, landmark_database, product_key
+from boresight.campaign.products.database_images import IN_THIS_PROCESS
+from boresight.campaign.products.landmark_database import landmark_candidates
+from boresight.campaign.threads import use_threads
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.maplets.build import MapletOptions, build_maplets
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View, look_at
+from boresight.scenarios.load import LoadedScenario, load_scenario
+from boresight.scenarios.onboard import onboard_spec
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)

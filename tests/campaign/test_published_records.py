@@ -12,12 +12,12 @@ from test_paper_cheng import CHAIN, CRATERED, ORBIT
 from tiny_campaign import SCENE, compute
 from tiny_pairs import PAIRS
 
-from campaign.runs.read import CATALOG
-from reports.kinds import Content
-from reports.pages.content import read_content
-from reports.published import Comparison, load_published
-from reports.schema.records import DERIVED
-from scenarios.load import load_campaign
+from boresight.campaign.runs.read import CATALOG
+from boresight.reports.kinds import Content
+from boresight.reports.pages.content import read_content
+from boresight.reports.published import Comparison, load_published
+from boresight.reports.schema.records import DERIVED
+from boresight.scenarios.load import load_campaign
 
 DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15}}
 PRIOR = "pose_error: {position_cam_m: {uniform: [[-50, 50], [-50, 50], [-5, 5]]}}\n"

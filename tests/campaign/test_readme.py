@@ -12,10 +12,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from campaign.runs.read import campaign_names
-from campaign.runs.resolve import resolve
-from campaign.trial.kind import kind_named
-from scenarios.known import known_on_board, merged
+from boresight.campaign.runs.read import campaign_names
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.trial.kind import kind_named
+from boresight.scenarios.known import known_on_board, merged
 
 README = Path(__file__).parents[2] / "README.md"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -10,11 +10,11 @@ import trimesh
 from astropy.io import fits
 from mission_data import data_path, needs_data
 
-from campaign.cli import main
-from campaign.data.msi_image import camera_of_lines, open_msi, square_pixels
-from campaign.data.named_craters import NamedCrater, predict, read_gazetteer
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at
+from boresight.campaign.cli import main
+from boresight.campaign.data.msi_image import camera_of_lines, open_msi, square_pixels
+from boresight.campaign.data.named_craters import NamedCrater, predict, read_gazetteer
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at
 
 needs_eros = needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters")
 

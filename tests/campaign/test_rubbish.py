@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 from tiny_campaign import SCENE, run, write_campaign
 
-from campaign.cli import main
+from boresight.campaign.cli import main
 
 IMAGES = """
 import numpy as np
-from estimators.contract import Estimate, Stage
-from scenarios.geometry import Pose
+from boresight.estimators.contract import Estimate, Stage
+from boresight.scenarios.geometry import Pose
 
 class Falls:
     def __len__(self):
@@ -57,7 +57,7 @@ for _name in ANSWERS:
 """
 SEQUENCES = """
 import numpy as np
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 
 NONE = np.zeros(0, np.int64), np.zeros((0, 3)), 0.1
 
@@ -139,8 +139,8 @@ def test_rubbish_ends_no_command(group, cache, tmp_path, monkeypatch, capsys):
 
 ABSURD = """
 import numpy as np
-from estimators.contract import Estimate
-from scenarios.geometry import Pose
+from boresight.estimators.contract import Estimate
+from boresight.scenarios.geometry import Pose
 
 NAMES = "u_px v_px x_m y_m z_m sxx_m2 sxy_m2 sxz_m2 syy_m2 syz_m2 szz_m2".split()
 TABLE = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}

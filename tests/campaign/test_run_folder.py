@@ -21,18 +21,18 @@ from rich.console import Console
 from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, files, run, write_campaign
 from tiny_sequences import write_sequences
 
-from campaign.cli import main
-from campaign.cli.progress import ProgressListener
-from campaign.imaging.observe import observe
-from campaign.imaging.world import open_world
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.papers.gather import newest_finished, run_folders
-from campaign.runs.resolve import reload, resolve
-from campaign.store import RunFolder
-from campaign.trial.pose_score import pose_error
-from renderers.mitsuba3 import choose_variant
-from reports.schema.tables import columns_of
-from scenarios.load import canonical_json, load_scenario
+from boresight.campaign.cli import main
+from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.papers.gather import newest_finished, run_folders
+from boresight.campaign.runs.resolve import reload, resolve
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.pose_score import pose_error
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.schema.tables import columns_of
+from boresight.scenarios.load import canonical_json, load_scenario
 
 OF_IMAGES = {"rows", "stages", "landmarks", "diagnostics"}
 OF_OTHERS = set(RESULTS) - OF_IMAGES
@@ -273,7 +273,7 @@ class ClockSetBack:
 def test_a_clock_that_is_set_back_turns_no_order_round(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     file = write_sequences(tmp_path, 2)
-    monkeypatch.setattr("campaign.runs.manifest.datetime", ClockSetBack())
+    monkeypatch.setattr("boresight.campaign.runs.manifest.datetime", ClockSetBack())
     for number in (1, 2):
         folder = Path("runs") / f"orbits-{number}"
         compute(file, folder, number)

@@ -29,15 +29,15 @@ from tiny_campaign import (
     write_campaign,
 )
 
-from campaign.cli import main
-from campaign.imaging.world import open_world
-from campaign.kinds.single_image import KIND
-from campaign.runs.resolve import resolve
-from campaign.runs.worker import run_block
-from campaign.store import TABLES, RunFolder
-from campaign.store.folder import blocks
-from campaign.trial.kind import Bench
-from renderers.mitsuba3 import choose_variant
+from boresight.campaign.cli import main
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.single_image import KIND
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.worker import run_block
+from boresight.campaign.store import TABLES, RunFolder
+from boresight.campaign.store.folder import blocks
+from boresight.campaign.trial.kind import Bench
+from boresight.renderers.mitsuba3 import choose_variant
 
 LONG = 60
 N_BLOCKS = LONG // KIND.block_trials

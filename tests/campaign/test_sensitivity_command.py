@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, write_campaign
 
-from campaign.cli import main
-from campaign.runs.resolve import resolve
-from campaign.runs.sensitivity import make_design
-from reports.compare.global_sensitivity import VariedKey
+from boresight.campaign.cli import main
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.sensitivity import make_design
+from boresight.reports.compare.global_sensitivity import VariedKey
 
 
 def sensitivity(file, out, *arguments):

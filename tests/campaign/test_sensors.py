@@ -5,16 +5,16 @@ import pytest
 from scipy.stats import kstest
 from tiny_campaign import SCENE
 
-from campaign.imaging.observe import observe
-from campaign.imaging.world import open_world
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.runs.resolve import resolve
-from estimators.altimeter import boresight_range
-from estimators.landmark.recognizer import LandmarkRecognizer
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
-from scenarios.load import load_scenario
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.runs.resolve import resolve
+from boresight.estimators.altimeter import boresight_range
+from boresight.estimators.landmark.recognizer import LandmarkRecognizer
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
+from boresight.scenarios.load import load_scenario
 
 TRIALS = 200
 

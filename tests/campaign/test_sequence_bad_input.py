@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from campaign.cli import main
+from boresight.campaign.cli import main
 
 # Three ranges: of a single ranged landmark one in ten is not tracked to the second frame, and the scale goes with it.
 SCENE = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.25}, knowledge: {ranges: 3}}\n"

@@ -9,16 +9,22 @@ import pandas as pd
 import pytest
 from scipy.spatial.distance import mahalanobis
 
-from campaign.cli.main import main
-from campaign.kinds.sequence.score import check_sequence, final_landmark_rmse, parameter_errors, score_epochs, summary
-from campaign.kinds.sequence.trial import SequenceTrials
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.dead_reckoning import DeadReckoning
-from estimators.slam.registry import sequence_estimator_class
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.sequences import SphereGround, draw_sequence
-from scenarios.spec.sequence import SequenceSpec
+from boresight.campaign.cli.main import main
+from boresight.campaign.kinds.sequence.score import (
+    check_sequence,
+    final_landmark_rmse,
+    parameter_errors,
+    score_epochs,
+    summary,
+)
+from boresight.campaign.kinds.sequence.trial import SequenceTrials
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.dead_reckoning import DeadReckoning
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.sequences import SphereGround, draw_sequence
+from boresight.scenarios.spec.sequence import SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPEC = SequenceSpec.model_validate({"sphere_radius_m": 190, "orbit": {"revolutions": 1.0, "step_deg": 6}})

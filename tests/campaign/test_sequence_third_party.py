@@ -9,10 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from campaign.cli import main
-from estimators.slam.dead_reckoning import DeadReckoning
-from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
-from scenarios.errors import BoresightError
+from boresight.campaign.cli import main
+from boresight.estimators.slam.dead_reckoning import DeadReckoning
+from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
+from boresight.scenarios.errors import BoresightError
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 SECTION = README[README.index("## Sequences") : README.index("## Tutorial")]

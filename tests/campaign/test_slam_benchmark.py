@@ -16,9 +16,9 @@ from benchmarks.settings import Settings
 from benchmarks.windows import make_window
 from needs_ceres import skip_without_ceres
 
-from campaign.cli.main import main
-from estimators.slam.solver import StoppingRule, minimise
-from scenarios.errors import BoresightError
+from boresight.campaign.cli.main import main
+from boresight.estimators.slam.solver import StoppingRule, minimise
+from boresight.scenarios.errors import BoresightError
 
 
 def test_window_starts_away_from_its_minimum_and_has_one() -> None:

@@ -19,11 +19,11 @@ from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
 from benchmarks.settings import Settings
 from benchmarks.timing import Seconds, in_turn, timed
 
-from campaign.cli.arguments import PEERS
-from campaign.cli.main import main
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.campaign.cli.arguments import PEERS
+from boresight.campaign.cli.main import main
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
 
 FAST = Ratio("image", "a peer", "cpu", 0.1, 0.8, aim=6.0, agreement="correlation 1")
 BY_CLOCK = replace(FAST, clock="wall")

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaign.store import TABLES, RunFolder, RunLock
-from campaign.store.folder import Block, BlockState, blocks
-from campaign.trial.pose_score import pose_error
-from reports.schema.tables import columns_of, schema
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
-from scenarios.geometry import look_at
+from boresight.campaign.store import TABLES, RunFolder, RunLock
+from boresight.campaign.store.folder import Block, BlockState, blocks
+from boresight.campaign.trial.pose_score import pose_error
+from boresight.reports.schema.tables import columns_of, schema
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
 
 ERROR_KEYS = ("attitude_error_deg", *(f"position_error_{axis}m" for axis in ("", "x_", "y_", "z_")))
 
@@ -187,8 +187,8 @@ def test_a_second_process_is_refused(tmp_path):
     code = f"""
 import sys
 from pathlib import Path
-from campaign.store import RunLock
-from scenarios.errors import BoresightError
+from boresight.campaign.store import RunLock
+from boresight.scenarios.errors import BoresightError
 try:
     RunLock(Path({str(tmp_path)!r})).__enter__()
 except BoresightError as error:
@@ -208,8 +208,8 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path):
 import itertools
 import resource, signal, sys
 from pathlib import Path
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:

@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_campaign
 
-from campaign.cli import main
-from campaign.store import RunFolder
+from boresight.campaign.cli import main
+from boresight.campaign.store import RunFolder
 
 TRIALS = 12
 # One estimator for each way to break the contract; `answer` gets the prior pose and returns what `estimate` returns.
 MODULE = """
 import numpy as np
-from estimators.contract import Estimate, Stage
-from scenarios.geometry import Pose
+from boresight.estimators.contract import Estimate, Stage
+from boresight.scenarios.geometry import Pose
 
 class Base:
     version = 1

@@ -11,7 +11,7 @@ from training.crater_network import digest
 from training.ground import STEP_PX, Bowl, Ground, make_ground
 from training.sight import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
 
-from estimators.craters.learned.detector import packaged_network
+from boresight.estimators.craters.learned.detector import packaged_network
 
 
 def plain(heights):
@@ -99,5 +99,5 @@ def test_younger_craters_cut_older_ones():
 
 
 def test_the_weights_are_those_whose_making_is_noted():
-    note = json.loads((files("estimators.craters.learned") / "weights.json").read_text())
+    note = json.loads((files("boresight.estimators.craters.learned") / "weights.json").read_text())
     assert note["sha256"] == digest(packaged_network())

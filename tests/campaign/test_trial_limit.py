@@ -13,14 +13,14 @@ import pandas as pd
 import pytest
 from tiny_campaign import boresight, write_campaign
 
-from campaign.cli import main
-from campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
-from campaign.pool.workers import in_order
-from campaign.runs.worker import Losses
-from campaign.store.folder import Block
-from campaign.trial.kind import Bench, kind_named, kind_names
-from campaign.trial.work import Work
-from scenarios.errors import BoresightError
+from boresight.campaign.cli import main
+from boresight.campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
+from boresight.campaign.pool.workers import in_order
+from boresight.campaign.runs.worker import Losses
+from boresight.campaign.store.folder import Block
+from boresight.campaign.trial.kind import Bench, kind_named, kind_names
+from boresight.campaign.trial.work import Work
+from boresight.scenarios.errors import BoresightError
 
 CALL = Call("scene", 3, "mine")
 
@@ -44,7 +44,7 @@ def test_an_alarm_ends_what_sleeps_and_what_catches_exceptions():
 
 
 def test_an_alarm_that_is_swallowed_rings_again(monkeypatch):
-    monkeypatch.setattr("campaign.pool.guard._AGAIN_S", 0.1)
+    monkeypatch.setattr("boresight.campaign.pool.guard._AGAIN_S", 0.1)
     swallowed = []
 
     def stubborn():
@@ -196,7 +196,7 @@ def test_no_kind_of_trial_starts_a_process_for_every_block(name):
 MODULE = """
 import itertools, os, signal, time
 from collections import deque
-from estimators.contract import Estimate
+from boresight.estimators.contract import Estimate
 
 class Base:
     version = 1

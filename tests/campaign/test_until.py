@@ -10,14 +10,14 @@ import pandas as pd
 import pytest
 from tiny_campaign import Heard, run
 
-from campaign.runs import until as module
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.until import looks, parse_until, run_until, widest
-from renderers.mitsuba3 import choose_variant
-from reports.run.data import read_run
-from reports.statistics.measured import MEDIAN, measure
-from scenarios.errors import BoresightError
+from boresight.campaign.runs import until as module
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.until import looks, parse_until, run_until, widest
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.run.data import read_run
+from boresight.reports.statistics.measured import MEDIAN, measure
+from boresight.scenarios.errors import BoresightError
 
 
 def test_looks_are_whole_blocks_and_end_at_the_cap():

@@ -9,8 +9,8 @@ from rounding import round_rays_otherwise
 from tiny_campaign import TRIALS, run
 from variants import variant_or_skip
 
-from campaign.store import RunFolder
-from renderers.mitsuba3.variant import CUDA, LLVM
+from boresight.campaign.store import RunFolder
+from boresight.renderers.mitsuba3.variant import CUDA, LLVM
 
 
 def rows_of(file, folder, variant, trials=TRIALS) -> pd.DataFrame:

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from campaign.cli import main
-from campaign.kinds.single_image.trial import Records
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.runs.runner import run_campaign
-from campaign.store import TABLES, RunFolder
-from renderers.mitsuba3 import choose_variant
+from boresight.campaign.cli import main
+from boresight.campaign.kinds.single_image.trial import Records
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.store import TABLES, RunFolder
+from boresight.renderers.mitsuba3 import choose_variant
 
 TRIALS = 24
 SCENE = """\
@@ -86,7 +86,7 @@ def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> str:
 
 def command(*arguments: object) -> list[str]:
     """Return the command line as a process."""
-    return [sys.executable, "-m", "campaign.cli", *_words(*arguments)]
+    return [sys.executable, "-m", "boresight.campaign.cli", *_words(*arguments)]
 
 
 def _words(*arguments: object) -> list[str]:

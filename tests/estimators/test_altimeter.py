@@ -6,14 +6,20 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from estimators.altimeter import AltimeterEstimator, AltimeterOptions, boresight_range, fuse_range, mesh_height_sigma_m
-from estimators.contract import Estimate
-from estimators.landmark.database import LandmarkDatabase
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from scenarios.observation import Frame, Observation, RangeReading
-from scenarios.spec.brdf import LambertSpec
+from boresight.estimators.altimeter import (
+    AltimeterEstimator,
+    AltimeterOptions,
+    boresight_range,
+    fuse_range,
+    mesh_height_sigma_m,
+)
+from boresight.estimators.contract import Estimate
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.observation import Frame, Observation, RangeReading
+from boresight.scenarios.spec.brdf import LambertSpec
 
 CAMERA = Camera.from_fov(64, 64, 0.3)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from crater_scenes import CAMERA, Bowl, frame_of, image_of
 
-from estimators.craters.detection.classic import CraterClassic
-from estimators.craters.detection.edges import canny, gradient_of
-from estimators.craters.detection.preparation import prepare_image
-from scenarios.geometry import Camera
+from boresight.estimators.craters.detection.classic import CraterClassic
+from boresight.estimators.craters.detection.edges import canny, gradient_of
+from boresight.estimators.craters.detection.preparation import prepare_image
+from boresight.scenarios.geometry import Camera
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
 

@@ -8,13 +8,19 @@ from crater_looks import ellipsoid, look, pair, population, turned
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from estimators.craters.contract import CraterMatches
-from estimators.craters.database.build import build_database
-from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase, read_landmarks, read_pictures
-from estimators.craters.database.numbering import NO_NUMBER, PairMatches, number_craters
-from estimators.craters.registry import crater_matcher_class
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
+from boresight.estimators.craters.contract import CraterMatches
+from boresight.estimators.craters.database.build import build_database
+from boresight.estimators.craters.database.files import (
+    LANDMARKS,
+    PICTURES,
+    CraterDatabase,
+    read_landmarks,
+    read_pictures,
+)
+from boresight.estimators.craters.database.numbering import NO_NUMBER, PairMatches, number_craters
+from boresight.estimators.craters.registry import crater_matcher_class
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
 
 
 @pytest.fixture(scope="module")

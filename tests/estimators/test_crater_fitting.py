@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from estimators.craters.detection.candidates import fit_reweighted
-from scenarios.geometry import Ellipses
-from scenarios.geometry.ellipse import fit_conics, sampson_distances
+from boresight.estimators.craters.detection.candidates import fit_reweighted
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 
 def drawn(n, seed, ratio=(0.4, 0.95)):

@@ -10,11 +10,11 @@ from scipy.signal import correlate2d
 from training.lessons import displaced, lessons_of
 from training.network_training import Lessons, Schedule, fresh_network, loss, train, windows
 
-from estimators.craters.detection.classic import ClassicOptions
-from estimators.craters.detection.merit import GradientField, side_merits
-from estimators.craters.detection.preparation import noise_level, prepare_image
-from estimators.craters.learned.detector import blend_with_gradient, read_network
-from estimators.craters.learned.network import (
+from boresight.estimators.craters.detection.classic import ClassicOptions
+from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
+from boresight.estimators.craters.learned.detector import blend_with_gradient, read_network
+from boresight.estimators.craters.learned.network import (
     SHAPES,
     SIDE,
     Network,
@@ -25,9 +25,9 @@ from estimators.craters.learned.network import (
     shape_of,
     target_outputs,
 )
-from estimators.craters.learned.proposals import halved, propose, ring_templates, template_scores
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.learned.proposals import halved, propose, ring_templates, template_scores
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
 SUN = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH)])

@@ -11,23 +11,23 @@ from crater_looks import CAMERA, counts, ellipsoid, look, pair, population, turn
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from estimators.craters.contract import CraterDetections, CraterImage
-from estimators.craters.matching.association import (
+from boresight.estimators.craters.contract import CraterDetections, CraterImage
+from boresight.estimators.craters.matching.association import (
     CraterAssociationOptions,
     ExpectedCraters,
     associate,
     centre_noise,
 )
-from estimators.craters.matching.context import (
+from boresight.estimators.craters.matching.context import (
     ContextOptions,
     epipolar_offsets,
     linear_transforms,
     match_constellations,
 )
-from estimators.craters.matching.correlation import CorrelationOptions, pseudo_normalised, rectify_template
-from estimators.craters.matching.invariants import conic_invariants, unambiguous_pairs, vote_matrix
-from estimators.craters.matching.preliminary import preliminary_pairs
-from estimators.craters.matching.transfer import (
+from boresight.estimators.craters.matching.correlation import CorrelationOptions, pseudo_normalised, rectify_template
+from boresight.estimators.craters.matching.invariants import conic_invariants, unambiguous_pairs, vote_matrix
+from boresight.estimators.craters.matching.preliminary import preliminary_pairs
+from boresight.estimators.craters.matching.transfer import (
     LocatedCraters,
     locate_craters,
     map_ellipses,
@@ -35,11 +35,11 @@ from estimators.craters.matching.transfer import (
     plane_homographies,
     transfer_craters,
 )
-from estimators.craters.registry import crater_matcher_class, crater_matcher_names
-from scenarios.craters.simulated import DetectionErrors
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, Pose, look_at
-from scenarios.geometry.camera import pixel_to_opencv
+from boresight.estimators.craters.registry import crater_matcher_class, crater_matcher_names
+from boresight.scenarios.craters.simulated import DetectionErrors
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, Pose, look_at
+from boresight.scenarios.geometry.camera import pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from numpy_climb import merit, numpy_climb
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import minimize
 
-from estimators.craters.detection.merit import GradientField, side_merits
-from estimators.craters.detection.refinement import (
+from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.estimators.craters.detection.refinement import (
     GradientScales,
     confidence,
     from_parameters,
@@ -17,8 +17,8 @@ from estimators.craters.detection.refinement import (
     refine,
     suppress_duplicates,
 )
-from estimators.craters.kernels import climb, side_weights
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.kernels import climb, side_weights
+from boresight.scenarios.geometry import Ellipses
 
 GAP = 0.5
 SUN = np.array([0.6, -0.8])

@@ -7,9 +7,9 @@ import pytest
 from crater_looks import CAMERA, ellipsoid
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.planning import Ephemeris, plan_images, read_plan, with_telemetry, write_plan
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose
+from boresight.estimators.craters.planning import Ephemeris, plan_images, read_plan, with_telemetry, write_plan
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose
 
 RANGE_M = 200e3
 AXES_M = np.array([17e3, 8.5e3, 6e3])

@@ -9,19 +9,19 @@ import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, look, population, turned
 from scipy.optimize import least_squares
 
-from campaign.kinds.single_image.score import check
-from estimators.contract import Estimate
-from estimators.craters.contract import CraterDetections
-from estimators.craters.database.build import triangulate_landmarks
-from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.pictures import SequencePicture
-from estimators.craters.matching.association import CraterAssociationOptions
-from estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
-from scenarios.craters.simulated import DetectionErrors
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, Pose, View, look_at, project_circles
-from scenarios.observation import Frame, Observation
+from boresight.campaign.kinds.single_image.score import check
+from boresight.estimators.contract import Estimate
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.estimators.craters.database.build import triangulate_landmarks
+from boresight.estimators.craters.database.files import CraterDatabase
+from boresight.estimators.craters.database.landmarks import Landmarks
+from boresight.estimators.craters.database.pictures import SequencePicture
+from boresight.estimators.craters.matching.association import CraterAssociationOptions
+from boresight.estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
+from boresight.scenarios.craters.simulated import DetectionErrors
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, Pose, View, look_at, project_circles
+from boresight.scenarios.observation import Frame, Observation
 
 ERRORS = DetectionErrors(height_m=0.0)
 

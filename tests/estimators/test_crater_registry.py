@@ -6,14 +6,14 @@ import sys
 
 import pytest
 
-from estimators.craters.detection.classic import CraterClassic
-from estimators.craters.registry import crater_detector_class, crater_detector_names
-from scenarios.errors import BoresightError
+from boresight.estimators.craters.detection.classic import CraterClassic
+from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names
+from boresight.scenarios.errors import BoresightError
 
 MODULE = """
 from dataclasses import dataclass
-from estimators.craters.contract import CraterDetections
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.geometry import Ellipses
 import numpy as np
 
 @dataclass(frozen=True)

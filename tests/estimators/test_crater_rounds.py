@@ -7,8 +7,8 @@ import pytest
 from orbit_worlds import CAMERA, orbit_world
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import (
+from boresight.estimators.craters.contract import CraterDetections, CraterMatches
+from boresight.estimators.craters.database.files import (
     LANDMARKS,
     PICTURES,
     CraterDatabase,
@@ -18,23 +18,23 @@ from estimators.craters.database.files import (
     write_detections,
     write_matches,
 )
-from estimators.craters.database.landmarks import Landmarks, landmarks_for_orbit
-from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import SequencePicture, pictures_for_orbit
-from estimators.craters.matching.preliminary import couples_at_same_place
-from estimators.craters.matching.transfer import joint_covariance
-from estimators.craters.navigation.rounds import reject_small_matches
-from estimators.craters.navigation.stages import StageFiles
-from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
-from scenarios.dynamics.field import UniformRotation
-from scenarios.dynamics.propagation import PiecewiseAcceleration
-from scenarios.dynamics.variational import propagate_states
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, Pose
-from scenarios.orbits.draw import draw_knowledge
-from scenarios.orbits.true_orbit import state_at_epoch
-from scenarios.sequences.ground import MeshGround
+from boresight.estimators.craters.database.landmarks import Landmarks, landmarks_for_orbit
+from boresight.estimators.craters.database.numbering import PairMatches
+from boresight.estimators.craters.database.pictures import SequencePicture, pictures_for_orbit
+from boresight.estimators.craters.matching.preliminary import couples_at_same_place
+from boresight.estimators.craters.matching.transfer import joint_covariance
+from boresight.estimators.craters.navigation.rounds import reject_small_matches
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
+from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import propagate_states
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, Pose
+from boresight.scenarios.orbits.draw import draw_knowledge
+from boresight.scenarios.orbits.true_orbit import state_at_epoch
+from boresight.scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([3.0, -2.0, 5.0])
 ROTATION = UniformRotation(Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix(), 1e-4)

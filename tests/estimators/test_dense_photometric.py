@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.contract import Stopwatch
-from estimators.dense.gauss_newton import (
+from boresight.estimators.contract import Stopwatch
+from boresight.estimators.dense.gauss_newton import (
     LevelOptions,
     available_gradient,
     band_pass,
@@ -14,16 +14,16 @@ from estimators.dense.gauss_newton import (
     reduced_camera,
     reduced_image,
 )
-from estimators.dense.photometric import PhotometricEstimator, PhotometricOptions
-from estimators.dense.whole_image import registration_aligner
-from estimators.landmark.alignment import MeshView
-from estimators.landmark.pose.posterior import PosePrior
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.bodies.embedded import EMBEDDED
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View, look_at
-from scenarios.observation import Frame, Observation
-from scenarios.spec.brdf import LambertSpec
+from boresight.estimators.dense.photometric import PhotometricEstimator, PhotometricOptions
+from boresight.estimators.dense.whole_image import registration_aligner
+from boresight.estimators.landmark.alignment import MeshView
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.bodies.embedded import EMBEDDED
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View, look_at
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.brdf import LambertSpec
 
 CAMERA = Camera.from_fov(128, 128, np.radians(18.3))
 TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from estimators.descriptors.database import FILE, DescriptorDatabase, DescriptorOptions, ViewFeatures, view_features
-from estimators.descriptors.features import FeatureOptions, find_features, match_features
-from estimators.descriptors.recognizer import (
+from boresight.estimators.descriptors.database import (
+    FILE,
+    DescriptorDatabase,
+    DescriptorOptions,
+    ViewFeatures,
+    view_features,
+)
+from boresight.estimators.descriptors.features import FeatureOptions, find_features, match_features
+from boresight.estimators.descriptors.recognizer import (
     PRODUCT,
     DescriptorNavigatorOptions,
     OrbNavigator,
@@ -15,17 +21,17 @@ from estimators.descriptors.recognizer import (
     find_consensus,
     near_prediction,
 )
-from estimators.landmark.pose.posterior import GaussianPose
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import load_body
-from scenarios.draw import draw_lit_view
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, look_at
-from scenarios.observation import Frame, Observation
-from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
-from scenarios.spec.brdf import LambertSpec
-from scenarios.spec.distribution import Uniform
-from scenarios.spec.world import LightingSpec, ViewpointSpec
+from boresight.estimators.landmark.pose.posterior import GaussianPose
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.draw import draw_lit_view
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
+from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
 TRUE = look_at(np.array([1200.0, -1500.0, 560.0]), 0.7)

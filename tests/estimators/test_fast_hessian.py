@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from estimators.landmark.corners import CornerOptions, detect_corners
-from estimators.landmark.fast_hessian import determinant, fast_hessian
+from boresight.estimators.landmark.corners import CornerOptions, detect_corners
+from boresight.estimators.landmark.fast_hessian import determinant, fast_hessian
 
 BLOBS = ((80.3, 70.8, 3.0), (170.6, 90.1, 2.4), (110.0, 170.45, 4.0))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.options import SmootherOptions
-from estimators.slam.prediction import joint_covariance
-from estimators.slam.smoother import WindowSmoother
-from estimators.slam.solver import view_covariance
-from estimators.slam.vision.features import ImageFeatures
-from estimators.slam.vision.matching import guided_rows
-from scenarios.tracks import Prediction
+from boresight.estimators.slam.options import SmootherOptions
+from boresight.estimators.slam.prediction import joint_covariance
+from boresight.estimators.slam.smoother import WindowSmoother
+from boresight.estimators.slam.solver import view_covariance
+from boresight.estimators.slam.vision.features import ImageFeatures
+from boresight.estimators.slam.vision.matching import guided_rows
+from boresight.scenarios.tracks import Prediction
 
 
 def smoother_after(frames: int):

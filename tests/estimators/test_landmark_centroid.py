@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimators.contract import Stopwatch
-from estimators.landmark.alignment import (
+from boresight.estimators.contract import Stopwatch
+from boresight.estimators.landmark.alignment import (
     AlignmentOptions,
     MeshView,
     align_translation,
@@ -14,8 +14,8 @@ from estimators.landmark.alignment import (
     correlation_pair,
     translation_update,
 )
-from estimators.landmark.signal import extract_signal
-from scenarios.geometry import Camera, Pose
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.geometry import Camera, Pose
 
 CAMERA = Camera(256, 200, 800.0, 800.0, 128.0, 100.0)
 RADIUS_M = 60.0

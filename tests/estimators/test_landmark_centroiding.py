@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
-from estimators.landmark.centroiding import CentroidAligner, CentroidOptions
-from estimators.registry import estimator_class
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose
-from scenarios.observation import Frame, Observation
+from boresight.estimators.landmark.centroiding import CentroidAligner, CentroidOptions
+from boresight.estimators.registry import estimator_class
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.observation import Frame, Observation
 
 TRUTH = Pose(np.eye(3), np.array([15.0, -20.0, 1500.0]))
 

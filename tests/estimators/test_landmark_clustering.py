@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from estimators.landmark.clustering import (
+from boresight.estimators.landmark.clustering import (
     ClusterOptions,
     PointCluster,
     cluster_stages,

@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
-from estimators.landmark.pose.posterior import PosePrior
-from estimators.landmark.pose.stack import PoseStack
-from estimators.landmark.robust.estimator import ConsensusOptions
-from estimators.landmark.robust.mixture import Mixture, MixtureOptions
-from estimators.landmark.robust.search import (
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.estimators.landmark.robust.estimator import ConsensusOptions
+from boresight.estimators.landmark.robust.mixture import Mixture, MixtureOptions
+from boresight.estimators.landmark.robust.search import (
     SearchOptions,
     best_hypotheses,
     corner_map,
@@ -19,9 +19,9 @@ from estimators.landmark.robust.search import (
     rotation_grid,
     sampled_hypotheses,
 )
-from estimators.options import parse_options
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, look_at
+from boresight.estimators.options import parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)

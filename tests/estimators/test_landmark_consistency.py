@@ -4,13 +4,18 @@ import cv2
 import numpy as np
 import pytest
 
-from estimators.landmark.alignment import MeshView, centroid_residual_px, consistency_failure, image_correlation
-from estimators.landmark.signal import extract_signal
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import load_body
-from scenarios.geometry import Camera, look_at
-from scenarios.spec.body import BodySpec
-from scenarios.spec.brdf import LambertSpec
+from boresight.estimators.landmark.alignment import (
+    MeshView,
+    centroid_residual_px,
+    consistency_failure,
+    image_correlation,
+)
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.brdf import LambertSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
 SUN_CAM = np.array([0.5, 0.2, -0.84]) / np.linalg.norm([0.5, 0.2, -0.84])

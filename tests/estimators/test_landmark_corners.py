@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from estimators.landmark.corners import (
+from boresight.estimators.landmark.corners import (
     CornerOptions,
     detect_corners,
     harris_response,
     response_peaks,
     self_similarity,
 )
-from estimators.landmark.signal import background_level, extract_signal
-from scenarios.errors import BoresightError
+from boresight.estimators.landmark.signal import background_level, extract_signal
+from boresight.scenarios.errors import BoresightError
 
 ANY = CornerOptions(self_similarity_max=1.0, min_relative_strength=0.01)
 

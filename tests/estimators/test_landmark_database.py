@@ -8,9 +8,9 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
-from estimators.landmark.database import LandmarkDatabase
-from scenarios.errors import BoresightError
+from boresight.estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.scenarios.errors import BoresightError
 
 OCTAHEDRON = 100.0 * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
 FACETS = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]

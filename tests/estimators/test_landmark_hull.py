@@ -6,8 +6,8 @@ import trimesh
 from mission_data import data_file, needs_data
 from scipy.spatial import ConvexHull, cKDTree
 
-from estimators.landmark.hull import circumspheres, concave_hull
-from scenarios.errors import BoresightError
+from boresight.estimators.landmark.hull import circumspheres, concave_hull
+from boresight.scenarios.errors import BoresightError
 
 
 def fibonacci_sphere(n):

@@ -7,20 +7,20 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.hull import concave_hull
-from estimators.landmark.pose.levenberg_marquardt import (
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.hull import concave_hull
+from boresight.estimators.landmark.pose.levenberg_marquardt import (
     MarquardtOptions,
     minimal_jacobian,
     pose_covariance,
     quaternion_jacobian,
     refine_pose,
 )
-from estimators.landmark.pose.outliers import PoseOptions, solve_pose
-from estimators.landmark.pose.problem import PoseProblem, solve_epnp
-from estimators.landmark.projection import project_landmarks, visible_landmarks
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, look_at
+from boresight.estimators.landmark.pose.outliers import PoseOptions, solve_pose
+from boresight.estimators.landmark.pose.problem import PoseProblem, solve_epnp
+from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 TRUTH = look_at(np.array([900.0, -1500.0, 950.0]), roll_rad=0.4)

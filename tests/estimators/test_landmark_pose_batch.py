@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
-from estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, look_at
+from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
+from boresight.estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 VARIANTS = [

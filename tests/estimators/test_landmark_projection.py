@@ -6,9 +6,9 @@ import pytest
 import trimesh
 from scipy.spatial.distance import mahalanobis
 
-from estimators.landmark.matching import inverse_2x2, match_landmarks, squared_distances, weighted_distances
-from estimators.landmark.projection import faces_camera, is_occluded, project_landmarks, visible_landmarks
-from scenarios.geometry import Camera, Pose, TriangleMesh, look_at
+from boresight.estimators.landmark.matching import inverse_2x2, match_landmarks, squared_distances, weighted_distances
+from boresight.estimators.landmark.projection import faces_camera, is_occluded, project_landmarks, visible_landmarks
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, look_at
 
 CAMERA = Camera(640, 480, 900.0, 850.0, 315.0, 250.0)
 

@@ -5,23 +5,23 @@ import sys
 import numpy as np
 import pytest
 
-from estimators.contract import Estimate
-from estimators.dense.whole_image import WholeImageRecognizer
-from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
-from estimators.landmark.signal import extract_signal
-from estimators.registry import estimator_class, estimator_names
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import load_body
-from scenarios.draw import draw_lit_view
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
-from scenarios.observation import Frame, Observation
-from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
-from scenarios.spec.brdf import LambertSpec
-from scenarios.spec.distribution import Uniform
-from scenarios.spec.world import LightingSpec, ViewpointSpec
+from boresight.estimators.contract import Estimate
+from boresight.estimators.dense.whole_image import WholeImageRecognizer
+from boresight.estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.estimators.registry import estimator_class, estimator_names
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.draw import draw_lit_view
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
+from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 DATABASE = {
@@ -389,7 +389,7 @@ def test_a_third_party_adds_its_estimator_by_an_entry_point(tmp_path, monkeypatc
     third_party(tmp_path, monkeypatch, GOOD)
     assert "other" in estimator_names()
     assert estimator_class("other").version == 4
-    assert estimator_class("prior").__module__ == "estimators.prior"
+    assert estimator_class("prior").__module__ == "boresight.estimators.prior"
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,22 @@ import numpy as np
 import pytest
 import trimesh
 
-from estimators.maplets.build import MapletOptions, Plane, Surface, build_maplets, relief, sample_heights, spread_points
-from estimators.maplets.database import FILE, MapletDatabase
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import load_body
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
-from scenarios.spec.brdf import LambertSpec
+from boresight.estimators.maplets.build import (
+    MapletOptions,
+    Plane,
+    Surface,
+    build_maplets,
+    relief,
+    sample_heights,
+    spread_points,
+)
+from boresight.estimators.maplets.database import FILE, MapletDatabase
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
+from boresight.scenarios.spec.brdf import LambertSpec
 
 RADIUS_M = 100.0
 OPTIONS = MapletOptions(spacing_m=4.0, side=17)

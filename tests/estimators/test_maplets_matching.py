@@ -6,10 +6,10 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
-from estimators.landmark.pose.problem import PoseProblem
-from estimators.maplets.displacement import correlate_window, make_pair, refine_window, shift_covariance
-from scenarios.geometry import Camera, look_at
+from boresight.estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
+from boresight.estimators.landmark.pose.problem import PoseProblem
+from boresight.estimators.maplets.displacement import correlate_window, make_pair, refine_window, shift_covariance
+from boresight.scenarios.geometry import Camera, look_at
 
 SIDE = 64
 WINDOW = (slice(16, 48), slice(14, 50))

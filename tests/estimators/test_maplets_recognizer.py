@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from estimators.maplets.build import build_maplets
-from estimators.maplets.database import MapletDatabase
-from estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
-from estimators.maplets.visibility import body_mask, visible_windows
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import load_body
-from scenarios.draw import draw_lit_view
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.observation import Frame, Observation
-from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec, RoughnessSpec
-from scenarios.spec.brdf import LambertSpec
-from scenarios.spec.distribution import Uniform
-from scenarios.spec.world import LightingSpec, ViewpointSpec
+from boresight.estimators.maplets.build import build_maplets
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
+from boresight.estimators.maplets.visibility import body_mask, visible_windows
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.draw import draw_lit_view
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec, RoughnessSpec
+from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
 OPTIONS = {"maplets": {"spacing_m": 4.0, "side": 21}}

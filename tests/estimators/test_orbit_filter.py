@@ -7,17 +7,17 @@ import pytest
 from orbit_worlds import CAMERA, orbit_world
 from scipy.optimize import least_squares
 
-from estimators.orbit.arc import BatchState, DataArc
-from estimators.orbit.batch_filter import BatchFilter
-from estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
-from estimators.orbit.kernels import consistent_rays
-from estimators.orbit.model import Unknowns, propagate_orbit
-from estimators.orbit.parameters import OrbitOptions, ParameterLayout
-from estimators.orbit.registry import orbit_estimator_class
-from estimators.orbit.solve import HuberLoss, LandmarkPrior, StoppingCriteria, adjust, linearise
-from scenarios.dynamics.field import UniformRotation
-from scenarios.errors import BoresightError
-from scenarios.orbits.draw import draw_orbit
+from boresight.estimators.orbit.arc import BatchState, DataArc
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
+from boresight.estimators.orbit.kernels import consistent_rays
+from boresight.estimators.orbit.model import Unknowns, propagate_orbit
+from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from boresight.estimators.orbit.registry import orbit_estimator_class
+from boresight.estimators.orbit.solve import HuberLoss, LandmarkPrior, StoppingCriteria, adjust, linearise
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.orbits.draw import draw_orbit
 
 LEAST_SQUARES = HuberLoss(np.inf, 1.0)
 

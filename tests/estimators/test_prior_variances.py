@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from estimators.landmark.pose.posterior import GaussianPose, solve_map
-from estimators.landmark.pose.problem import PoseProblem
-from estimators.prior import floor_variances
-from scenarios.geometry import Camera, look_at
+from boresight.estimators.landmark.pose.posterior import GaussianPose, solve_map
+from boresight.estimators.landmark.pose.problem import PoseProblem
+from boresight.estimators.prior import floor_variances
+from boresight.scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.marginal import marginalise_view
-from estimators.slam.normal import (
+from boresight.estimators.slam.marginal import marginalise_view
+from boresight.estimators.slam.normal import (
     VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
@@ -20,9 +20,9 @@ from estimators.slam.normal import (
     motion_residuals,
     normal_equations,
 )
-from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
 RULE = StoppingRule(1e-8)
 

@@ -9,12 +9,12 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.bundle import BundleSlam
-from estimators.slam.contract import SequenceEstimate
-from estimators.slam.gating import gate_frame
-from estimators.slam.outliers import OutlierGate, all_within_gate
-from estimators.slam.prediction import SharedUncertainty
-from estimators.slam.problem import (
+from boresight.estimators.slam.bundle import BundleSlam
+from boresight.estimators.slam.contract import SequenceEstimate
+from boresight.estimators.slam.gating import gate_frame
+from boresight.estimators.slam.outliers import OutlierGate, all_within_gate
+from boresight.estimators.slam.prediction import SharedUncertainty
+from boresight.estimators.slam.problem import (
     AdjustedWindow,
     Adjustment,
     Distances,
@@ -23,10 +23,10 @@ from estimators.slam.problem import (
     QuadraticPrior,
     State,
 )
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.solver import StoppingRule
-from scenarios.tracks import TrackSequence
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.tracks import TrackSequence
 
 SHARE = 0.05
 

@@ -12,20 +12,20 @@ from scipy.stats import chi2
 from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
-from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
-from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
-from estimators.slam.dynamics.solver import (
+from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
+from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
+from boresight.estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
+from boresight.estimators.slam.dynamics.solver import (
     DynamicOrdering,
     covariance_of,
     dynamic_equations,
     marginalise_dynamic,
     minimise_dynamic,
 )
-from estimators.slam.normal import bearing_residuals, distance_residuals
-from estimators.slam.problem import State
-from estimators.slam.solver import StoppingRule
-from scenarios.tracks import Forces, TrackSequence
+from boresight.estimators.slam.normal import bearing_residuals, distance_residuals
+from boresight.estimators.slam.problem import State
+from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.tracks import Forces, TrackSequence
 
 FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))
 FIELD = ForceModel.of(FORCES, ORBIT_M)

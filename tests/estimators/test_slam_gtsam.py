@@ -13,12 +13,12 @@ from needs_ceres import skip_without_ceres
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
-from estimators.slam.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2
-from estimators.slam.problem import Adjustment, Distances, State
-from estimators.slam.registry import sequence_estimator_class
-from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.solver import StoppingRule, minimise, view_covariance
-from scenarios.errors import BoresightError
+from boresight.estimators.slam.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2
+from boresight.estimators.slam.problem import Adjustment, Distances, State
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from boresight.estimators.slam.solver import StoppingRule, minimise, view_covariance
+from boresight.scenarios.errors import BoresightError
 
 
 @pytest.mark.parametrize("name", ["gtsam-fixed-lag", "gtsam-isam2"])

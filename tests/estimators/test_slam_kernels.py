@@ -14,18 +14,18 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam import marginal, solver
-from estimators.slam.bundle import BundleSlam
-from estimators.slam.compiled import descent, equations, tracks
-from estimators.slam.compiled import envelope as packed
-from estimators.slam.compiled import problem as flat_problem
-from estimators.slam.compiled import residuals as residual_kernels
-from estimators.slam.normal import VariableOrdering, cost, normal_equations
-from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
-from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.estimators.slam import marginal, solver
+from boresight.estimators.slam.bundle import BundleSlam
+from boresight.estimators.slam.compiled import descent, equations, tracks
+from boresight.estimators.slam.compiled import envelope as packed
+from boresight.estimators.slam.compiled import problem as flat_problem
+from boresight.estimators.slam.compiled import residuals as residual_kernels
+from boresight.estimators.slam.normal import VariableOrdering, cost, normal_equations
+from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from boresight.estimators.slam.slam_map import SlamMap
+from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from boresight.estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 RULE = StoppingRule(1e-6)
 REFERENCED = (
@@ -90,7 +90,7 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
         with monkeypatch.context() as patch:
             for name in REFERENCED:
                 compiled = getattr(solver, name, None) or getattr(marginal, name)
-                for module in [m for key, m in sys.modules.items() if key.startswith("estimators.slam")]:
+                for module in [m for key, m in sys.modules.items() if key.startswith("boresight.estimators.slam")]:
                     if getattr(module, name, None) is compiled:
                         patch.setattr(module, name, getattr(numpy_adjustment, name))
             return function(*arguments)
@@ -246,7 +246,7 @@ def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_nump
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
     """The envelope's kernels in a separate process: none is cached in the source folder."""
     code = (
-        "import numpy as np; from estimators.slam.compiled.envelope import make_envelope;"
+        "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope;"
         "print(make_envelope(np.array([2, 1, 2])).reach.tolist())"
     )
     for home in ({"BORESIGHT_CACHE": str(tmp_path)}, {"BORESIGHT_CACHE": os.devnull}):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.following import LostError
-from estimators.slam.keyframes import DepthGauge, hand_over_gauge, trailing_views
-from estimators.slam.options import BundleOptions
-from estimators.slam.registry import sequence_estimator_class
-from scenarios.tracks import TrackRange
+from boresight.estimators.slam.following import LostError
+from boresight.estimators.slam.keyframes import DepthGauge, hand_over_gauge, trailing_views
+from boresight.estimators.slam.options import BundleOptions
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.scenarios.tracks import TrackRange
 
 
 class Overlap:

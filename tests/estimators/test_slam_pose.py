@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_sequence
 
-from estimators.slam.contract import SequenceEstimate
-from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
-from estimators.slam.ekf_state import landmark_points, turn_jacobians
-from estimators.slam.ekf_update import FrameMeasurements
-from estimators.slam.smoother import FixedLagSmoother
-from scenarios.geometry import cross_matrix
-from scenarios.tracks import TrackFrame, TrackSequence
+from boresight.estimators.slam.contract import SequenceEstimate
+from boresight.estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
+from boresight.estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
+from boresight.estimators.slam.ekf_state import landmark_points, turn_jacobians
+from boresight.estimators.slam.ekf_update import FrameMeasurements
+from boresight.estimators.slam.smoother import FixedLagSmoother
+from boresight.scenarios.geometry import cross_matrix
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 SECONDS = 480.0
 SPIN = Rotation.from_rotvec([0.01, -0.02, 0.03])

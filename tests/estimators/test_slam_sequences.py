@@ -10,15 +10,15 @@ from scipy.optimize import least_squares
 from slam_orbits import Drive, make_orbit_sequence
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.bundle import BundleSlam
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.dynamics.smoother import DynamicSmoother
-from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.loop_smoother import LoopSmoother
-from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
-from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from scenarios.errors import BoresightError
-from scenarios.tracks import TrackRange, TrackSequence
+from boresight.estimators.slam.bundle import BundleSlam
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.dynamics.smoother import DynamicSmoother
+from boresight.estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
+from boresight.estimators.slam.loop_smoother import LoopSmoother
+from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
+from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.tracks import TrackRange, TrackSequence
 
 QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
 ALL = [

@@ -10,13 +10,18 @@ import pytest
 from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.spatial import cKDTree
 
-from estimators.slam.vision.features import find_features
-from estimators.slam.vision.matching import direction_inliers, fitted_direction, fundamental_inliers, match_descriptors
-from estimators.slam.vision.point_trackers import MatchedImage, local_flow
-from estimators.slam.vision.registration import AffineWarps, Spline, cut_patches, register_patches
-from estimators.slam.vision.tracker import Tracker
-from scenarios.geometry import Camera
-from scenarios.spec.sequence import ImageVisionSpec
+from boresight.estimators.slam.vision.features import find_features
+from boresight.estimators.slam.vision.matching import (
+    direction_inliers,
+    fitted_direction,
+    fundamental_inliers,
+    match_descriptors,
+)
+from boresight.estimators.slam.vision.point_trackers import MatchedImage, local_flow
+from boresight.estimators.slam.vision.registration import AffineWarps, Spline, cut_patches, register_patches
+from boresight.estimators.slam.vision.tracker import Tracker
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.spec.sequence import ImageVisionSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
 LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])

@@ -18,7 +18,7 @@ from hostile.target import Target
 from hostile.targets import TARGETS
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 # Inputs are files: told of in full where they are the fault, however long.
 pytestmark = pytest.mark.filterwarnings("ignore:Generating overly large repr")

@@ -8,9 +8,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
-from scenarios.craters import pairs
-from scenarios.craters.simulated import (
+from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from boresight.scenarios.craters import pairs
+from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
     PlaneCraters,
@@ -19,9 +19,9 @@ from scenarios.craters.simulated import (
     raise_craters,
     sample_plane_craters,
 )
-from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from scenarios.observation import Frame
-from scenarios.sequences.ground import MeshGround
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.sequences.ground import MeshGround
 
 FloatArray = NDArray[np.float64]
 

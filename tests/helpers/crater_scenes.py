@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from scenarios.geometry import Camera, Ellipses, Pose, pixel_to_opencv
-from scenarios.observation import Frame
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, pixel_to_opencv
+from boresight.scenarios.observation import Frame
 
 SHAPE = (412, 537)
 CAMERA = Camera.from_fov(SHAPE[1], SHAPE[0], np.radians(2.93))

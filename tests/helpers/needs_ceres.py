@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from benchmarks import ceres
 
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 
 def skip_without_ceres() -> None:

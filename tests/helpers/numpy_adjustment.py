@@ -8,9 +8,9 @@ import numpy as np
 from numpy.linalg import LinAlgError as NumpyLinAlgError
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from estimators.slam.gating import mahalanobis_squares
-from estimators.slam.marginal import constrained_points, without_empty_variables
-from estimators.slam.normal import (
+from boresight.estimators.slam.gating import mahalanobis_squares
+from boresight.estimators.slam.marginal import constrained_points, without_empty_variables
+from boresight.estimators.slam.normal import (
     VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
@@ -18,8 +18,8 @@ from estimators.slam.normal import (
     distance_jacobians,
     normal_equations,
 )
-from estimators.slam.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
-from estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
+from boresight.estimators.slam.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
+from boresight.estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
 
 
 def minimise(problem, state, rule):

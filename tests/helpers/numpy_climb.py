@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.merit import GradientField, side_merits
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
 _HALVINGS = 5

@@ -3,9 +3,9 @@
 import numpy as np
 import trimesh
 
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
-from scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
+from boresight.scenarios.spec.orbit import OrbitSpec
 
 CAMERA = Camera.from_fov(512, 400, np.radians(6.0))
 SECTION = {

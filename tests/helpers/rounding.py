@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renderers.mitsuba3 import wavefront
+from boresight.renderers.mitsuba3 import wavefront
 
 ROUNDING = 1.2e-7  # of a number in single precision
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from slam_sequences import ORBIT_M, STEP_RAD, Recipe, Truth, sequence_along
 
-from scenarios.tracks import Forces, TrackSequence
+from boresight.scenarios.tracks import Forces, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Camera
-from scenarios.tracks import TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

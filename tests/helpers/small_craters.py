@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.craters import CrateredSurface, cratered_surface
-from scenarios.geometry import Camera, View, look_at
-from scenarios.spec.body import BodySpec
-from scenarios.spec.craters import CratersSpec
+from boresight.scenarios.craters import CrateredSurface, cratered_surface
+from boresight.scenarios.geometry import Camera, View, look_at
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.craters import CratersSpec
 
 BODY = BodySpec(shape="sphere")
 """Radius 250 m, on facets 17 m wide."""

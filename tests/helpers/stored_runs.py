@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from reports.schema.tables import FORMAT_VERSION, columns_of
-from scenarios.checksums import checksum_text
+from boresight.reports.schema.tables import FORMAT_VERSION, columns_of
+from boresight.scenarios.checksums import checksum_text
 
 KIND_OF = {
     "epochs": "sequence",

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from reports.pages.console import console_table
+from boresight.reports.pages.console import console_table
 
 
 def terminal_lines(run, width=80):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from renderers.mitsuba3 import Variant, choose_variant
-from scenarios.errors import BoresightError
+from boresight.renderers.mitsuba3 import Variant, choose_variant
+from boresight.scenarios.errors import BoresightError
 
 
 def variant_or_skip(name: str) -> Variant:

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from variants import variant_or_skip
 
-from renderers.mitsuba3 import Variant, choose_variant
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.renderers.mitsuba3 import Variant, choose_variant
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
 
 
 @pytest.fixture(scope="session")

@@ -12,11 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from renderers.brdf import MODELS, brdf_value
-from renderers.mitsuba3 import MitsubaRenderer, register_bsdfs
-from renderers.mitsuba3.wavefront import drjit_math
-from scenarios.geometry import Camera, View, look_at
-from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from boresight.renderers.brdf import MODELS, brdf_value
+from boresight.renderers.mitsuba3 import MitsubaRenderer, register_bsdfs
+from boresight.renderers.mitsuba3.wavefront import drjit_math
+from boresight.scenarios.geometry import Camera, View, look_at
+from boresight.scenarios.spec.brdf import (
+    BrdfSpec,
+    HapkeSpec,
+    LambertSpec,
+    LommelSeeligerSpec,
+    McEwenSpec,
+    OrenNayarSpec,
+)
 
 DEFAULTS: list[BrdfSpec] = [model.spec.model_validate({"kind": kind}) for kind, model in MODELS.items()]
 OTHERS: list[BrdfSpec] = [

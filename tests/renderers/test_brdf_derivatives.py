@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderers.brdf import MODELS, NUMPY, phase_angle
-from renderers.mitsuba3 import choose_variant
-from renderers.mitsuba3.wavefront import drjit_math
-from scenarios.spec.brdf import HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from boresight.renderers.brdf import MODELS, NUMPY, phase_angle
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.renderers.mitsuba3.wavefront import drjit_math
+from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
 
 pytestmark = pytest.mark.skipif(
     not choose_variant().is_wavefront, reason="the Mitsuba variant of this machine gives no derivatives"

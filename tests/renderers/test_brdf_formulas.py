@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
-from renderers.brdf.hapke import h_function, opposition_surge
-from renderers.brdf.lunar_lambert import henyey_greenstein
-from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
+from boresight.renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
+from boresight.renderers.brdf.hapke import h_function, opposition_surge
+from boresight.renderers.brdf.lunar_lambert import henyey_greenstein
+from boresight.scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
 
 HAPKES = [
     HapkeSpec(kind="hapke"),

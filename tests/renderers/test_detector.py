@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 from scipy.ndimage import gaussian_filter
 
-from renderers.detector import Detector, blurred, point_spread
-from scenarios.errors import BoresightError
-from scenarios.spec.camera import DetectorSpec
+from boresight.renderers.detector import Detector, blurred, point_spread
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.camera import DetectorSpec
 
 FALSE_ALARM = 1e-4
 QUIET = {

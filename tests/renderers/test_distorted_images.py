@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderers.mitsuba3 import MitsubaRenderer
-from renderers.mitsuba3.rays import body_window, outline_points
-from renderers.rectify import rectify
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at, pixel_to_opencv
-from scenarios.spec.brdf import LambertSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.renderers.mitsuba3.rays import body_window, outline_points
+from boresight.renderers.rectify import rectify
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at, pixel_to_opencv
+from boresight.scenarios.spec.brdf import LambertSpec
 
 SUN = [0.9, -0.5, 0.1]
 # Several times the distortion of a mission's camera.

@@ -15,11 +15,11 @@ from astropy.io import fits
 from mission_data import data_path, needs_data
 from scipy.spatial.transform import Rotation
 
-from renderers.images import PosedImageSet, read_image
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.load import load_scenario
-from scenarios.spec.images import ImageSetSpec
+from boresight.renderers.images import PosedImageSet, read_image
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.images import ImageSetSpec
 
 CAMERA = Camera.from_fov(24, 16, 0.1)
 NAVCAM, SHAPE = "images/rosetta_navcam_67p", "shapes/67p-16k.obj"

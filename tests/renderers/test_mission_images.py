@@ -10,8 +10,8 @@ import pytest
 from astropy.io import fits
 from mission_data import data_path, needs_data
 
-from renderers.images import open_product
-from scenarios.errors import BoresightError
+from boresight.renderers.images import open_product
+from boresight.scenarios.errors import BoresightError
 
 MSI = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")
 LINES, SAMPLES = 5, 7

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from renderers.brdf import brdf_value
-from renderers.mitsuba3 import register_bsdfs
-from renderers.mitsuba3.bsdf import PLUGINS as NAMED
-from scenarios.spec.brdf import HapkeSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from boresight.renderers.brdf import brdf_value
+from boresight.renderers.mitsuba3 import register_bsdfs
+from boresight.renderers.mitsuba3.bsdf import PLUGINS as NAMED
+from boresight.scenarios.spec.brdf import HapkeSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
 
 PLUGINS = [
     ({"type": "boresight_oren_nayar"}, OrenNayarSpec(kind="oren-nayar")),

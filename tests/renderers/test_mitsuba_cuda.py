@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rounding import round_rays_otherwise
 
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.geometry import Camera
-from scenarios.spec.brdf import HapkeSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.spec.brdf import HapkeSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(20.0))
 HAPKE = HapkeSpec(kind="hapke")

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
-from scenarios.spec.brdf import LambertSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
+from boresight.scenarios.spec.brdf import LambertSpec
 
 CAMERA = Camera.from_fov(160, 140, np.radians(20.0))
 BLUR_PX = 1.5
@@ -114,7 +114,7 @@ def test_the_image_is_the_rendered_one_in_any_strips(llvm, rock, monkeypatch):
     view = view_at(pose_at(40.0, 30.0, 2000.0))
     image, derivatives = renderer.render_with_derivatives(view)
     assert (np.abs(image - renderer.render(view)) > 1e-5).mean() < 1e-3
-    monkeypatch.setattr("renderers.mitsuba3.renderer._MAX_SAMPLES", 6 * 160 * 4 * 16)
+    monkeypatch.setattr("boresight.renderers.mitsuba3.renderer._MAX_SAMPLES", 6 * 160 * 4 * 16)
     in_strips, derivatives_in_strips = renderer.render_with_derivatives(view)
     assert (np.abs(image - in_strips) > 1e-5).mean() < 1e-3
     scale = np.abs(derivatives).max(axis=(1, 2), keepdims=True)

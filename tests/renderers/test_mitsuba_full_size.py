@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.brdf import HapkeSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import HapkeSpec
 
 pytestmark = pytest.mark.long
 
@@ -40,9 +40,9 @@ def test_memory_stays_within_four_gibibytes(llvm, tmp_path, large):
     script = f"""
 import resource, sys
 import numpy as np
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.brdf import HapkeSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import HapkeSpec
 stored = np.load({str(tmp_path / "large.npz")!r})
 renderer = MitsubaRenderer(
     TriangleMesh(stored["v"], stored["f"]), HapkeSpec(kind="hapke"), variant=choose_variant({llvm.name!r})

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads, variant
-from renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
-from renderers.mitsuba3.variant import variant_fault
-from scenarios.errors import BoresightError
+from boresight.renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads, variant
+from boresight.renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
+from boresight.renderers.mitsuba3.variant import variant_fault
+from boresight.scenarios.errors import BoresightError
 
 _RENDER = """
 import numpy as np, trimesh
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.brdf import HapkeSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import HapkeSpec
 ball = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
 at = np.array([0.0, -60.0, 0.0])
 renderer = MitsubaRenderer(TriangleMesh(ball.vertices, ball.faces), HapkeSpec(kind="hapke"))
@@ -166,8 +166,8 @@ def test_an_unknown_variant_is_refused():
 
 def test_a_variant_that_cannot_work_is_refused_with_advice():
     script = """
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
 try:
     choose_variant("llvm_ad_mono")
 except BoresightError as error:
@@ -221,7 +221,9 @@ def test_the_probe_sees_rays_where_there_are_some_and_says_what_fails():
 
 def test_threads_are_limited():
     assert (
-        run("from renderers.mitsuba3 import limit_threads; limit_threads(1); import drjit; print(drjit.thread_count())")
+        run(
+            "from boresight.renderers.mitsuba3 import limit_threads; limit_threads(1); import drjit; print(drjit.thread_count())"
+        )
         == "1\n"
     )
     with pytest.raises(BoresightError, match="at least 1 thread, not 0"):

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderers.mitsuba3 import MitsubaRenderer, register_bsdfs, wavefront
-from renderers.mitsuba3.scene import mesh_on_device
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.brdf import HapkeSpec, LambertSpec, OrenNayarSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, register_bsdfs, wavefront
+from boresight.renderers.mitsuba3.scene import mesh_on_device
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec, OrenNayarSpec
 
 CAMERA = Camera.from_fov(96, 96, np.radians(20.0))
 ODD = Camera(90, 70, 260.0, 300.0, 40.3, 38.8)
@@ -186,7 +186,7 @@ def test_strips_of_a_large_image_join(variant, rock, looking, monkeypatch):
     view = looking(CAMERA, POSITION, SUN)
     renderer = MitsubaRenderer(rock, HAPKE, 4, variant=variant)
     whole = renderer.render(view)
-    monkeypatch.setattr("renderers.mitsuba3.renderer._MAX_SAMPLES", 1500)
+    monkeypatch.setattr("boresight.renderers.mitsuba3.renderer._MAX_SAMPLES", 1500)
     strips = renderer.render(view)
     difference = np.abs(strips - whole)
     assert (difference < 1e-5).mean() > 0.999
@@ -282,9 +282,9 @@ def test_a_new_pose_compiles_no_new_kernel(llvm, rock, looking):
 _DIGEST = """
 import hashlib, json, sys
 import numpy as np
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
-from scenarios.spec.brdf import HapkeSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
+from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import HapkeSpec
 case = json.load(sys.stdin)
 if case["threads"]:
     limit_threads(case["threads"])
@@ -319,9 +319,9 @@ def test_without_llvm_all_models_still_render_the_same(llvm, tmp_path, rock, loo
     np.savez(tmp_path / "rock.npz", v=rock.vertices_m, f=rock.faces)
     script = f"""
 import numpy as np
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.geometry import Camera, Pose, TriangleMesh, View
-from scenarios.spec.brdf import HapkeSpec, LambertSpec, OrenNayarSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
+from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec, OrenNayarSpec
 variant = choose_variant()
 assert variant.name == "scalar_rgb" and "pip install" in variant.advice, variant
 stored = np.load({str(tmp_path / "rock.npz")!r})

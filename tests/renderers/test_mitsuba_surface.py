@@ -8,11 +8,11 @@ import pytest
 import trimesh
 from mission_data import data_path, needs_data
 
-from renderers.mitsuba3 import MitsubaRenderer, check_outside
-from renderers.mitsuba3.rays import PixelWindow, body_window, outline_points
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from scenarios.spec.brdf import LambertSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, check_outside
+from boresight.renderers.mitsuba3.rays import PixelWindow, body_window, outline_points
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.spec.brdf import LambertSpec
 
 GOLDEN, ITOKAWA = "golden/itokawa_q64_rays.json", "shapes/itokawa_gaskell_q64.ply"
 

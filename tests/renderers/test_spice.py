@@ -15,16 +15,16 @@ from mission_data import data_path, needs_data
 from scipy.spatial.transform import Rotation
 from tiny_mission import KERNELS, LENGTH_S, SPICE_SECTION, START_ET, SUN_FROM_BODY_KM, TinyMission, make_mission
 
-from renderers.images import keep_clear, open_product
-from renderers.mitsuba3 import MitsubaRenderer
-from renderers.mitsuba3.rays import outline_points
-from renderers.spice import INSTRUMENTS, SpiceImageSet, SpiceNames, apparent_geometry, loaded_kernels
-from scenarios.bodies import load_body
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
-from scenarios.spec.body import BodySpec
-from scenarios.spec.brdf import LambertSpec
-from scenarios.spec.images import ImageSetSpec
+from boresight.renderers.images import keep_clear, open_product
+from boresight.renderers.mitsuba3 import MitsubaRenderer
+from boresight.renderers.mitsuba3.rays import outline_points
+from boresight.renderers.spice import INSTRUMENTS, SpiceImageSet, SpiceNames, apparent_geometry, loaded_kernels
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.images import ImageSetSpec
 
 AMICA, MSI = data_path("spice/hayabusa_amica_st_2458542208"), data_path("spice/near_msi_m0126888978")
 MSI_IMAGE = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")

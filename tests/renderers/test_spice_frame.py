@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import spiceypy
 
-from renderers.spice import loaded_kernels
-from renderers.spice.kernels import check_binary
-from scenarios.errors import BoresightError
+from boresight.renderers.spice import loaded_kernels
+from boresight.renderers.spice.kernels import check_binary
+from boresight.scenarios.errors import BoresightError
 
 _SEGMENTS = 30  # more than the 25 that one record tells of
 

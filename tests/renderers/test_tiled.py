@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from small_craters import small_ground, small_view
 
-from renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
-from renderers.mitsuba3.tiled import tiles_casting, tiles_seen
-from scenarios.craters import Rims, crater_truth
-from scenarios.craters.ray_culling import RayProjection, candidate_facets
-from scenarios.craters.rims import RIM_POINTS
-from scenarios.craters.tiles import overlap
-from scenarios.geometry import TriangleMesh, View, project_circles
-from scenarios.spec.brdf import LambertSpec
+from boresight.renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
+from boresight.renderers.mitsuba3.tiled import tiles_casting, tiles_seen
+from boresight.scenarios.craters import Rims, crater_truth
+from boresight.scenarios.craters.ray_culling import RayProjection, candidate_facets
+from boresight.scenarios.craters.rims import RIM_POINTS
+from boresight.scenarios.craters.tiles import overlap
+from boresight.scenarios.geometry import TriangleMesh, View, project_circles
+from boresight.scenarios.spec.brdf import LambertSpec
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
-from reports.pages.build import ReportFiles, write_report
+from boresight.reports.pages.build import ReportFiles, write_report
 
 
 @pytest.fixture

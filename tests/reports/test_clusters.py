@@ -5,19 +5,19 @@ import pytest
 from scipy.stats import binomtest, bootstrap, t
 from terminal_text import terminal_lines
 
-from reports.kinds.designs.tables import DesignData, Outcome
-from reports.kinds.sequence.contrasts import ratio_records
-from reports.kinds.sequence.tables import revolution_figure, revolution_series
-from reports.kinds.sequence.vision import vision_records
-from reports.pages.build import write_report
-from reports.pages.console import console_table
-from reports.run.clusters import image_set, pools
-from reports.run.data import read_run
-from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from reports.schema.records import RATIO, SEQUENCE, find
-from reports.statistics.measured import MEAN, measure, measure_deviation
-from reports.statistics.measures import measure_run
-from reports.statistics.paired import BETTER, SIGN_TEST, paired_records
+from boresight.reports.kinds.designs.tables import DesignData, Outcome
+from boresight.reports.kinds.sequence.contrasts import ratio_records
+from boresight.reports.kinds.sequence.tables import revolution_figure, revolution_series
+from boresight.reports.kinds.sequence.vision import vision_records
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.console import console_table
+from boresight.reports.run.clusters import image_set, pools
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.records import RATIO, SEQUENCE, find
+from boresight.reports.statistics.measured import MEAN, measure, measure_deviation
+from boresight.reports.statistics.measures import measure_run
+from boresight.reports.statistics.paired import BETTER, SIGN_TEST, paired_records
 
 STARTS = 6
 POOL = "sphere, {} sets of images"

@@ -9,11 +9,11 @@ import pytest
 from scipy.stats import binom, binomtest, bootstrap, mannwhitneyu, t
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
-from reports.compare import compare_runs, write_comparison
-from reports.compare.build import notes
-from reports.compare.pairs import holm, independent_contrast
-from reports.statistics.measured import MEDIAN, P75, P99, RMS
-from scenarios.errors import BoresightError
+from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.compare.build import notes
+from boresight.reports.compare.pairs import holm, independent_contrast
+from boresight.reports.statistics.measured import MEDIAN, P75, P99, RMS
+from boresight.scenarios.errors import BoresightError
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
 

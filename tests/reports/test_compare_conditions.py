@@ -5,10 +5,16 @@ import pandas as pd
 import pytest
 from scipy.stats import bootstrap, chi2
 
-from reports.compare.conditions import SUCCESS, binned_errors, frames_by_condition, prepare_frames, trials_by_condition
-from reports.compare.metrics import Metric
-from reports.figures.comparison import CoverageCurve, draw_coverage
-from reports.figures.style import plot_styles
+from boresight.reports.compare.conditions import (
+    SUCCESS,
+    binned_errors,
+    frames_by_condition,
+    prepare_frames,
+    trials_by_condition,
+)
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.figures.comparison import CoverageCurve, draw_coverage
+from boresight.reports.figures.style import plot_styles
 
 POSITION = Metric("position_error_m")
 

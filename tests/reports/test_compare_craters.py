@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
-from reports.compare import compare_runs, write_comparison
-from reports.compare.metrics import metric_names
-from reports.run.data import read_run
-from reports.schema.tables import kind_schema
+from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.compare.metrics import metric_names
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.tables import kind_schema
 
 ELLIPSE = dict.fromkeys(("u_px", "v_px", "major_px", "minor_px", "angle_deg"), 20.0)
 ERRORS = ("centre_error_px", "major_error_px", "minor_error_px")

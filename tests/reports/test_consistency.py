@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import chi2, kstest
 from stored_runs import RunBuilder, pose_error
 
-from reports.run.data import read_run
-from reports.schema.records import find
-from reports.statistics.consistency import (
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.records import find
+from boresight.reports.statistics.consistency import (
     BAND,
     INSIDE,
     NEES,

@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
-from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
-from reports.published import Comparison, PublishedValue
-from reports.run.data import RunData
-from reports.schema.records import find
-from reports.statistics.measures import timing_measures
-from reports.statistics.paired import BETTER, SIGN_TEST
+from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
+from boresight.reports.published import Comparison, PublishedValue
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.records import find
+from boresight.reports.statistics.measures import timing_measures
+from boresight.reports.statistics.paired import BETTER, SIGN_TEST
 
 RNG = np.random.default_rng(5)
 COMMON = RNG.gamma(3.0, 2.0, 200)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from reports.kinds.single_image import derived_records
-from reports.pages.content import read_content
-from reports.run.data import read_run
+from boresight.reports.kinds.single_image import derived_records
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
 
 SCENARIO = "itokawa"
 

@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error, seal
 
-from reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
-from reports.kinds import report_grids
-from reports.kinds.designs.figures import design_figures
-from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.tables import failure_grid
+from boresight.reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
+from boresight.reports.kinds import report_grids
+from boresight.reports.kinds.designs.figures import design_figures
+from boresight.reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.tables import failure_grid
 
 TRIALS = 40
 POSITION = Outcome("landmark-harris", "", "position_error_m")

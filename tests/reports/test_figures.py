@@ -6,7 +6,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 from scipy import stats
 
-from reports.figures import (
+from boresight.reports.figures import (
     ClusterView,
     FitPanels,
     Overlay,
@@ -24,11 +24,11 @@ from reports.figures import (
     draw_triangulation,
     save_figure,
 )
-from reports.figures.centroid import one_sigma_ellipse
-from reports.figures.landmark_database import cluster_colours
-from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
-from reports.figures.recognition import MATCH_SIGMAS
-from reports.figures.style import render, shared_edges
+from boresight.reports.figures.centroid import one_sigma_ellipse
+from boresight.reports.figures.landmark_database import cluster_colours
+from boresight.reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
+from boresight.reports.figures.recognition import MATCH_SIGMAS
+from boresight.reports.figures.style import render, shared_edges
 
 CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
 

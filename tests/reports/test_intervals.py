@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.statistics.intervals import LARGE, interval_of_sums, quantile_interval
-from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, measure_deviation
+from boresight.reports.statistics.intervals import LARGE, interval_of_sums, quantile_interval
+from boresight.reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, measure_deviation
 
 P90 = Statistic("90 %", 0.9)
 

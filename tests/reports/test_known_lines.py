@@ -6,15 +6,15 @@ import pytest
 from stored_runs import SCENARIO
 from terminal_text import terminal_lines
 
-from reports import summary
-from reports.compare import compare_runs, write_comparison
-from reports.kinds import brief_grids, report_grids
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line, single_draws
-from reports.schema.grid import Grid
-from reports.tables import reference_grid
+from boresight.reports import summary
+from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.kinds import brief_grids, report_grids
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line, single_draws
+from boresight.reports.schema.grid import Grid
+from boresight.reports.tables import reference_grid
 
 CAMERA, VIEW = {"width_px": 64, "height_px": 64, "fov_deg": 20}, {"range_m": 2000}
 IDEAL = {"name": SCENARIO, "camera": CAMERA, "viewpoint": VIEW}

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from stored_runs import seal
 
-from reports.run.data import read_run
-from reports.schema.records import FAILURES_AT_PRIOR, find
-from reports.statistics.measures import clusters_of, measure_run
-from scenarios.errors import BoresightError
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.records import FAILURES_AT_PRIOR, find
+from boresight.reports.statistics.measures import clusters_of, measure_run
+from boresight.scenarios.errors import BoresightError
 
 ITOKAWA = {"scenario": "itokawa", "estimator": "landmark-harris"}
 

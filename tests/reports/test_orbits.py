@@ -6,14 +6,14 @@ from scipy.stats import chi2
 from stored_runs import SCENARIO, RunBuilder, pose_error
 from terminal_text import terminal_lines
 
-from reports.kinds import report_grids
-from reports.kinds.orbit_determination import ORBIT
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from reports.schema.grid import of_ended
-from reports.schema.records import find
-from reports.statistics.consistency import AT_EPOCH, BAND, CONSISTENCY, INSIDE
-from reports.statistics.measured import RMS, measure
+from boresight.reports.kinds import report_grids
+from boresight.reports.kinds.orbit_determination import ORBIT
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.reports.schema.grid import of_ended
+from boresight.reports.schema.records import find
+from boresight.reports.statistics.consistency import AT_EPOCH, BAND, CONSISTENCY, INSIDE
+from boresight.reports.statistics.measured import RMS, measure
 
 ERRORS = (1.0, 2.0, 3.0, 10.0)
 

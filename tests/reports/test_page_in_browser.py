@@ -10,7 +10,7 @@ import pytest
 from browser import needs_chromium, opened
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
-from reports.pages.build import write_report
+from boresight.reports.pages.build import write_report
 
 pytestmark = needs_chromium
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest, ttest_1samp
 
-from reports.pages.build import write_report
-from reports.run.data import read_run, select
-from reports.run.outcomes import succeeded
-from reports.statistics.measured import MEDIAN
-from reports.statistics.paired import (
+from boresight.reports.pages.build import write_report
+from boresight.reports.run.data import read_run, select
+from boresight.reports.run.outcomes import succeeded
+from boresight.reports.statistics.measured import MEDIAN
+from boresight.reports.statistics.paired import (
     BETTER,
     DIFFERENCE,
     FAILURE_RATE,

@@ -6,12 +6,12 @@ from typing import cast
 
 import pytest
 
-from reports.kinds import Content
-from reports.papers.page import paper_grid, paper_lines
-from reports.published import load_published
-from reports.run.data import RunData
-from reports.schema.records import Record
-from reports.verdicts import compare, compare_claims
+from boresight.reports.kinds import Content
+from boresight.reports.papers.page import paper_grid, paper_lines
+from boresight.reports.published import load_published
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.records import Record
+from boresight.reports.verdicts import compare, compare_claims
 
 
 def made_by(labels: list[str]) -> Content:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from reports.papers.page import PaperLine
-from reports.papers.tables import draw_table, lines_by_table, table_figure
-from reports.schema.grid import Grid
-from reports.schema.records import Record
+from boresight.reports.papers.page import PaperLine
+from boresight.reports.papers.tables import draw_table, lines_by_table, table_figure
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.records import Record
 
 OURS = Record("s", "ekf", "sequence", "", "landmark_rmse_m", "m", "mean", 3.5, 3.0, 4.0, 9, 10)
 LINE = PaperLine("c", "s", "ekf", "Table 3", "landmark RMSE", "mean", "3.72 m", (OURS,), None, "context")

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from campaign.runs.read import CATALOG
-from estimators.craters.registry import crater_detector_names, crater_matcher_names
-from estimators.orbit.registry import orbit_estimator_names
-from estimators.registry import estimator_names
-from estimators.slam.registry import sequence_estimator_names
-from reports.figures.axes import mark_decades, scale_ordinate
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, plot_styles, report_styles
-from scenarios.load import load_campaign
+from boresight.campaign.runs.read import CATALOG
+from boresight.estimators.craters.registry import crater_detector_names, crater_matcher_names
+from boresight.estimators.orbit.registry import orbit_estimator_names
+from boresight.estimators.registry import estimator_names
+from boresight.estimators.slam.registry import sequence_estimator_names
+from boresight.reports.figures.axes import mark_decades, scale_ordinate
+from boresight.reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, plot_styles, report_styles
+from boresight.scenarios.load import load_campaign
 
 REGISTERED = sorted(
     {

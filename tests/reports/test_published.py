@@ -4,12 +4,19 @@ from importlib import resources
 import pytest
 from stored_runs import RunBuilder
 
-from campaign.runs.resolve import resolve
-from reports.kinds import report_kind
-from reports.published import Comparison, PublishedClaim, PublishedValue, load_published, parse, published_names
-from reports.run.data import read_run
-from reports.schema.records import Record, find
-from reports.verdicts import (
+from boresight.campaign.runs.resolve import resolve
+from boresight.reports.kinds import report_kind
+from boresight.reports.published import (
+    Comparison,
+    PublishedClaim,
+    PublishedValue,
+    load_published,
+    parse,
+    published_names,
+)
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.records import Record, find
+from boresight.reports.verdicts import (
     claim_values,
     compare,
     compare_claims,
@@ -18,7 +25,7 @@ from reports.verdicts import (
     verdict_of,
     verdict_of_claim,
 )
-from scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError
 
 # Abstract, sections 4.1, 4.2.1, 4.2.2, 4.3.1, 4.3.2 and table 1 of the paper, typed apart from the package's file.
 SIMULATED = {
@@ -155,7 +162,7 @@ def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place(old, new, message):
-    text = resources.files("reports.published").joinpath("rowell2015.yaml").read_text(encoding="utf-8")
+    text = resources.files("boresight.reports.published").joinpath("rowell2015.yaml").read_text(encoding="utf-8")
     assert old in text
     with pytest.raises(BoresightError, match=message):
         parse(text.replace(old, new, 1), "rowell2015.yaml")
@@ -470,7 +477,7 @@ def test_table_3_is_that_of_the_paper_with_tolerances_by_its_rule():
 
 
 def test_a_reduction_says_what_it_is_from():
-    text = resources.files("reports.published").joinpath("delpech2015.yaml").read_text(encoding="utf-8")
+    text = resources.files("boresight.reports.published").joinpath("delpech2015.yaml").read_text(encoding="utf-8")
     with pytest.raises(BoresightError, match="names what it is against"):
         parse(text.replace("against: ba-slam-3, ", "", 1), "x.yaml")
 

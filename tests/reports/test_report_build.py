@@ -10,13 +10,13 @@ import pytest
 from matplotlib.figure import Figure
 from stored_runs import ESTIMATOR, SCENARIO, pose_error, seal
 
-from reports.figures import draw_landmark_counts
-from reports.figures.provenance import with_trial_counts
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
+from boresight.reports.figures import draw_landmark_counts
+from boresight.reports.figures.provenance import with_trial_counts
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 
@@ -256,7 +256,7 @@ def test_failed_writing_leaves_the_former_report_untouched(report, tmp_path, mon
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("reports.pages.build.save_figure", full_disk)
+    monkeypatch.setattr("boresight.reports.pages.build.save_figure", full_disk)
     with pytest.raises(BoresightError, match="No space left on device"):
         write_report(run, out)
     assert _contents(out) == before

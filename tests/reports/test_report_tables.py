@@ -4,14 +4,14 @@ import pytest
 from stored_runs import RunBuilder
 from terminal_text import terminal_lines
 
-from reports.compare import compare_runs
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.run.outcomes import reason_lines
-from reports.schema.grid import Grid, number, value_of
-from reports.schema.labels import count_of
-from reports.schema.records import Record
-from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
+from boresight.reports.compare import compare_runs
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.run.outcomes import reason_lines
+from boresight.reports.schema.grid import Grid, number, value_of
+from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import Record
+from boresight.reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
 

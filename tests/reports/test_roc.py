@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from scipy.stats import mannwhitneyu, norm
 
-from reports.pages.build import write_report
-from reports.run.data import read_run
-from reports.statistics.roc import (
+from boresight.reports.pages.build import write_report
+from boresight.reports.run.data import read_run
+from boresight.reports.statistics.roc import (
     ABOVE_MEDIANS,
     ABOVE_PRIOR,
     AUC,

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
-from reports.published import load_published
-from reports.run.data import Manifest, RunData, StoredProduct
-from reports.schema.records import Record
+from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
+from boresight.reports.published import load_published
+from boresight.reports.run.data import Manifest, RunData, StoredProduct
+from boresight.reports.schema.records import Record
 
 
 def records(label, landmarks, position, against=""):

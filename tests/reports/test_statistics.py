@@ -3,8 +3,8 @@ import warnings
 import numpy as np
 import pytest
 
-from reports.statistics.intervals import content_rng
-from reports.statistics.measured import (
+from boresight.reports.statistics.intervals import content_rng
+from boresight.reports.statistics.measured import (
     MEAN,
     MEDIAN,
     P95,

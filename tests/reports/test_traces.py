@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from reports.figures.sequences import draw_starts, draw_traces
-from reports.figures.style import render
+from boresight.reports.figures.sequences import draw_starts, draw_traces
+from boresight.reports.figures.style import render
 
 COLUMNS = ["trial", "anomaly_deg", "position_error_m", "landmark_rmse_m"]
 KNOWN = pd.DataFrame([[0, 0.0, 1.0, float("nan")], [0, 800.0, 2.0, float("nan")]], columns=COLUMNS)

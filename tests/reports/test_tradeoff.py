@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from reports.figures import TradeOffPoint, draw_trade_off
-from reports.figures.style import render
-from reports.kinds.single_image.tradeoff import costs, trade_grid
-from reports.pages.build import write_report
-from reports.pages.content import read_content
-from reports.run.data import read_run
-from reports.schema.records import find
-from reports.statistics.measured import Measured
+from boresight.reports.figures import TradeOffPoint, draw_trade_off
+from boresight.reports.figures.style import render
+from boresight.reports.kinds.single_image.tradeoff import costs, trade_grid
+from boresight.reports.pages.build import write_report
+from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
+from boresight.reports.schema.records import find
+from boresight.reports.statistics.measured import Measured
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
 ITOKAWA = "itokawa"

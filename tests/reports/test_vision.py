@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from stored_runs import ESTIMATOR, SCENARIO
 
-from reports.kinds.sequence.vision import vision_grid, vision_records
-from reports.run.data import read_run
+from boresight.reports.kinds.sequence.vision import vision_grid, vision_records
+from boresight.reports.run.data import read_run
 
 FRAMES = {  # by trial: features, share of tracks that go on, tracks, wrong ones; the first frame goes on from none
     0: [(100, None, 30, 0), (200, 0.5, 30, 3), (300, 0.9, 30, 0)],

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from scenarios.cache import Cache, default_cache
-from scenarios.errors import BoresightError
+from boresight.scenarios.cache import Cache, default_cache
+from boresight.scenarios.errors import BoresightError
 
 
 def writer(text="content", size=1):
@@ -94,7 +94,7 @@ def test_machine_code_of_kernels_is_listed_and_cleared(cache, monkeypatch):
     """Kernels are compiled in a separate process, as in a run; entries of other kinds stay."""
     monkeypatch.setenv("BORESIGHT_CACHE", str(cache.root))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    code = "import numpy as np; from estimators.slam.compiled.envelope import make_envelope as m; m(np.array([2, 1]))"
+    code = "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope as m; m(np.array([2, 1]))"
     subprocess.run([sys.executable, "-c", code], check=True)
     cache.folder("bodies", "key", writer())
     machine_code = list(cache.root.glob("kernels/*/*.nbc"))
@@ -144,7 +144,7 @@ def test_names_that_leave_the_folder_are_refused(cache, name):
 
 def test_processes_that_build_the_same_key_agree(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from scenarios.cache import Cache\n"
+        "import sys, time; from pathlib import Path; from boresight.scenarios.cache import Cache\n"
         "def build(folder):\n"
         "    for i in range(20): (folder / str(i)).write_text('x' * 1000); time.sleep(0.005)\n"
         "folder = Cache(Path(sys.argv[1]), 10**9).folder('kind', 'key', build)\n"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenarios.bodies.checks import checked_mesh, winding_number
-from scenarios.bodies.readers import RawShape
-from scenarios.bodies.topology import find_edges, is_closed, vertex_normals
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.bodies.checks import checked_mesh, winding_number
+from boresight.scenarios.bodies.readers import RawShape
+from boresight.scenarios.bodies.topology import find_edges, is_closed, vertex_normals
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 ANY = (1e-3, 1e9)
 

@@ -14,11 +14,11 @@ from scipy.ndimage import binary_fill_holes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from scenarios.bodies import EMBEDDED, body_digest, load_body
-from scenarios.bodies.readers import READERS
-from scenarios.cache import Cache
-from scenarios.errors import BoresightError
-from scenarios.spec.body import AlbedoSpec, BodySpec, BoulderSpec, DetailSpec
+from boresight.scenarios.bodies import EMBEDDED, body_digest, load_body
+from boresight.scenarios.bodies.readers import READERS
+from boresight.scenarios.cache import Cache
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.body import AlbedoSpec, BodySpec, BoulderSpec, DetailSpec
 
 DETAIL = DetailSpec(
     facets=60_000,

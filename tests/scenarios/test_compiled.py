@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-import scenarios
-from scenarios.compiled import source_key
+from boresight import scenarios
+from boresight.scenarios.compiled import source_key
 
 ROOT = Path(scenarios.__file__).parents[1]
 FOLDERS = [
@@ -24,7 +24,7 @@ SOURCE = '''"""Kernels."""
 
 from pathlib import Path
 
-from scenarios.compiled import compiler
+from boresight.scenarios.compiled import compiler
 
 kernel = compiler(Path(__file__).parent)
 FACTOR = 2.0
@@ -137,5 +137,5 @@ def test_kernels_use_nothing_from_outside_their_folder():
 def test_a_kernel_that_uses_something_from_outside_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
     (tmp_path / "scenarios").mkdir()
-    other = SOURCE.replace("FACTOR = 2.0", "from scenarios.constants import FACTOR")
+    other = SOURCE.replace("FACTOR = 2.0", "from boresight.scenarios.constants import FACTOR")
     assert borrowed(write(tmp_path / "mine", other)) == {"kernels_of_test.py: times: FACTOR"}

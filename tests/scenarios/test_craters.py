@@ -14,22 +14,22 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 from small_craters import BODY, craters_spec, small_ground
 
-from renderers.mitsuba3 import choose_variant
-from renderers.mitsuba3.scene import build_shape
-from renderers.mitsuba3.variant import load_mitsuba
-from scenarios.bodies import load_body
-from scenarios.bodies.topology import is_closed
-from scenarios.craters import Craters, Tiling, build_surfaces, cratered_surface, draw_craters, surface
-from scenarios.craters.kernels import add_octave, profile_height
-from scenarios.craters.relief import REACH, Profiles, crater_relief
-from scenarios.craters.rims import find_rims
-from scenarios.craters.surface import smooth_tiles
-from scenarios.craters.tiles import check_size, expected_size
-from scenarios.craters.truth import CraterTruth
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, TriangleMesh
-from scenarios.geometry.ellipse import fit_conics, sampson_distances
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.renderers.mitsuba3.scene import build_shape
+from boresight.renderers.mitsuba3.variant import load_mitsuba
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.bodies.topology import is_closed
+from boresight.scenarios.craters import Craters, Tiling, build_surfaces, cratered_surface, draw_craters, surface
+from boresight.scenarios.craters.kernels import add_octave, profile_height
+from boresight.scenarios.craters.relief import REACH, Profiles, crater_relief
+from boresight.scenarios.craters.rims import find_rims
+from boresight.scenarios.craters.surface import smooth_tiles
+from boresight.scenarios.craters.tiles import check_size, expected_size
+from boresight.scenarios.craters.truth import CraterTruth
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, TriangleMesh
+from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 ANGLES = {"uniform": [0, 20]}
 SCENE = {"name": "scene", "camera": {"focal_px": [10_000, 10_000]}, "craters": {}}
@@ -148,7 +148,7 @@ def test_the_expected_size_is_that_of_the_tiling_but_for_a_third(times: float, e
 def test_a_surface_that_exceeds_the_memory_is_refused_before_it_is_built(
     monkeypatch: pytest.MonkeyPatch, radius_m: float, edge_m: float, words: str
 ) -> None:
-    monkeypatch.setattr("scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
+    monkeypatch.setattr("boresight.scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
     body = load_body(BODY).mesh
     mesh = TriangleMesh(radius_m / body.radius_m * body.vertices_m, body.faces)
     said = rf"on a body {radius_m / 500:g} km across .*this machine has 24 GB: {words}"
@@ -266,7 +266,7 @@ def test_surfaces_built_at_once_are_those_built_one_by_one(monkeypatch: pytest.M
     specs = [craters_spec(seed=seed, roughness=ROUGHNESS) for seed in (5, 6, 7)]
     build_surfaces(BODY, specs, (), 3)
     assert max(most) > 1
-    monkeypatch.setattr("scenarios.craters.surface.installed_memory_bytes", lambda: 1)
+    monkeypatch.setattr("boresight.scenarios.craters.surface.installed_memory_bytes", lambda: 1)
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "another"))
     at_work.clear()
     most.clear()

@@ -6,15 +6,15 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.stats import kstest
 
-from scenarios.bodies import EMBEDDED
-from scenarios.bodies.detail import add_detail
-from scenarios.bodies.detail.features import RefinedSurface, find_feature_vertices, power_law_diameters
-from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
-from scenarios.bodies.topology import vertex_normals
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, RedrawnSpec, RoughnessSpec
+from boresight.scenarios.bodies import EMBEDDED
+from boresight.scenarios.bodies.detail import add_detail
+from boresight.scenarios.bodies.detail.features import RefinedSurface, find_feature_vertices, power_law_diameters
+from boresight.scenarios.bodies.detail.noise import Band, fractal_field
+from boresight.scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
+from boresight.scenarios.bodies.topology import vertex_normals
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, RedrawnSpec, RoughnessSpec
 
 RUBBLE = DetailSpec(
     facets=150_000,

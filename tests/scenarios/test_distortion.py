@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
-from scenarios.load import load_scenario
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
+from boresight.scenarios.load import load_scenario
 
 # As the kernels state them, per mm**2 of the focal plane, with focal lengths in mm.
 AMICA = Camera(1024, 1024, 120.8 / 0.012, 120.8 / 0.012, 512.0, 512.0, RadialDistortion(-2.8e-5 * 120.8**2))

@@ -10,12 +10,12 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import Stream, degrade, draw_lit_view, draw_view, generator, prior_covariance
-from scenarios.errors import BoresightError
-from scenarios.geometry import look_at
-from scenarios.load import load_scenario
-from scenarios.spec.distribution import Normal, Normal3, Uniform, Uniform3
-from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
+from boresight.scenarios.draw import Stream, degrade, draw_lit_view, draw_view, generator, prior_covariance
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.distribution import Normal, Normal3, Uniform, Uniform3
+from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 FALSE_ALARM = 1e-4
 N = 4000

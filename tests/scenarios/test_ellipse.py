@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose, View, pixel_from_opencv, pixel_to_opencv, project_circles
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import (
+    Camera,
+    Ellipses,
+    Pose,
+    View,
+    pixel_from_opencv,
+    pixel_to_opencv,
+    project_circles,
+)
 
 CAMERA = Camera.from_fov(537, 412, np.radians(2.93))
 

@@ -8,13 +8,13 @@ import trimesh
 from mission_data import needs_data
 from scipy.spatial import ConvexHull
 
-from scenarios.bodies import body_digest, load_body
-from scenarios.bodies.load import evenly_meshed
-from scenarios.cache import Cache
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.load import load_scenario
-from scenarios.spec.body import BodySpec
+from boresight.scenarios.bodies import body_digest, load_body
+from boresight.scenarios.bodies.load import evenly_meshed
+from boresight.scenarios.cache import Cache
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.body import BodySpec
 
 
 def polyhedron():

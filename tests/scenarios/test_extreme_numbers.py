@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from scenarios.errors import BoresightError
-from scenarios.load import load_scenario
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
 
 SCENARIOS = ("quickstart", "itokawa-amica-real", "apophis-dynamics-sequence", "eros-like-orbit")
 EXTREMES = (0.0, 1e-320, 1e-300, 1e200, 1e308, -1e308)

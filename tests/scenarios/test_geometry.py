@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import (
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import (
     Camera,
     FrameMismatchError,
     Pose,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError
-from scenarios.known import Item, Known, known_on_board, merged
-from scenarios.load import load_scenario, scenario_names
-from scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
-from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
-from scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.known import Item, Known, known_on_board, merged
+from boresight.scenarios.load import load_scenario, scenario_names
+from boresight.scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
+from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
+from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.
 WRONG = {

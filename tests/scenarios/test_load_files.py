@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenarios.errors import BoresightError
-from scenarios.load import (
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import (
     canonical_json,
     digest,
     file_kind,
@@ -21,9 +21,9 @@ from scenarios.load import (
     names_in,
     scenario_names,
 )
-from scenarios.load.files import CATALOG
-from scenarios.spec.brdf import HapkeSpec, LambertSpec
-from scenarios.spec.distribution import Normal, Normal3, Uniform
+from boresight.scenarios.load.files import CATALOG
+from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec
+from boresight.scenarios.spec.distribution import Normal, Normal3, Uniform
 
 MINIMAL = "camera: {fov_deg: 20}\nviewpoint: {range_m: 1000}\n"
 CAMPAIGN = "scenarios: [quickstart]\nestimators: [prior]\ntrials: 3\nseed: 1\n"
@@ -469,7 +469,7 @@ def test_a_credit_line_changes_no_result():
 
 
 def test_the_digest_is_the_same_in_another_process():
-    code = "from scenarios.load import *; print(digest(load_scenario('quickstart').spec))"
+    code = "from boresight.scenarios.load import *; print(digest(load_scenario('quickstart').spec))"
     run = subprocess.run(
         [sys.executable, "-c", code], env={"PYTHONHASHSEED": "77", "PYTHONPATH": str(CATALOG.parents[1])},
         capture_output=True, text=True, check=True,

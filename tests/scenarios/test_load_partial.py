@@ -9,14 +9,14 @@ import pkgutil
 import numpy as np
 import pytest
 
-import estimators
-from estimators.options import parse_options
-from scenarios.load import load_scenario
-from scenarios.load.files import CATALOG
-from scenarios.load.find import names_in
-from scenarios.load.merge import on_defaults
-from scenarios.spec.base import SpecModel
-from scenarios.spec.scenario import ScenarioSpec
+from boresight import estimators
+from boresight.estimators.options import parse_options
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.load.files import CATALOG
+from boresight.scenarios.load.find import names_in
+from boresight.scenarios.load.merge import on_defaults
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 SCENARIOS = names_in(CATALOG)
 

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from ruamel.yaml import YAML
 
-from scenarios.errors import BoresightError
-from scenarios.load import yaml_text
-from scenarios.load.entry import describe, entry_of
-from scenarios.load.files import CATALOG
-from scenarios.load.yaml_text import MAX_VALUES, dump_yaml, parse_yaml, resolve_scalar
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import yaml_text
+from boresight.scenarios.load.entry import describe, entry_of
+from boresight.scenarios.load.files import CATALOG
+from boresight.scenarios.load.yaml_text import MAX_VALUES, dump_yaml, parse_yaml, resolve_scalar
 
 
 @pytest.fixture(params=[yaml.CSafeLoader, yaml.SafeLoader], ids=["libyaml", "in Python"], autouse=True)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.bodies.embedded import EMBEDDED
-from scenarios.bodies.load import with_height_error
-from scenarios.errors import BoresightError
-from scenarios.geometry import look_at
-from scenarios.load import load_scenario
-from scenarios.onboard import onboard_attitude, onboard_camera, onboard_spec, onboard_sun_dir
-from scenarios.spec.body import HeightErrorSpec
-from scenarios.spec.scenario import OnboardSpec
+from boresight.scenarios.bodies.embedded import EMBEDDED
+from boresight.scenarios.bodies.load import with_height_error
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_spec, onboard_sun_dir
+from boresight.scenarios.spec.body import HeightErrorSpec
+from boresight.scenarios.spec.scenario import OnboardSpec
 
 SUN = np.array([0.48, 0.36, -0.8])
 

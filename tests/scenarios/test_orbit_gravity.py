@@ -6,11 +6,17 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
-from scenarios.dynamics.field import HarmonicField, UniformRotation, differentiate
-from scenarios.dynamics.gravity import Polyhedron
-from scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics, outer_harmonics, term_count, term_index
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
+from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation, differentiate
+from boresight.scenarios.dynamics.gravity import Polyhedron
+from boresight.scenarios.dynamics.harmonics import (
+    Harmonics,
+    homogeneous_harmonics,
+    outer_harmonics,
+    term_count,
+    term_index,
+)
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
 
 GM = 4.463e5
 SEMI_AXES = np.array([17_000.0, 8_500.0, 6_000.0])

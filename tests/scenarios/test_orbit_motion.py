@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from scenarios.dynamics.field import HarmonicField, UniformRotation
-from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
-from scenarios.dynamics.variational import propagate_partials, propagate_states
+from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
+from boresight.scenarios.dynamics.harmonics import Harmonics
+from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import propagate_partials, propagate_states
 
 GM, DAY = 4.463e5, 86_400.0
 REST = UniformRotation(np.eye(3), 0.0)

@@ -5,15 +5,15 @@ import pytest
 import trimesh
 from orbit_worlds import lump, orbit_world
 
-from scenarios.bodies.embedded import contact_binary
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.orbits.draw import draw_knowledge, draw_orbit
-from scenarios.orbits.shape import fit_star_shape
-from scenarios.orbits.sightings import Horizons, merged_numbers
-from scenarios.orbits.true_orbit import state_at_epoch
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.orbit import ArcSpec
+from boresight.scenarios.bodies.embedded import contact_binary
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.orbits.draw import draw_knowledge, draw_orbit
+from boresight.scenarios.orbits.shape import fit_star_shape
+from boresight.scenarios.orbits.sightings import Horizons, merged_numbers
+from boresight.scenarios.orbits.true_orbit import state_at_epoch
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.orbit import ArcSpec
 
 
 def test_horizons_agree_with_ray_tracing():

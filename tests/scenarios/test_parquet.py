@@ -10,10 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from scenarios.checksums import refuse_damaged
-from scenarios.errors import BoresightError
-from scenarios.parquet import TableLayout, read_column, read_frame, read_where
-from scenarios.reading import read_json
+from boresight.scenarios.checksums import refuse_damaged
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.parquet import TableLayout, read_column, read_frame, read_where
+from boresight.scenarios.reading import read_json
 
 LAYOUT = TableLayout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
 MANY = 40_000_000

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenarios.bodies.readers import read_shape
-from scenarios.bodies.readers.icq import cube_lattice
-from scenarios.errors import BoresightError
+from boresight.scenarios.bodies.readers import read_shape
+from boresight.scenarios.bodies.readers.icq import cube_lattice
+from boresight.scenarios.errors import BoresightError
 
 TETRAHEDRON = "v 1 0 0\nv 0 1 0\nv 0 0 1\nv -1 -1 -1\n"
 FACES = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]

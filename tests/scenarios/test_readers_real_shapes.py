@@ -6,9 +6,9 @@ import trimesh
 from mission_data import data_file, needs_data
 from scipy.spatial import cKDTree
 
-from scenarios.bodies import load_body
-from scenarios.bodies.readers import read_shape
-from scenarios.spec.body import BodySpec
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.bodies.readers import read_shape
+from boresight.scenarios.spec.body import BodySpec
 
 pytestmark = needs_data()
 

@@ -8,10 +8,10 @@ import pytest
 from jsonschema import Draft202012Validator
 from ruamel.yaml import YAML
 
-import campaign
-from scenarios.errors import BoresightError
-from scenarios.load import json_schema, load_campaign, load_scenario
-from scenarios.load.files import CATALOG
+from boresight import campaign
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import json_schema, load_campaign, load_scenario
+from boresight.scenarios.load.files import CATALOG
 
 CAMPAIGNS = Path(campaign.__file__).parent / "catalog"
 MINIMAL = {"camera": {"fov_deg": 20}, "viewpoint": {"range_m": 1000}}

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.geometry import Camera, Pose
-from scenarios.sequences.trajectory import R_PAPER_CAMERA, first_camera_from_inertial, inertial_from_body
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.sequences.trajectory import R_PAPER_CAMERA, first_camera_from_inertial, inertial_from_body
 
 
 def test_body_and_inertial_axes_differ_by_the_body_s_rotation():

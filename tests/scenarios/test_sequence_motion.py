@@ -11,13 +11,19 @@ import trimesh
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from scenarios.dynamics.gravity import PointMass, Polyhedron
-from scenarios.dynamics.propagation import radiation_pressure
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh
-from scenarios.sequences import MeshGround, SphereGround, camera_trajectory, draw_sequence, draw_unmodelled_m_s2
-from scenarios.sequences.trajectory import angular_velocity, attitude_function
-from scenarios.spec.sequence import BodyMotionSpec, ForcesSpec, SequenceSpec
+from boresight.scenarios.dynamics.gravity import PointMass, Polyhedron
+from boresight.scenarios.dynamics.propagation import radiation_pressure
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.sequences import (
+    MeshGround,
+    SphereGround,
+    camera_trajectory,
+    draw_sequence,
+    draw_unmodelled_m_s2,
+)
+from boresight.scenarios.sequences.trajectory import angular_velocity, attitude_function
+from boresight.scenarios.spec.sequence import BodyMotionSpec, ForcesSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPHERE = SphereGround(190.0)

@@ -7,13 +7,13 @@ import pytest
 from mission_data import data_file, needs_data
 from scipy.spatial import cKDTree
 
-from scenarios.bodies import load_body
-from scenarios.dynamics.gravity import PointMass, Polyhedron
-from scenarios.geometry import Camera
-from scenarios.load import load_scenario
-from scenarios.sequences import MeshGround, draw_sequence
-from scenarios.spec.body import BodySpec
-from scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.dynamics.gravity import PointMass, Polyhedron
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.sequences import MeshGround, draw_sequence
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.sequence import SequenceSpec
 
 pytestmark = needs_data()
 

@@ -8,12 +8,12 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from scenarios.geometry import Camera, TriangleMesh, View
-from scenarios.load import load_scenario
-from scenarios.sequences import FrameTracks, MeshGround, SphereGround, draw_sequence, measured_ranges
-from scenarios.sequences.trajectory import circular_poses, frame_times_s
-from scenarios.sequences.visibility import Visibility, sphere_share
-from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceOrbitSpec, SequenceSpec
+from boresight.scenarios.geometry import Camera, TriangleMesh, View
+from boresight.scenarios.load import load_scenario
+from boresight.scenarios.sequences import FrameTracks, MeshGround, SphereGround, draw_sequence, measured_ranges
+from boresight.scenarios.sequences.trajectory import circular_poses, frame_times_s
+from boresight.scenarios.sequences.visibility import Visibility, sphere_share
+from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceOrbitSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 RADIUS_M = 190.0

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, population
 
-from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, in_view, sample_plane_craters
-from scenarios.geometry import Pose, View, look_at
+from boresight.scenarios.craters.simulated import (
+    NO_CRATER,
+    DetectionErrors,
+    detect_simulated,
+    in_view,
+    sample_plane_craters,
+)
+from boresight.scenarios.geometry import Pose, View, look_at
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 NO_PRIOR = np.zeros((2, 3, 3)), np.zeros((2, 3))
 

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-import estimators.craters.learned as learned
-from estimators.craters.detection.preparation import noise_level, prepare_image
-from estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
-from estimators.craters.learned.network import SHAPES, Network, PatchSource
-from estimators.craters.learned.proposals import propose
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses
+import boresight.estimators.craters.learned as learned
+from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
+from boresight.estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
+from boresight.estimators.craters.learned.network import SHAPES, Network, PatchSource
+from boresight.estimators.craters.learned.proposals import propose
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses
 from training.lessons import displaced, joined, lessons_of
 from training.network_training import Lessons, Schedule, fresh_network, train
 from training.sight import CAMERA, Lesson, draw_lesson

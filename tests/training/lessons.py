@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.network import PatchSource, cut_patches, ellipses_of, shape_of, target_outputs
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.learned.network import PatchSource, cut_patches, ellipses_of, shape_of, target_outputs
+from boresight.scenarios.geometry import Ellipses
 from training.network_training import Lessons
 
 FloatArray = NDArray[np.float64]

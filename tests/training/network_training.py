@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.network import OUTPUTS, SCALARS, SHAPES, SIDE, STRIDE, Network
+from boresight.estimators.craters.learned.network import OUTPUTS, SCALARS, SHAPES, SIDE, STRIDE, Network
 
 FloatImage = NDArray[np.float32]
 AnyFloats = NDArray[np.floating[Any]]

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.candidates import fit_reweighted
-from scenarios.geometry import Camera, Ellipses, Pose
-from scenarios.observation import Frame
+from boresight.estimators.craters.detection.candidates import fit_reweighted
+from boresight.scenarios.geometry import Camera, Ellipses, Pose
+from boresight.scenarios.observation import Frame
 from training.ground import STEP_PX, Ground, make_ground
 
 FloatArray = NDArray[np.float64]

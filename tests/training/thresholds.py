@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.observe import observe
-from campaign.imaging.world import World, open_world
-from campaign.trial.crater_score import NONE, match_detections
-from estimators.craters.contract import CraterDetector
-from estimators.craters.registry import crater_detector_class
-from renderers.mitsuba3 import TiledRenderer, choose_variant
-from scenarios.craters import crater_truth
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses
-from scenarios.load import load_scenario
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import World, open_world
+from boresight.campaign.trial.crater_score import NONE, match_detections
+from boresight.estimators.craters.contract import CraterDetector
+from boresight.estimators.craters.registry import crater_detector_class
+from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.craters import crater_truth
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.load import load_scenario
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -1,7 +1,7 @@
 """Kind of trial: craters found in one image."""
 
-from campaign.kinds.crater_detection.trial import CraterDetection
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.crater_detection.trial import CraterDetection
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-detection",

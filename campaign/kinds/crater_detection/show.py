@@ -7,21 +7,21 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from campaign.inspection.case import Case, crater_faults
-from campaign.inspection.look import crater_look, outcome_marks, places_of
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
-from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
-from campaign.resolved import ResolvedCampaign
-from campaign.store import RunFolder
-from campaign.trial.image_trials import part_of
-from estimators.craters.detection.classic import CraterClassic
-from reports.kinds.crater_detection.figures import draw_example, ellipses_of, example_figure, stages_figure
-from reports.pages.view3d import View3D
-from reports.run.data import RunData, read_run, select
-from reports.schema.named_figure import NamedFigure
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
+from boresight.campaign.inspection.case import Case, crater_faults
+from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
+from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.image_trials import part_of
+from boresight.estimators.craters.detection.classic import CraterClassic
+from boresight.reports.kinds.crater_detection.figures import draw_example, ellipses_of, example_figure, stages_figure
+from boresight.reports.pages.view3d import View3D
+from boresight.reports.run.data import RunData, read_run, select
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
 
 _EXAMPLES = 3
 

@@ -10,28 +10,28 @@ from typing import Self
 
 import numpy as np
 
-from campaign.handles import own_copy
-from campaign.imaging.observe import observe
-from campaign.imaging.world import TrialImage, World, open_world
-from campaign.machine import cores
-from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, BuiltProduct
-from campaign.products.databases import with_database_craters
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
-from campaign.trial.image_trials import ImageSink, InTurn, image_sink
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
-from campaign.trial.methods import Unbuilt, able, methods
-from campaign.trial.work import GaveUpError, Work
-from estimators.craters.contract import CraterDetections, CraterDetector
-from estimators.craters.registry import crater_detector_class
-from renderers.mitsuba3 import TiledRenderer
-from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.craters import CraterTruth, build_surfaces, crater_truth
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses
-from scenarios.load import LoadedScenario
-from scenarios.observation import Frame
+from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import TrialImage, World, open_world
+from boresight.campaign.machine import cores
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.products import BuiltAssets, BuiltProduct
+from boresight.campaign.products.databases import with_database_craters
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
+from boresight.campaign.trial.image_trials import ImageSink, InTurn, image_sink
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.work import GaveUpError, Work
+from boresight.estimators.craters.contract import CraterDetections, CraterDetector
+from boresight.estimators.craters.registry import crater_detector_class
+from boresight.renderers.mitsuba3 import TiledRenderer
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.scenarios.craters import CraterTruth, build_surfaces, crater_truth
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import Frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """Kind of trial: craters identified in two images."""
 
-from campaign.kinds.crater_matching.trial import CraterMatching
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.crater_matching.trial import CraterMatching
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-matching",

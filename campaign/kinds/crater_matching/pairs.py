@@ -10,26 +10,33 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.handles import Handle, own_copy, target_of
-from campaign.imaging.image_store import Imager
-from campaign.trial.crater_score import check_detections, match_detections
-from campaign.trial.methods import Unbuilt, able, built
-from estimators.craters.contract import CraterDetector
-from estimators.craters.registry import crater_detector_class
-from renderers.mitsuba3 import TiledRenderer, choose_variant
-from scenarios.bodies import load_body
-from scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
-from scenarios.craters.pairs import CraterPair, CraterView, draw_pair, draw_plane_craters, draw_views, observed_frame
-from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
-from scenarios.draw import Stream, generator
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, View
-from scenarios.load import LoadedScenario
-from scenarios.observation import Frame
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
-from scenarios.spec.world import PoseErrorSpec
+from boresight.campaign.handles import Handle, own_copy, target_of
+from boresight.campaign.imaging.image_store import Imager
+from boresight.campaign.trial.crater_score import check_detections, match_detections
+from boresight.campaign.trial.methods import Unbuilt, able, built
+from boresight.estimators.craters.contract import CraterDetector
+from boresight.estimators.craters.registry import crater_detector_class
+from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
+from boresight.scenarios.craters.pairs import (
+    CraterPair,
+    CraterView,
+    draw_pair,
+    draw_plane_craters,
+    draw_views,
+    observed_frame,
+)
+from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.campaign import EstimatorSpec
+from boresight.scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
+from boresight.scenarios.spec.world import PoseErrorSpec
 
 FloatArray = NDArray[np.float64]
 

@@ -9,21 +9,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case, crater_faults
-from campaign.inspection.look import crater_look, outcome_marks, places_of
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
-from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
-from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches, unlisted_matches
-from campaign.resolved import ResolvedCampaign
-from campaign.store import RunFolder
-from estimators.craters.contract import CraterMatches
-from reports.figures.craters import MatchedRims, draw_matched_pair
-from reports.pages.view3d import View3D
-from reports.run.data import RunData, read_run, select
-from reports.schema.named_figure import NamedFigure, file_stem
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
+from boresight.campaign.inspection.case import Case, crater_faults
+from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
+from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
+from boresight.campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches, unlisted_matches
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder
+from boresight.estimators.craters.contract import CraterMatches
+from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
+from boresight.reports.pages.view3d import View3D
+from boresight.reports.run.data import RunData, read_run, select
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
 
 _ALIKE_DEG = (20.0, 10.0)
 

@@ -11,8 +11,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.handles import own_copy
-from campaign.kinds.crater_matching.pairs import (
+from boresight.campaign.handles import own_copy
+from boresight.campaign.kinds.crater_matching.pairs import (
     BY_GEOMETRY,
     Looks,
     MatcherGround,
@@ -20,25 +20,31 @@ from campaign.kinds.crater_matching.pairs import (
     check_detector,
     open_pairs,
 )
-from campaign.pool.guard import Call
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.checks import check_array, check_indices, check_reason
-from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, located, methods
-from campaign.trial.work import Work
-from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches, GroundModel
-from estimators.craters.matching.context import epipolar_offsets
-from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
-from scenarios.bodies import load_body
-from scenarios.craters.pairs import CraterPair, CraterView
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
-from scenarios.load import LoadedScenario
-from scenarios.onboard import onboard_spec
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.craters import CraterPairsSpec
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.checks import check_array, check_indices, check_reason
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from boresight.campaign.trial.methods import Unbuilt, able, located, methods
+from boresight.campaign.trial.work import Work
+from boresight.estimators.craters.contract import (
+    CraterDetections,
+    CraterImage,
+    CraterMatcher,
+    CraterMatches,
+    GroundModel,
+)
+from boresight.estimators.craters.matching.context import epipolar_offsets
+from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.craters.pairs import CraterPair, CraterView
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.campaign import EstimatorSpec
+from boresight.scenarios.spec.craters import CraterPairsSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """Kind of trial: an orbit from images of craters."""
 
-from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-navigation",

@@ -9,21 +9,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.handles import own_copy
-from campaign.imaging.image_store import Imager
-from campaign.trial.crater_score import check_detections, match_detections
-from estimators.craters.contract import CraterDetections
-from estimators.craters.database.files import ImageDetections, read_detections, write_detections
-from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.stages import StageFiles
-from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
-from renderers.mitsuba3 import TiledRenderer, choose_variant
-from scenarios.atomic import write_atomically
-from scenarios.bodies import load_body
-from scenarios.craters import Rims, crater_truth, cratered_surface
-from scenarios.craters.pairs import LIMITS_DEG, draw_plane_craters
-from scenarios.craters.simulated import (
+from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.image_store import Imager
+from boresight.campaign.trial.crater_score import check_detections, match_detections
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
+from boresight.estimators.craters.navigation.rounds import CraterNavigation
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
+from boresight.estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
+from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.atomic import write_atomically
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.craters import Rims, crater_truth, cratered_surface
+from boresight.scenarios.craters.pairs import LIMITS_DEG, draw_plane_craters
+from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
     PlaneCraters,
@@ -31,18 +31,18 @@ from scenarios.craters.simulated import (
     in_view,
     raise_craters,
 )
-from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import UniformRotation
-from scenarios.errors import BoresightError
-from scenarios.geometry import Ellipses, Pose, TriangleMesh, View
-from scenarios.load import LoadedScenario
-from scenarios.observation import Frame
-from scenarios.orbits.draw import draw_knowledge, draw_radiometry
-from scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
-from scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
-from scenarios.orbits.world import OrbitWorld
-from scenarios.sequences.ground import MeshGround
-from scenarios.spec.orbit import ImagingSpec
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Ellipses, Pose, TriangleMesh, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.orbits.draw import draw_knowledge, draw_radiometry
+from boresight.scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
+from boresight.scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
+from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.orbit import ImagingSpec
 
 IndexArray = NDArray[np.int64]
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.crater_navigation.images import NavigationTrial, SearchedImage
-from estimators.craters.navigation.rounds import NavigationResult, NavigationRound
-from estimators.orbit.contract import OrbitEstimate
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.orbits.data import OrbitData
-from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.true_orbit import DAY_S
-from scenarios.orbits.world import OrbitWorld
+from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, SearchedImage
+from boresight.estimators.craters.navigation.rounds import NavigationResult, NavigationRound
+from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.orbits.draw import OrbitTruth
+from boresight.scenarios.orbits.true_orbit import DAY_S
+from boresight.scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from campaign.kinds.orbit_determination.show import SHOW as ORBIT
+from boresight.campaign.kinds.orbit_determination.show import SHOW as ORBIT
 
 SHOW = replace(ORBIT, long=lambda campaign: True)

@@ -13,50 +13,50 @@ from typing import Self
 
 import numpy as np
 
-from campaign.handles import own_copy
-from campaign.kinds.crater_navigation.images import (
+from boresight.campaign.handles import own_copy
+from boresight.campaign.kinds.crater_navigation.images import (
     CraterSights,
     NavigationTrial,
     SearchedImage,
     open_sights,
     searched_in,
 )
-from campaign.kinds.crater_navigation.score import (
+from boresight.campaign.kinds.crater_navigation.score import (
     at_times,
     image_records,
     landmark_records,
     navigation_summary,
     truth_of_sightings,
 )
-from campaign.kinds.orbit_determination.score import check_orbit
-from campaign.kinds.orbit_determination.trial import (
+from boresight.campaign.kinds.orbit_determination.score import check_orbit
+from boresight.campaign.kinds.orbit_determination.trial import (
     DeterminedOrbit,
     checked_orbit_section,
     empty_row,
     open_orbit_world,
     scored_orbit,
 )
-from campaign.pool.guard import Call
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.crater_score import check_listed
-from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, methods
-from campaign.trial.work import GaveUpError, Work
-from estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
-from estimators.craters.navigation.stages import StageFiles
-from estimators.craters.registry import (
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.crater_score import check_listed
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.work import GaveUpError, Work
+from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.registry import (
     crater_detector_class,
     crater_detector_names,
     crater_matcher_class,
     crater_matcher_names,
 )
-from estimators.orbit.batch_filter import BatchFilter
-from estimators.orbit.contract import OrbitData, OrbitEstimate
-from scenarios.dynamics.propagation import OrbitLostError
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
-from scenarios.orbits.imaging import epochs_s, imaging_of
-from scenarios.orbits.world import OrbitWorld
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.imaging import epochs_s, imaging_of
+from boresight.scenarios.orbits.world import OrbitWorld
 
 _FOLDER = "chain"
 

@@ -1,7 +1,7 @@
 """Kind of trial: the images of an arc, planned."""
 
-from campaign.kinds.image_survey.trial import ImageSurvey
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.image_survey.trial import ImageSurvey
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="image-survey",

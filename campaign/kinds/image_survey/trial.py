@@ -13,23 +13,23 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
-from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import located
-from estimators.craters.contract import GroundModel
-from estimators.craters.matching.preliminary import lit_points
-from estimators.craters.navigation.stages import StageFiles
-from estimators.craters.planning import PLANNER, PLANNER_VERSION
-from scenarios.craters.simulated import NO_CRATER
-from scenarios.errors import BoresightError
-from scenarios.geometry import View
-from scenarios.load import LoadedScenario
-from scenarios.orbits.imaging import imaging_of
-from scenarios.orbits.true_orbit import DAY_S
-from scenarios.orbits.world import OrbitWorld
-from scenarios.spec.orbit import ImagingSpec
+from boresight.campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
+from boresight.campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from boresight.campaign.trial.methods import located
+from boresight.estimators.craters.contract import GroundModel
+from boresight.estimators.craters.matching.preliminary import lit_points
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.planning import PLANNER, PLANNER_VERSION
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.orbits.true_orbit import DAY_S
+from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.spec.orbit import ImagingSpec
 
 IndexArray = NDArray[np.int64]
 

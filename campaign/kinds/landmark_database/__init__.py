@@ -1,7 +1,7 @@
 """Kind of trial: a data base of landmarks."""
 
-from campaign.kinds.landmark_database.trial import DatabaseTrials
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.landmark_database.trial import DatabaseTrials
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="landmark-database",

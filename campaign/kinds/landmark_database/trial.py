@@ -7,20 +7,20 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Self
 
-from campaign.draft import drafted
-from campaign.imaging.image_store import store_switched
-from campaign.imaging.world import believed, check_views
-from campaign.products import BuiltAssets, BuiltProduct, landmark_database
-from campaign.products.database_images import IN_THIS_PROCESS
-from campaign.products.landmark_database import landmark_candidates
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness
-from campaign.trial.methods import located
-from estimators.contract import NoProductError
-from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
-from estimators.options import parse_options
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
+from boresight.campaign.draft import drafted
+from boresight.campaign.imaging.image_store import store_switched
+from boresight.campaign.imaging.world import believed, check_views
+from boresight.campaign.products import BuiltAssets, BuiltProduct, landmark_database
+from boresight.campaign.products.database_images import IN_THIS_PROCESS
+from boresight.campaign.products.landmark_database import landmark_candidates
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness
+from boresight.campaign.trial.methods import located
+from boresight.estimators.contract import NoProductError
+from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
+from boresight.estimators.options import parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Kind of trial: an orbit from crater sightings and radiometric data."""
 
-from campaign.kinds.orbit_determination.trial import OrbitTrials
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="orbit-determination",

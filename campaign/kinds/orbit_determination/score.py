@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.trial.checks import (
+from boresight.campaign.trial.checks import (
     MOST,
     check_array,
     check_covariance,
@@ -21,11 +21,11 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
-from campaign.trial.pose_score import nees
-from estimators.orbit.contract import Orbit, OrbitEstimate
-from scenarios.orbits.data import OrbitData
-from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.true_orbit import DAY_S
+from boresight.campaign.trial.pose_score import nees
+from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
+from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.orbits.draw import OrbitTruth
+from boresight.scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 Record = dict[str, object]

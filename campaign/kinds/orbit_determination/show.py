@@ -6,20 +6,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
-from campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
-from campaign.kinds.orbit_determination.trial import DeterminedOrbit
-from estimators.orbit.contract import Orbit
-from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
-from reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
-from reports.schema.named_figure import NamedFigure
-from scenarios.dynamics.field import UniformRotation
-from scenarios.errors import BoresightError
-from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.true_orbit import DAY_S
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
+from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
+from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from boresight.estimators.orbit.contract import Orbit
+from boresight.reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
+from boresight.reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.orbits.draw import OrbitTruth
+from boresight.scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 

@@ -9,30 +9,30 @@ from typing import Self
 
 import numpy as np
 
-from campaign.handles import own_copy
-from campaign.kinds.orbit_determination.score import (
+from boresight.campaign.handles import own_copy
+from boresight.campaign.kinds.orbit_determination.score import (
     check_orbit,
     drawable,
     orbit_errors,
     orbit_summary,
     residual_records,
 )
-from campaign.pool.guard import Call
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.image_trials import InTurn
-from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from campaign.trial.methods import Unbuilt, able, methods
-from campaign.trial.work import Work
-from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
-from estimators.orbit.registry import orbit_estimator_class
-from scenarios.bodies import body_digest, load_body
-from scenarios.dynamics.propagation import OrbitLostError
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
-from scenarios.orbits.data import OrbitData
-from scenarios.orbits.draw import OrbitTruth, draw_orbit
-from scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
-from scenarios.spec.orbit import OrbitSpec
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.image_trials import InTurn
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.work import Work
+from boresight.estimators.orbit.contract import OrbitEstimate, OrbitEstimator
+from boresight.estimators.orbit.registry import orbit_estimator_class
+from boresight.scenarios.bodies import body_digest, load_body
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.orbits.draw import OrbitTruth, draw_orbit
+from boresight.scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
+from boresight.scenarios.spec.orbit import OrbitSpec
 
 _STATE = 6
 

@@ -1,7 +1,7 @@
 """Kind of trial: pose solvers on drawn landmarks."""
 
-from campaign.kinds.pose_convergence.trial import PoseConvergence
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.pose_convergence.trial import PoseConvergence
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="pose-convergence",

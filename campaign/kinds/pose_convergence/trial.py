@@ -9,15 +9,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.products import BuiltAssets, BuiltProduct
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness
-from campaign.trial.methods import located
-from campaign.trial.pose_score import FloatArray, pose_errors
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import inverse_2x2
-from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
-from estimators.landmark.pose.stack import (
+from boresight.campaign.products import BuiltAssets, BuiltProduct
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness
+from boresight.campaign.trial.methods import located
+from boresight.campaign.trial.pose_score import FloatArray, pose_errors
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.matching import inverse_2x2
+from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
+from boresight.estimators.landmark.pose.stack import (
     NAME,
     VERSION,
     PoseSolverOptions,
@@ -27,13 +27,13 @@ from estimators.landmark.pose.stack import (
     refine_poses,
     solve_stack,
 )
-from estimators.landmark.projection import faces_camera, image_covariances, is_occluded
-from estimators.options import parse_options
-from scenarios.draw import Stream, degrade, draw_view, generator
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh, View
-from scenarios.load import LoadedScenario
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.estimators.landmark.projection import faces_camera, image_covariances, is_occluded
+from boresight.estimators.options import parse_options
+from boresight.scenarios.draw import Stream, degrade, draw_view, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _MINIMUM = MarquardtOptions(parameters="minimal", tolerance=1e-12)
 

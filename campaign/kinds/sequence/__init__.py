@@ -1,7 +1,7 @@
 """Kind of trial: a camera followed along an orbit by tracks."""
 
-from campaign.kinds.sequence.trial import SequenceTrials
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.sequence.trial import SequenceTrials
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="sequence",

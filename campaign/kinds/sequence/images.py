@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from campaign.imaging.image_store import Imager, open_renderer
-from estimators.slam.vision.features import ImageFeatures, find_features
-from estimators.slam.vision.matching import match_descriptors
-from renderers.rectify import rectify
-from scenarios.bodies import load_body
-from scenarios.draw import Stream, generator
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
-from scenarios.load import LoadedScenario
-from scenarios.sequences import MeshGround, camera_trajectory
-from scenarios.spec.sequence import ImageVisionSpec
+from boresight.campaign.imaging.image_store import Imager, open_renderer
+from boresight.estimators.slam.vision.features import ImageFeatures, find_features
+from boresight.estimators.slam.vision.matching import match_descriptors
+from boresight.renderers.rectify import rectify
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.draw import Stream, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.sequences import MeshGround, camera_trajectory
+from boresight.scenarios.spec.sequence import ImageVisionSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

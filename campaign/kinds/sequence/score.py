@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.trial.checks import (
+from boresight.campaign.trial.checks import (
     check_array,
     check_covariance,
     check_indices,
@@ -18,11 +18,11 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
-from campaign.trial.pose_score import nees
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.sequences import SequenceTruth
-from scenarios.sequences.trajectory import inertial_from_body
-from scenarios.tracks import TrackSequence
+from boresight.campaign.trial.pose_score import nees
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.scenarios.sequences import SequenceTruth
+from boresight.scenarios.sequences.trajectory import inertial_from_body
+from boresight.scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
 Epoch = dict[str, object]

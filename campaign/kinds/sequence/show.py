@@ -7,18 +7,26 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, PosedFrame, PosedFrames, Show, listed
-from campaign.kinds.sequence.score import known_from_true, orbit_frame
-from campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.worker import opened
-from campaign.store import RunFolder
-from campaign.trial.kind import Record
-from estimators.slam.contract import SequenceEstimate
-from reports.figures.trajectory import (
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
+from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.show import (
+    CaseFigures,
+    CaseFiles,
+    EstimatorRun,
+    PosedFrame,
+    PosedFrames,
+    Show,
+    listed,
+)
+from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame
+from boresight.campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.worker import opened
+from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import Record
+from boresight.estimators.slam.contract import SequenceEstimate
+from boresight.reports.figures.trajectory import (
     TrackLifetimes,
     TrajectoryErrors,
     draw_error_bands,
@@ -26,14 +34,14 @@ from reports.figures.trajectory import (
     draw_tracks,
     draw_trajectory,
 )
-from reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
-from reports.schema.named_figure import NamedFigure
-from scenarios.bodies import load_body
-from scenarios.bodies.embedded import sphere
-from scenarios.errors import BoresightError
-from scenarios.geometry import Pose, TriangleMesh
-from scenarios.sequences import MeshGround, SequenceTruth
-from scenarios.tracks import TrackSequence
+from boresight.reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.bodies.embedded import sphere
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Pose, TriangleMesh
+from boresight.scenarios.sequences import MeshGround, SequenceTruth
+from boresight.scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
 

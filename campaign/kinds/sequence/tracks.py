@@ -10,13 +10,13 @@ from typing import Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.handles import Handle, own_copy, target_of
-from campaign.kinds.sequence.images import WRONG_PX, OrbitImages
-from campaign.trial.kind import Record
-from estimators.slam.vision.point_trackers import MatchedImage
-from estimators.slam.vision.tracker import TrackedFrame, Tracker
-from scenarios.draw import Stream, estimator_generator, generator
-from scenarios.sequences import (
+from boresight.campaign.handles import Handle, own_copy, target_of
+from boresight.campaign.kinds.sequence.images import WRONG_PX, OrbitImages
+from boresight.campaign.trial.kind import Record
+from boresight.estimators.slam.vision.point_trackers import MatchedImage
+from boresight.estimators.slam.vision.tracker import TrackedFrame, Tracker
+from boresight.scenarios.draw import Stream, estimator_generator, generator
+from boresight.scenarios.sequences import (
     CameraTrajectory,
     FrameTracks,
     LandmarkGround,
@@ -25,9 +25,9 @@ from scenarios.sequences import (
     measured_ranges,
     onboard_sequence,
 )
-from scenarios.sequences.trajectory import anomalies_deg
-from scenarios.spec.sequence import SequenceSpec
-from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.sequences.trajectory import anomalies_deg
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,27 +9,27 @@ from typing import Self
 
 import numpy as np
 
-from campaign.handles import own_copy
-from campaign.kinds.sequence.images import OrbitImages
-from campaign.kinds.sequence.score import (
+from boresight.campaign.handles import own_copy
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.score import (
     check_sequence,
     parameter_errors,
     score_epochs,
     summary,
 )
-from campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
-from campaign.pool.guard import Call
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
-from campaign.trial.methods import Unbuilt, able, methods
-from campaign.trial.work import Work
-from estimators.slam.contract import SequenceEstimate, SequenceEstimator
-from estimators.slam.registry import sequence_estimator_class
-from scenarios.bodies import load_body
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.load import LoadedScenario
-from scenarios.sequences import (
+from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
+from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.work import Work
+from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.sequences import (
     CameraTrajectory,
     LandmarkGround,
     MeshGround,
@@ -39,8 +39,8 @@ from scenarios.sequences import (
     draw_sequence,
     nominal_trajectory,
 )
-from scenarios.spec.sequence import SequenceSpec
-from scenarios.tracks import TrackSequence
+from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.tracks import TrackSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

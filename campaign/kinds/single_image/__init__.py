@@ -1,7 +1,7 @@
 """Kind of trial: one image, one pose."""
 
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.trial.kind import Kind
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="single-image",

@@ -9,20 +9,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.imaging.observe import observe
-from campaign.inspection.case import Case
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.worker import opened
-from campaign.store import RunFolder
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.projection import project_landmarks, visible_landmarks
-from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
-from reports.figures import FitPanels, Overlay, draw_fit_panels
-from reports.schema.named_figure import NamedFigure, file_stem
-from scenarios.geometry import Camera, Pose, TriangleMesh
-from scenarios.observation import Observation
-from scenarios.spec.scenario import ScenarioSpec
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.worker import opened
+from boresight.campaign.store import RunFolder
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
+from boresight.estimators.landmark.recognizer import LandmarkRecognizer, Recognition
+from boresight.reports.figures import FitPanels, Overlay, draw_fit_panels
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)

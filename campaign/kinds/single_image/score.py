@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from campaign.trial.checks import (
+from boresight.campaign.trial.checks import (
     MOST,
     check_array,
     check_covariance,
@@ -20,8 +20,8 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
-from estimators.contract import Estimate, Stage, Table
-from scenarios.geometry import Pose
+from boresight.estimators.contract import Estimate, Stage, Table
+from boresight.scenarios.geometry import Pose
 
 LANDMARK_NUMBERS = (
     *("u_px", "v_px", "x_m", "y_m", "z_m"),

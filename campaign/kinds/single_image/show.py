@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
-from campaign.inspection.recompute import Recomputed
-from campaign.inspection.show import (
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
+from boresight.campaign.inspection.recompute import Recomputed
+from boresight.campaign.inspection.show import (
     CaseFigures,
     CaseFiles,
     EstimatorRun,
@@ -22,25 +22,36 @@ from campaign.inspection.show import (
     plain,
     plain_pose,
 )
-from campaign.kinds.single_image.examples import SecondLook, alignment_of, fit_figures, fit_of, recognised_again
-from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
-from campaign.trial.image_trials import part_of
-from campaign.trial.kind import Record
-from estimators.contract import Estimate
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.pose import CraterPose
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.projection import visible_landmarks
-from estimators.landmark.recognizer import LandmarkRecognizer
-from renderers.mitsuba3 import BodyRenderer
-from renderers.mitsuba3.rays import body_window
-from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
-from reports.figures.recognition import MatchedLandmarks, draw_alignment_panels, draw_fit_panels, draw_matched_landmarks
-from reports.pages.view3d import PointSet, View3D
-from reports.run.data import select
-from reports.schema.named_figure import NamedFigure
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, View
+from boresight.campaign.kinds.single_image.examples import (
+    SecondLook,
+    alignment_of,
+    fit_figures,
+    fit_of,
+    recognised_again,
+)
+from boresight.campaign.kinds.single_image.trial import EstimatedImage, SingleImage
+from boresight.campaign.trial.image_trials import part_of
+from boresight.campaign.trial.kind import Record
+from boresight.estimators.contract import Estimate
+from boresight.estimators.craters.database.landmarks import Landmarks
+from boresight.estimators.craters.pose import CraterPose
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.projection import visible_landmarks
+from boresight.estimators.landmark.recognizer import LandmarkRecognizer
+from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.renderers.mitsuba3.rays import body_window
+from boresight.reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
+from boresight.reports.figures.recognition import (
+    MatchedLandmarks,
+    draw_alignment_panels,
+    draw_fit_panels,
+    draw_matched_landmarks,
+)
+from boresight.reports.pages.view3d import PointSet, View3D
+from boresight.reports.run.data import select
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, View
 
 FloatArray = NDArray[np.float64]
 

@@ -11,28 +11,28 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.handles import own_copy
-from campaign.imaging.observe import observe
-from campaign.imaging.world import TrialImage, World, check_views, open_world
-from campaign.kinds.single_image.score import check
-from campaign.pool.guard import Call
-from campaign.products import BuiltAssets, BuiltProduct, MissingProduct
-from campaign.products.databases import with_database_craters
-from campaign.resolved import ResolvedCampaign
-from campaign.trial.image_trials import ImageSink, InTurn, image_sink
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
-from campaign.trial.methods import Unbuilt, able, built, check_options, missing
-from campaign.trial.pose_score import consistency, pose_columns, pose_error
-from campaign.trial.work import Work
-from estimators.contract import Estimate, Estimator, Table
-from estimators.registry import estimator_class
-from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.draw import estimator_generator
-from scenarios.geometry import Pose
-from scenarios.load import LoadedScenario
-from scenarios.observation import Observation
-from scenarios.onboard import onboard_camera
-from scenarios.spec.campaign import EstimatorSpec
+from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
+from boresight.campaign.kinds.single_image.score import check
+from boresight.campaign.pool.guard import Call
+from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
+from boresight.campaign.products.databases import with_database_craters
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.image_trials import ImageSink, InTurn, image_sink
+from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from boresight.campaign.trial.methods import Unbuilt, able, built, check_options, missing
+from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
+from boresight.campaign.trial.work import Work
+from boresight.estimators.contract import Estimate, Estimator, Table
+from boresight.estimators.registry import estimator_class
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.scenarios.draw import estimator_generator
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import Observation
+from boresight.scenarios.onboard import onboard_camera
+from boresight.scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T", bound=np.generic)
 

@@ -14,14 +14,14 @@ from distributed.diagnostics.plugin import SchedulerPlugin
 from distributed.protocol.serialize import to_serialize
 from distributed.utils import sync
 
-from campaign.imaging.real_images import image_files
-from campaign.resolved import ResolvedCampaign
-from scenarios.bodies import EMBEDDED
-from scenarios.cache import default_cache
-from scenarios.data import find_data_file
-from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario
-from scenarios.onboard import onboard_spec
+from boresight.campaign.imaging.real_images import image_files
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.scenarios.bodies import EMBEDDED
+from boresight.scenarios.cache import default_cache
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.onboard import onboard_spec
 
 CAMPAIGN, DATA, RUN = "campaign.pickle", "data", "run"
 

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from campaign.imaging.image_store import store_is_on
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.request import Cluster
-from campaign.store.folder import Block
-from campaign.trial.kind import Records
-from scenarios.errors import BoresightError
+from boresight.campaign.imaging.image_store import store_is_on
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.request import Cluster
+from boresight.campaign.store.folder import Block
+from boresight.campaign.trial.kind import Records
+from boresight.scenarios.errors import BoresightError
 
 try:
     from distributed import Client, LocalCluster
@@ -21,8 +21,8 @@ try:
     from joblib import Parallel, delayed
     from joblib._dask import DaskDistributedBackend
 
-    from campaign.runs.dask.bundle import AssetServer, bundle_of
-    from campaign.runs.dask.work import run_block_there
+    from boresight.campaign.runs.dask.bundle import AssetServer, bundle_of
+    from boresight.campaign.runs.dask.work import run_block_there
 except ImportError as error:
     raise BoresightError(
         f'--backend dask: {error.name} is not installed: pip install -e ".[dask]", here and where the workers are'

@@ -14,14 +14,14 @@ from typing import cast
 
 from distributed import get_worker
 
-from campaign.imaging.image_store import store_switched
-from campaign.machine import cores
-from campaign.pool.workers import in_order
-from campaign.resolved import ResolvedCampaign
-from campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN, Fetch, asset_file, from_scheduler
-from campaign.runs.worker import Losses, run_block
-from campaign.store.folder import Block
-from campaign.trial.kind import Bench, Records, kind_named
+from boresight.campaign.imaging.image_store import store_switched
+from boresight.campaign.machine import cores
+from boresight.campaign.pool.workers import in_order
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN, Fetch, asset_file, from_scheduler
+from boresight.campaign.runs.worker import Losses, run_block
+from boresight.campaign.store.folder import Block
+from boresight.campaign.trial.kind import Bench, Records, kind_named
 
 # Scenes, meshes and estimators belong to a process and are used by one block at a time, however many threads there are.
 _ALONE = threading.Lock()

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, CraterMatcher, GroundModel
-from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.landmarks import Landmarks, locate_landmarks
-from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.pictures import SequencePicture, numbered_pictures
-from estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
-from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
-from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.estimators.craters.contract import CraterImage, CraterMatcher, GroundModel
+from boresight.estimators.craters.database.files import CraterDatabase
+from boresight.estimators.craters.database.landmarks import Landmarks, locate_landmarks
+from boresight.estimators.craters.database.numbering import Numbering, PairMatches, number_craters
+from boresight.estimators.craters.database.pictures import SequencePicture, numbered_pictures
+from boresight.estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
+from boresight.estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
+from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -42,13 +42,13 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import SequencePicture
-from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose
+from boresight.estimators.craters.contract import CraterDetections, CraterMatches
+from boresight.estimators.craters.database.landmarks import Landmarks
+from boresight.estimators.craters.database.numbering import PairMatches
+from boresight.estimators.craters.database.pictures import SequencePicture
+from boresight.estimators.craters.database.records import TextRecord, format_record, read_records, write_records
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, Pose
 
 PICTURES, LANDMARKS = "pictures.txt", "landmarks.txt"
 _SEQUENCE_HEAD = "boresight picture sequence 1"

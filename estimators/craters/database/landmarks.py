@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, GroundModel
-from estimators.craters.database.numbering import Numbering
-from estimators.craters.matching.preliminary import landmark_covariances
-from estimators.craters.matching.transfer import locate_craters
-from scenarios.errors import BoresightError
-from scenarios.orbits.data import LandmarkFile
+from boresight.estimators.craters.contract import CraterImage, GroundModel
+from boresight.estimators.craters.database.numbering import Numbering
+from boresight.estimators.craters.matching.preliminary import landmark_covariances
+from boresight.estimators.craters.matching.transfer import locate_craters
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.orbits.data import LandmarkFile
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterMatches
-from scenarios.errors import BoresightError
+from boresight.estimators.craters.contract import CraterMatches
+from boresight.scenarios.errors import BoresightError
 
 IndexArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

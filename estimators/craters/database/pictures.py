@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage
-from estimators.craters.database.numbering import Numbering
-from scenarios.dynamics.field import UniformRotation
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose
-from scenarios.orbits.data import Pictures
+from boresight.estimators.craters.contract import CraterImage
+from boresight.estimators.craters.database.numbering import Numbering
+from boresight.scenarios.dynamics.field import UniformRotation
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses, Pose
+from boresight.scenarios.orbits.data import Pictures
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
-from scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import LARGEST_NUMBER
 
 _MAX_DIGITS = 18  # more may not fit 64 bits
 

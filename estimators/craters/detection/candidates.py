@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import EdgePixels
-from estimators.craters.detection.grouping import RimArc
-from estimators.craters.detection.preparation import PreparedImage
-from scenarios.geometry import Ellipses, pixel_to_opencv
-from scenarios.geometry.ellipse import fit_conics, sampson_distances
+from boresight.estimators.craters.detection.edges import EdgePixels
+from boresight.estimators.craters.detection.grouping import RimArc
+from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
+from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

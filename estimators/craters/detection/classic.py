@@ -9,12 +9,12 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.candidates import EllipseCandidates, fit_candidates
-from estimators.craters.detection.edges import EdgePixels, canny
-from estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
-from estimators.craters.detection.preparation import PreparedImage, prepare_image
-from estimators.craters.detection.refinement import (
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.estimators.craters.detection.candidates import EllipseCandidates, fit_candidates
+from boresight.estimators.craters.detection.edges import EdgePixels, canny
+from boresight.estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
+from boresight.estimators.craters.detection.preparation import PreparedImage, prepare_image
+from boresight.estimators.craters.detection.refinement import (
     SCALES_PX,
     GradientScales,
     confidence,
@@ -22,10 +22,10 @@ from estimators.craters.detection.refinement import (
     refine,
     suppress_duplicates,
 )
-from estimators.options import parse_options
-from scenarios.geometry import Camera, Ellipses
-from scenarios.observation import Frame
-from scenarios.spec.base import SpecModel
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.spec.base import SpecModel
 
 
 class ClassicOptions(SpecModel):

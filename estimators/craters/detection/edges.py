@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.preparation import PreparedImage
-from scenarios.geometry import pixel_from_opencv
+from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.scenarios.geometry import pixel_from_opencv
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

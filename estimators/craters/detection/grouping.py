@@ -16,8 +16,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import EdgePixels
-from estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.detection.edges import EdgePixels
+from boresight.estimators.craters.detection.preparation import PreparedImage
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.kernels import RIM_POINTS, divide_softly, rim_merits
-from scenarios.geometry import Ellipses
+from boresight.estimators.craters.kernels import RIM_POINTS, divide_softly, rim_merits
+from boresight.scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
 

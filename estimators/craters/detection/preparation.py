@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses
-from scenarios.observation import Frame
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.observation import Frame
 
 FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]

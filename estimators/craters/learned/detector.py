@@ -13,11 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.classic import ClassicOptions
-from estimators.craters.detection.preparation import PreparedImage, noise_level, prepare_image
-from estimators.craters.detection.refinement import SCALES_PX, confidence, gradient_scales, refine, suppress_duplicates
-from estimators.craters.learned.network import (
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.estimators.craters.detection.classic import ClassicOptions
+from boresight.estimators.craters.detection.preparation import PreparedImage, noise_level, prepare_image
+from boresight.estimators.craters.detection.refinement import (
+    SCALES_PX,
+    confidence,
+    gradient_scales,
+    refine,
+    suppress_duplicates,
+)
+from boresight.estimators.craters.learned.network import (
     SHAPES,
     Network,
     PatchSource,
@@ -26,13 +32,13 @@ from estimators.craters.learned.network import (
     rims_from_outputs,
     shape_of,
 )
-from estimators.craters.learned.proposals import propose
-from estimators.options import parse_options
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses
-from scenarios.observation import Frame
-from scenarios.reading import read_arrays
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.learned.proposals import propose
+from boresight.estimators.options import parse_options
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.reading import read_arrays
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 WEIGHTS = "weights.npz"

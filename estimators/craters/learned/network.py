@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.preparation import PreparedImage
-from estimators.craters.kernels import NetworkWeights, apply_network
-from estimators.craters.learned.proposals import pyramid
-from scenarios.geometry import Ellipses, pixel_to_opencv
+from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.kernels import NetworkWeights, apply_network
+from boresight.estimators.craters.learned.proposals import pyramid
+from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.edges import gradient_of
-from estimators.craters.detection.preparation import PreparedImage
-from estimators.craters.kernels import LANES, RingTaps, ring_scores, side_weights
-from scenarios.geometry import Ellipses, pixel_to_opencv
+from boresight.estimators.craters.detection.edges import gradient_of
+from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.estimators.craters.kernels import LANES, RingTaps, ring_scores, side_weights
+from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
-from scenarios.geometry import Ellipses
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

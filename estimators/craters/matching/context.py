@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
-from estimators.craters.matching.transfer import map_ellipses
-from estimators.options import parse_options
-from scenarios.geometry import Ellipses, cross_matrix
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from boresight.estimators.craters.matching.transfer import map_ellipses
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Ellipses, cross_matrix
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

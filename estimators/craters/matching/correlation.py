@@ -10,12 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
-from estimators.craters.matching.context import mutual_best
-from estimators.craters.matching.transfer import CraterTransfer, joint_covariance, locate_craters, transfer_craters
-from estimators.options import parse_options
-from scenarios.geometry import Ellipses
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from boresight.estimators.craters.matching.context import mutual_best
+from boresight.estimators.craters.matching.transfer import (
+    CraterTransfer,
+    joint_covariance,
+    locate_craters,
+    transfer_craters,
+)
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.float32]

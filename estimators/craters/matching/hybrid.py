@@ -23,13 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
-from estimators.craters.matching.context import ContextOptions, fitted_transform, match_constellations, nearest_couples
-from estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
-from estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
-from estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
-from estimators.options import parse_options
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from boresight.estimators.craters.matching.context import (
+    ContextOptions,
+    fitted_transform,
+    match_constellations,
+    nearest_couples,
+)
+from boresight.estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
+from boresight.estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
+from boresight.estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
+from boresight.estimators.options import parse_options
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

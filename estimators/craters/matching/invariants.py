@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
-from estimators.options import parse_options
-from scenarios.geometry import Ellipses
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from boresight.estimators.options import parse_options
+from boresight.scenarios.geometry import Ellipses
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, GroundModel
-from estimators.craters.matching.transfer import LocatedCraters, locate_craters
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.contract import CraterImage, GroundModel
+from boresight.estimators.craters.matching.transfer import LocatedCraters, locate_craters
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, GroundModel
-from scenarios.geometry import Camera, Ellipses, Pose, cross_matrix
+from boresight.estimators.craters.contract import CraterImage, GroundModel
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, cross_matrix
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import (
+from boresight.estimators.craters.contract import (
     CraterDetections,
     CraterDetector,
     CraterImage,
@@ -20,23 +20,23 @@ from estimators.craters.contract import (
     CraterMatches,
     GroundModel,
 )
-from estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
-from estimators.craters.database.landmarks import landmarks_for_orbit, locate_landmarks
-from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.pictures import numbered_pictures, pictures_for_orbit
-from estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
-from estimators.craters.navigation.stages import StageFiles
-from estimators.craters.navigation.task import Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
-from estimators.craters.registry import crater_detector_class, crater_matcher_class
-from estimators.options import parse_options
-from estimators.orbit.batch_filter import BatchFilter
-from estimators.orbit.contract import OrbitEstimate
-from estimators.orbit.parameters import OrbitOptions
-from scenarios.errors import BoresightError
-from scenarios.observation import Frame
-from scenarios.orbits.data import OrbitData
-from scenarios.spec.base import SpecModel
+from boresight.estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
+from boresight.estimators.craters.database.landmarks import landmarks_for_orbit, locate_landmarks
+from boresight.estimators.craters.database.numbering import Numbering, PairMatches, number_craters
+from boresight.estimators.craters.database.pictures import numbered_pictures, pictures_for_orbit
+from boresight.estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
+from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
+from boresight.estimators.craters.registry import crater_detector_class, crater_matcher_class
+from boresight.estimators.options import parse_options
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.estimators.orbit.parameters import OrbitOptions
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.spec.base import SpecModel
 
 _MATCHING = "matching"
 _BLOCK = 50  # pairs of images in one file: so many are matched again after an interruption

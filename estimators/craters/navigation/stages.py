@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from scenarios.atomic import write_text
-from scenarios.errors import BoresightError
-from scenarios.reading import read_json
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.reading import read_json
 
 T = TypeVar("T")
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterDetections
-from scenarios.orbits.data import Knowledge, Radiometry
-from scenarios.sequences.ground import MeshGround
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.orbits.data import Knowledge, Radiometry
+from boresight.scenarios.sequences.ground import MeshGround
 
 FloatArray = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage
-from estimators.craters.navigation.task import Exposure, NavigationTask
-from estimators.orbit.contract import Orbit
-from scenarios.dynamics.propagation import PiecewiseAcceleration
-from scenarios.dynamics.variational import propagate_partials
-from scenarios.geometry import Pose, cross_matrix
-from scenarios.observation import Frame
-from scenarios.orbits.data import Knowledge
+from boresight.estimators.craters.contract import CraterImage
+from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
+from boresight.estimators.orbit.contract import Orbit
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
+from boresight.scenarios.dynamics.variational import propagate_partials
+from boresight.scenarios.geometry import Pose, cross_matrix
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.orbits.data import Knowledge
 
 FloatArray = NDArray[np.float64]
 

@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.pose.problem import PoseProblem, image_jacobian, point_by_quaternion, point_by_rotation
-from scenarios.geometry import Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.pose.problem import (
+    PoseProblem,
+    image_jacobian,
+    point_by_quaternion,
+    point_by_rotation,
+)
+from boresight.scenarios.geometry import Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

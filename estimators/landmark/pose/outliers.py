@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import Matches, inverse_2x2, match_landmarks
-from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, PoseFit, pose_covariance, refine_pose
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, solve_epnp
-from estimators.landmark.projection import Projection, project_landmarks, visible_landmarks
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.matching import Matches, inverse_2x2, match_landmarks
+from boresight.estimators.landmark.pose.levenberg_marquardt import (
+    MarquardtOptions,
+    PoseFit,
+    pose_covariance,
+    refine_pose,
+)
+from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, solve_epnp
+from boresight.estimators.landmark.projection import Projection, project_landmarks, visible_landmarks
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
-from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.problem import PoseProblem
-from estimators.landmark.pose.stack import PoseStack
-from estimators.prior import floor_variances
-from scenarios.geometry import Pose
+from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from boresight.estimators.landmark.pose.problem import PoseProblem
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.estimators.prior import floor_variances
+from boresight.scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
 

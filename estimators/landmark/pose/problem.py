@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, pixel_to_opencv
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 

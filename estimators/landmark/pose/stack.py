@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.pose.levenberg_marquardt import LAMBDA_MAX, LAMBDA_MIN, MarquardtOptions
-from estimators.landmark.pose.problem import (
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.pose.levenberg_marquardt import LAMBDA_MAX, LAMBDA_MIN, MarquardtOptions
+from boresight.estimators.landmark.pose.problem import (
     PoseProblem,
     image_jacobian,
     point_by_quaternion,
     point_by_rotation,
     solve_epnp,
 )
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
-from estimators.landmark.alignment import (
+from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from boresight.estimators.landmark.alignment import (
     Alignment,
     AlignmentOptions,
     MeshView,
@@ -20,22 +20,27 @@ from estimators.landmark.alignment import (
     centroid_residual_px,
     consistency_failure,
 )
-from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.corners import CornerOptions, detect_corners
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import MatchedFrame, matched_table
-from estimators.landmark.pose.posterior import PosePrior
-from estimators.landmark.pose.stack import PoseStack
-from estimators.landmark.projection import visible_landmarks
-from estimators.landmark.recognizer import POINT_PAIRS, landmark_database
-from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
-from estimators.landmark.robust.search import SearchOptions, best_hypotheses, refine_hypotheses, sampled_hypotheses
-from estimators.landmark.signal import observed_signal
-from estimators.options import parse_options
-from estimators.prior import floor_variances
-from scenarios.geometry import Camera, Pose
-from scenarios.observation import Frame, Observation
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.corners import CornerOptions, detect_corners
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.matching import MatchedFrame, matched_table
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.estimators.landmark.projection import visible_landmarks
+from boresight.estimators.landmark.recognizer import POINT_PAIRS, landmark_database
+from boresight.estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
+from boresight.estimators.landmark.robust.search import (
+    SearchOptions,
+    best_hypotheses,
+    refine_hypotheses,
+    sampled_hypotheses,
+)
+from boresight.estimators.landmark.signal import observed_signal
+from boresight.estimators.options import parse_options
+from boresight.estimators.prior import floor_variances
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 _MATCHED_D2 = 11.83  # 3-sigma quantile (99.73 %) of chi-square with two degrees of freedom

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import KDTree
 
-from estimators.landmark.matching import inverse_and_determinant
-from estimators.landmark.pose.posterior import PosePrior
-from estimators.landmark.pose.problem import point_by_rotation
-from estimators.landmark.pose.stack import PoseStack
-from scenarios.geometry import Camera
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.matching import inverse_and_determinant
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.landmark.pose.problem import point_by_rotation
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

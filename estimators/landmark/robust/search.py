@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.pose.posterior import PosePrior
-from estimators.landmark.pose.problem import image_jacobian, point_by_rotation
-from estimators.landmark.pose.stack import PoseStack
-from estimators.landmark.robust.mixture import Mixture
-from scenarios.geometry import Camera, Pose
-from scenarios.spec.base import SpecModel
+from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.estimators.landmark.pose.problem import image_jacobian, point_by_rotation
+from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.estimators.landmark.robust.mixture import Mixture
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 

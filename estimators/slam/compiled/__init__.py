@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenarios.compiled import compiler
+from boresight.scenarios.compiled import compiler
 
 kernel = compiler(Path(__file__).parent)

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
-from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
-from estimators.slam.compiled.equations import FlatEquations, linearise
-from estimators.slam.compiled.problem import FlatOrdering, FlatProblem, make_ordering
-from estimators.slam.compiled.residuals import RESIDUAL_ROWS, evaluate_residuals
+from boresight.estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
+from boresight.estimators.slam.compiled.equations import FlatEquations, linearise
+from boresight.estimators.slam.compiled.problem import FlatOrdering, FlatProblem, make_ordering
+from boresight.estimators.slam.compiled.residuals import RESIDUAL_ROWS, evaluate_residuals
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled import kernel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

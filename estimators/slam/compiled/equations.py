@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
-from estimators.slam.compiled.envelope import Envelope, add_entry, add_symmetric
-from estimators.slam.compiled.problem import FlatOrdering, FlatProblem, prior_slots
-from estimators.slam.compiled.residuals import (
+from boresight.estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled.envelope import Envelope, add_entry, add_symmetric
+from boresight.estimators.slam.compiled.problem import FlatOrdering, FlatProblem, prior_slots
+from boresight.estimators.slam.compiled.residuals import (
     RESIDUAL_ROWS,
     evaluate_residuals,
     line_of_sight,

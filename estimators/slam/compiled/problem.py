@@ -7,8 +7,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
-from estimators.slam.compiled.envelope import Envelope, make_envelope
+from boresight.estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled.envelope import Envelope, make_envelope
 
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
-from estimators.slam.compiled.problem import FlatProblem
+from boresight.estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled.problem import FlatProblem
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

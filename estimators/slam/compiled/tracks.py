@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled import kernel
+from boresight.estimators.slam.compiled import kernel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

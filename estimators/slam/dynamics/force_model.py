@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.tracks import Forces
+from boresight.scenarios.tracks import Forces
 
 FloatArray = NDArray[np.float64]
 

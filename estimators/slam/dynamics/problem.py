@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
-from estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
+from boresight.estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -8,17 +8,23 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.contract import FrameEstimate
-from estimators.slam.dynamics.force_model import ForceModel, propagate
-from estimators.slam.dynamics.problem import Arcs, DynamicAdjustment, DynamicPrior, DynamicState, arc_information
-from estimators.slam.dynamics.solver import (
+from boresight.estimators.slam.contract import FrameEstimate
+from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate
+from boresight.estimators.slam.dynamics.problem import (
+    Arcs,
+    DynamicAdjustment,
+    DynamicPrior,
+    DynamicState,
+    arc_information,
+)
+from boresight.estimators.slam.dynamics.solver import (
     DynamicOrdering,
     covariance_of,
     dynamic_cost,
     marginalise_dynamic,
     minimise_dynamic,
 )
-from estimators.slam.following import (
+from boresight.estimators.slam.following import (
     ConfiguredEstimator,
     Follower,
     InnovationTest,
@@ -27,11 +33,11 @@ from estimators.slam.following import (
     check_scale,
     lookup,
 )
-from estimators.slam.options import DynamicOptions
-from estimators.slam.problem import Adjustment, State
-from estimators.slam.slam_map import SlamMap, values_or_nan
-from estimators.slam.solver import StoppingRule
-from scenarios.tracks import Forces, TrackFrame, TrackSequence
+from boresight.estimators.slam.options import DynamicOptions
+from boresight.estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.slam_map import SlamMap, values_or_nan
+from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 

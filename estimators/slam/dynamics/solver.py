@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
-from estimators.slam.marginal import constrained_points, eliminate_rows
-from estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
-from estimators.slam.solver import StoppingRule
+from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
+from boresight.estimators.slam.marginal import constrained_points, eliminate_rows
+from boresight.estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
+from boresight.estimators.slam.solver import StoppingRule
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

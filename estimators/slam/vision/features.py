@@ -11,9 +11,9 @@ import numpy as np
 from mahotas.features import surf
 from numpy.typing import NDArray
 
-from estimators.landmark.fast_hessian import fast_hessian
-from estimators.landmark.signal import extract_signal
-from scenarios.geometry import pixel_from_opencv
+from boresight.estimators.landmark.fast_hessian import fast_hessian
+from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.geometry import pixel_from_opencv
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]

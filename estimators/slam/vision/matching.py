@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.features import ImageFeatures
-from scenarios.tracks import Prediction
+from boresight.estimators.slam.vision.features import ImageFeatures
+from boresight.scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.slam.vision.features import ImageFeatures
-from estimators.slam.vision.registration import AffineWarps, Spline, TrackPatches, cut_patches, register_patches
+from boresight.estimators.slam.vision.features import ImageFeatures
+from boresight.estimators.slam.vision.registration import (
+    AffineWarps,
+    Spline,
+    TrackPatches,
+    cut_patches,
+    register_patches,
+)
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

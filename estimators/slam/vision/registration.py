@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from scenarios.geometry import pixel_to_opencv
+from boresight.scenarios.geometry import pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.features import ImageFeatures
-from estimators.slam.vision.matching import (
+from boresight.estimators.slam.vision.features import ImageFeatures
+from boresight.estimators.slam.vision.matching import (
     direction_inliers,
     fitted_direction,
     fundamental_inliers,
     guided_rows,
     off_plane,
 )
-from estimators.slam.vision.point_trackers import (
+from boresight.estimators.slam.vision.point_trackers import (
     LEAST_MATCHES,
     FeatureTracker,
     ImagePair,
@@ -26,9 +26,9 @@ from estimators.slam.vision.point_trackers import (
     area_change,
     local_flow,
 )
-from scenarios.geometry import Camera
-from scenarios.spec.sequence import ImageVisionSpec
-from scenarios.tracks import Prediction
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.spec.sequence import ImageVisionSpec
+from boresight.scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,18 +10,18 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.crater_detection.figures import crater_figures
-from reports.kinds.crater_detection.rates import (
+from boresight.reports.kinds import Content, ReportKind, Tables
+from boresight.reports.kinds.crater_detection.figures import crater_figures
+from boresight.reports.kinds.crater_detection.rates import (
     DetectorResults,
     crater_brief,
     crater_grids,
     crater_records,
     detector_results,
 )
-from reports.schema.grid import Grid
-from reports.tables import timing_grid
-from reports.verdicts import comparison_grid
+from boresight.reports.schema.grid import Grid
+from boresight.reports.tables import timing_grid
+from boresight.reports.verdicts import comparison_grid
 
 FloatArray = NDArray[np.float64]
 

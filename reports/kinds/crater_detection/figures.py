@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.figures.craters import (
+from boresight.reports.figures.craters import (
     FALSE_COLOUR,
     FOUND_COLOUR,
     OTHER_COLOUR,
@@ -19,16 +19,16 @@ from reports.figures.craters import (
     draw_rates,
     draw_stages,
 )
-from reports.kinds.crater_detection.rates import (
+from boresight.reports.kinds.crater_detection.rates import (
     BINNINGS,
     DetectorResults,
     binned_rates,
     confidence_curve,
     detector_results,
 )
-from reports.run.data import RunData
-from reports.schema.named_figure import NamedFigure, file_stem
-from scenarios.geometry import Ellipses
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.scenarios.geometry import Ellipses
 
 _ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
 

@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData, select
-from reports.schema.grid import NO_VALUE, Grid, value_of
-from reports.schema.records import Record
-from reports.schema.tables import measure_heading, unit_of
-from reports.statistics.intervals import has_quantile
-from reports.statistics.measured import MEDIAN, RMS, measure, measure_share
-from scenarios.craters.truth import LEAST_DIAMETER_PX
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.grid import NO_VALUE, Grid, value_of
+from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import measure_heading, unit_of
+from boresight.reports.statistics.intervals import has_quantile
+from boresight.reports.statistics.measured import MEDIAN, RMS, measure, measure_share
+from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from reports.kinds import Content, ReportKind
-from reports.kinds.designs.figures import design_figures
-from reports.kinds.designs.tables import design_grids
-from reports.schema.grid import Grid
+from boresight.reports.kinds import Content, ReportKind
+from boresight.reports.kinds.designs.figures import design_figures
+from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.schema.grid import Grid
 
 
 def brief(content: Content) -> list[Grid]:

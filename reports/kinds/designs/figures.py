@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
-from reports.compare.metrics import Metric
-from reports.compare.subjects import compared
-from reports.figures.scenario_grids import (
+from boresight.reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
+from boresight.reports.compare.metrics import Metric
+from boresight.reports.compare.subjects import compared
+from boresight.reports.figures.scenario_grids import (
     CurvePanel,
     Effect,
     HeatMap,
@@ -18,14 +18,14 @@ from reports.figures.scenario_grids import (
     draw_effects,
     draw_heat_maps,
 )
-from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
-from reports.run.data import GridAxis, RunData
-from reports.schema.grid import number
-from reports.schema.labels import stage_label
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import CONTROL, SEQUENCE
-from reports.schema.tables import measure_label, unit_of
-from reports.statistics.measured import Measured
+from boresight.reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
+from boresight.reports.run.data import GridAxis, RunData
+from boresight.reports.schema.grid import number
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import CONTROL, SEQUENCE
+from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.statistics.measured import Measured
 
 
 def design_figures(run: RunData) -> Iterator[NamedFigure]:

@@ -14,17 +14,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.clusters import clusters_of, image_set
-from reports.run.data import RunData, ScenarioGrid, select
-from reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
-from reports.schema.grid import NO_VALUE, Grid, of_ended
-from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from reports.schema.labels import stage_label
-from reports.schema.records import CONTROL, SEQUENCE
-from reports.schema.tables import measure_label, unit_of
-from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
-from reports.statistics.paired import main_effects
-from reports.tables import interval
+from boresight.reports.run.clusters import clusters_of, image_set
+from boresight.reports.run.data import RunData, ScenarioGrid, select
+from boresight.reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
+from boresight.reports.schema.grid import NO_VALUE, Grid, of_ended
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.records import CONTROL, SEQUENCE
+from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure
+from boresight.reports.statistics.paired import main_effects
+from boresight.reports.tables import interval
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))

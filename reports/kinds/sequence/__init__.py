@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as DESIGN_REPORT
-from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
-from reports.kinds.sequence.tables import sequence_brief, sequence_figures, sequence_grid, sequence_grids
-from reports.kinds.sequence.vision import vision_records
-from reports.published import Comparison
-from reports.run.clusters import pools
-from reports.run.data import RunData
-from reports.schema.named_figure import NamedFigure
-from reports.schema.records import Record
+from boresight.reports.kinds import Content, ReportKind, Tables
+from boresight.reports.kinds.designs import REPORT as DESIGN_REPORT
+from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
+from boresight.reports.kinds.sequence.tables import sequence_brief, sequence_figures, sequence_grid, sequence_grids
+from boresight.reports.kinds.sequence.vision import vision_records
+from boresight.reports.published import Comparison
+from boresight.reports.run.clusters import pools
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import Record
 
 
 def records(run: RunData, comparison: Comparison | None) -> Iterable[Record]:

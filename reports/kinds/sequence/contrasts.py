@@ -14,13 +14,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.published import Comparison, PublishedValue
-from reports.run.clusters import clusters_of, groups, pooled_scenarios
-from reports.run.data import RunData, select
-from reports.schema.records import RATIO, REDUCTION, Record
-from reports.schema.tables import unit_of
-from reports.statistics.measured import MEAN, MEDIAN, Measured, cluster_interval, measure
-from reports.statistics.paired import BETTER, SIGN_TEST, sign_test
+from boresight.reports.published import Comparison, PublishedValue
+from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.records import RATIO, REDUCTION, Record
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, cluster_interval, measure
+from boresight.reports.statistics.paired import BETTER, SIGN_TEST, sign_test
 
 FloatArray = NDArray[np.float64]
 Pair = tuple[str, str]

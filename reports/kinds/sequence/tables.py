@@ -8,23 +8,30 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.figures.axes import band_label
-from reports.figures.sequences import AFTER_REVOLUTIONS, LANDMARKS, POSITION, draw_revolutions, draw_starts, draw_traces
-from reports.kinds.designs.tables import design_grids
-from reports.kinds.sequence.contrasts import ERROR_RATIOS
-from reports.kinds.sequence.vision import vision_grid
-from reports.run.clusters import clusters_of, pooled_scenarios, pools
-from reports.run.data import RunData, select
-from reports.schema.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
-from reports.schema.labels import as_title, count_of
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import RATIO, SEQUENCE, Record, find
-from reports.schema.tables import measure_label
-from reports.statistics.consistency import consistency_grid
-from reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
-from reports.statistics.paired import BETTER, SIGN_TEST
-from reports.tables import diagnostic_grid, timing_grid
-from reports.verdicts import ComparedValue, comparison_grid
+from boresight.reports.figures.axes import band_label
+from boresight.reports.figures.sequences import (
+    AFTER_REVOLUTIONS,
+    LANDMARKS,
+    POSITION,
+    draw_revolutions,
+    draw_starts,
+    draw_traces,
+)
+from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.sequence.contrasts import ERROR_RATIOS
+from boresight.reports.kinds.sequence.vision import vision_grid
+from boresight.reports.run.clusters import clusters_of, pooled_scenarios, pools
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
+from boresight.reports.schema.labels import as_title, count_of
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import RATIO, SEQUENCE, Record, find
+from boresight.reports.schema.tables import measure_label
+from boresight.reports.statistics.consistency import consistency_grid
+from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
+from boresight.reports.statistics.paired import BETTER, SIGN_TEST
+from boresight.reports.tables import diagnostic_grid, timing_grid
+from boresight.reports.verdicts import ComparedValue, comparison_grid
 
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run.clusters import clusters_of, groups
-from reports.run.data import RunData
-from reports.schema.grid import Grid, counts, value_of
-from reports.schema.records import Record
-from reports.schema.tables import measure_heading, unit_of
-from reports.statistics.measured import MEAN, MEDIAN, measure
+from boresight.reports.run.clusters import clusters_of, groups
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import Grid, counts, value_of
+from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import measure_heading, unit_of
+from boresight.reports.statistics.measured import MEAN, MEDIAN, measure
 
 VISION = "vision"
 """Stage of what the vision layer did to the images, whatever estimator used its tracks."""

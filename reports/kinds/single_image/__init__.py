@@ -7,23 +7,23 @@ from collections.abc import Iterable, Iterator
 
 from pydantic import ValidationError
 
-from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as DESIGN_REPORT
-from reports.kinds.single_image.figures import image_figures
-from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
-from reports.kinds.single_image.tradeoff import trade_grid
-from reports.published import Comparison
-from reports.run.data import RunData
-from reports.schema.grid import Grid
-from reports.schema.named_figure import NamedFigure
-from reports.schema.records import CONTROL, DERIVED, Record
-from reports.schema.tables import unit_of
-from reports.statistics.consistency import consistency_grid
-from reports.statistics.paired import paired_grid
-from reports.statistics.roc import outlier_grid
-from reports.tables import detail_grid, diagnostic_grid, pose_grids, reference_grid, timing_grid
-from reports.verdicts import comparison_grid
-from scenarios.spec.camera import CameraSpec
+from boresight.reports.kinds import Content, ReportKind, Tables
+from boresight.reports.kinds.designs import REPORT as DESIGN_REPORT
+from boresight.reports.kinds.single_image.figures import image_figures
+from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
+from boresight.reports.kinds.single_image.tradeoff import trade_grid
+from boresight.reports.published import Comparison
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import CONTROL, DERIVED, Record
+from boresight.reports.schema.tables import unit_of
+from boresight.reports.statistics.consistency import consistency_grid
+from boresight.reports.statistics.paired import paired_grid
+from boresight.reports.statistics.roc import outlier_grid
+from boresight.reports.tables import detail_grid, diagnostic_grid, pose_grids, reference_grid, timing_grid
+from boresight.reports.verdicts import comparison_grid
+from boresight.scenarios.spec.camera import CameraSpec
 
 
 def derived_records(run: RunData, radius_m: float) -> tuple[Record, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from reports.figures import (
+from boresight.reports.figures import (
     MOST_CURVES,
     RocCurve,
     TradeOffPoint,
@@ -20,16 +20,16 @@ from reports.figures import (
     draw_roc,
     draw_trade_off,
 )
-from reports.kinds import Content
-from reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
-from reports.run.data import RunData, select
-from reports.run.outcomes import errors_by_stage, final_stage
-from reports.schema.labels import stage_label
-from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import CONTROL
-from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEDIAN
-from reports.statistics.roc import DEFINITIONS, OutlierScore, area, outlier_scores, roc_curve
+from boresight.reports.kinds import Content
+from boresight.reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
+from boresight.reports.run.data import RunData, select
+from boresight.reports.run.outcomes import errors_by_stage, final_stage
+from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.intervals import FloatArray
+from boresight.reports.statistics.measured import MEDIAN
+from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, area, outlier_scores, roc_curve
 
 
 def image_figures(content: Content) -> Iterator[NamedFigure]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from reports.published import Comparison
-from reports.run.data import RunData
-from reports.schema.grid import NO_VALUE, Grid, counts, value_of
-from reports.schema.records import Record, find
-from reports.statistics.measured import MEDIAN
-from reports.statistics.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS
+from boresight.reports.published import Comparison
+from boresight.reports.run.data import RunData
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from boresight.reports.schema.records import Record, find
+from boresight.reports.statistics.measured import MEDIAN
+from boresight.reports.statistics.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS
 
 _ERRORS = ("position_error_m", "attitude_error_deg")
 _PAPER = (

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from reports.run.clusters import clusters_of
-from reports.run.data import RunData, StoredProduct, select
-from reports.run.outcomes import succeeded
-from reports.schema.grid import NO_VALUE, Grid, number
-from reports.schema.records import CONTROL
-from reports.statistics.measured import MEDIAN, Measured, measure, share_of
-from reports.tables import interval
+from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.data import RunData, StoredProduct, select
+from boresight.reports.run.outcomes import succeeded
+from boresight.reports.schema.grid import NO_VALUE, Grid, number
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of
+from boresight.reports.tables import interval
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
 _IMAGE_STAGES = ("image", "stored_image")

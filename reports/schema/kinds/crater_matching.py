@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from reports.schema.column import KindSchema, count, measured, number
-from reports.schema.common import KEY, VIEW, share
-from reports.schema.kinds.crater_detection import MISSED
+from boresight.reports.schema.column import KindSchema, count, measured, number
+from boresight.reports.schema.common import KEY, VIEW, share
+from boresight.reports.schema.kinds.crater_detection import MISSED
 
 WRONG = "wrong_share"
 MATCHING = (MISSED, WRONG)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from reports.schema.column import KindSchema, count, number, text
-from reports.schema.common import KEY
-from reports.schema.kinds.orbit_determination import METRICS, ROW
+from boresight.reports.schema.column import KindSchema, count, number, text
+from boresight.reports.schema.common import KEY
+from boresight.reports.schema.kinds.orbit_determination import METRICS, ROW
 
 SCHEMA = KindSchema(
     row=ROW,

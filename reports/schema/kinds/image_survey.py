@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from reports.schema.column import KindSchema, count, number, text
-from reports.schema.common import KEY, plain, share
+from boresight.reports.schema.column import KindSchema, count, number, text
+from boresight.reports.schema.common import KEY, plain, share
 
 SCHEMA = KindSchema(
     tables={

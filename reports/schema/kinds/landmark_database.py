@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from reports.schema.column import KindSchema
+from boresight.reports.schema.column import KindSchema
 
 SCHEMA = KindSchema(metrics=("landmarks", "facets", "candidates", "kept_clusters"))

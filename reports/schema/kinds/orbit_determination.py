@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from reports.schema.column import Column, Columns, KindSchema, flag, measured, names, number
-from reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW
+from boresight.reports.schema.column import Column, Columns, KindSchema, flag, measured, names, number
+from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW
 
 
 def _of_arc(name: str, meaning: str, label: str = "") -> Column:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from reports.schema.column import Columns, KindSchema, count, measured, number, text
-from reports.schema.common import DATABASE, KEY, POSE_ERROR, POSE_METRICS, PRIOR_ERROR, VIEW
+from boresight.reports.schema.column import Columns, KindSchema, count, measured, number, text
+from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, POSE_METRICS, PRIOR_ERROR, VIEW
 
 
 def _pose(prefix: str, what: str) -> Columns:

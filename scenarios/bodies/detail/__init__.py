@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.detail.features import RefinedSurface, boulder_heights, crater_heights
-from scenarios.bodies.detail.noise import Band, SmallScaleSeed, fractal_field
-from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
-from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
-from scenarios.errors import BoresightError
-from scenarios.geometry import TriangleMesh
-from scenarios.spec.body import AlbedoSpec, DetailSpec
+from boresight.scenarios.bodies.detail.features import RefinedSurface, boulder_heights, crater_heights
+from boresight.scenarios.bodies.detail.noise import Band, SmallScaleSeed, fractal_field
+from boresight.scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
+from boresight.scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import TriangleMesh
+from boresight.scenarios.spec.body import AlbedoSpec, DetailSpec
 
 __all__ = ["DETAIL_VERSION", "add_detail"]
 

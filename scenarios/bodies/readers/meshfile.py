@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 
-from scenarios.bodies.readers.source import RawShape, ShapeFile
+from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
 
 # trimesh documents no exceptions of its own for broken files: these are what its parsers raise.
 _PARSER_FAULTS = (

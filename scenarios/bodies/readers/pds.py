@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.readers.source import FloatArray, IndexArray, RawShape, ShapeFile
+from boresight.scenarios.bodies.readers.source import FloatArray, IndexArray, RawShape, ShapeFile
 
 
 def read_grid(source: ShapeFile, west: bool) -> RawShape:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import LARGEST_NUMBER
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

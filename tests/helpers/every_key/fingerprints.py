@@ -9,26 +9,26 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.imaging.observe import observe
-from campaign.imaging.world import open_world
-from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
-from campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
-from campaign.kinds.orbit_determination.trial import open_orbit_world
-from campaign.kinds.sequence.images import OrbitImages
-from campaign.kinds.sequence.tracks import ImageTracks
-from campaign.kinds.sequence.trial import ground_of
-from campaign.kinds.single_image.trial import SingleImage
-from campaign.products import BuiltAssets
-from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.stages import StageFiles
-from estimators.slam.registry import sequence_estimator_class
-from renderers.mitsuba3 import choose_variant
-from scenarios.errors import BoresightError
-from scenarios.geometry import View, look_at
-from scenarios.load import LoadedScenario, load_scenario
-from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.imaging import imaging_of
-from scenarios.sequences import draw_sequence
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
+from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
+from boresight.campaign.kinds.orbit_determination.trial import open_orbit_world
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.tracks import ImageTracks
+from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.products import BuiltAssets
+from boresight.estimators.craters.navigation.rounds import CraterNavigation
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View, look_at
+from boresight.scenarios.load import LoadedScenario, load_scenario
+from boresight.scenarios.orbits.draw import draw_orbit
+from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.sequences import draw_sequence
 
 
 def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:

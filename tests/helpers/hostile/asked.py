@@ -6,16 +6,16 @@ from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
-from campaign.runs.read import CATALOG as CAMPAIGNS
-from estimators.landmark.robust.estimator import ConsensusOptions
-from estimators.options import parse_options
-from estimators.slam.options import BundleOptions
+from boresight.campaign.runs.read import CATALOG as CAMPAIGNS
+from boresight.estimators.landmark.robust.estimator import ConsensusOptions
+from boresight.estimators.options import parse_options
+from boresight.estimators.slam.options import BundleOptions
+from boresight.reports.published import parse as parse_published
+from boresight.scenarios.data.datasets import read_registry
+from boresight.scenarios.designs import grid_cells
+from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
+from boresight.scenarios.load.yaml_text import parse_yaml
 from hostile.target import Target
-from reports.published import parse as parse_published
-from scenarios.data.datasets import read_registry
-from scenarios.designs import grid_cells
-from scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
-from scenarios.load.yaml_text import parse_yaml
 
 
 def targets() -> dict[str, Target]:
@@ -146,7 +146,7 @@ def _options(content: bytes, _folder: Path) -> object:
 
 
 def _published_seeds() -> tuple[bytes, ...]:
-    text = (resources.files("reports.published") / "delpech2015.yaml").read_text(encoding="utf-8")
+    text = (resources.files("boresight.reports.published") / "delpech2015.yaml").read_text(encoding="utf-8")
     first_value = text.index("\n", text.index("      - {")) + 1
     return text[:first_value].encode(), (
         b"source: us\nbounds: none\nmethods: [us]\ncomparisons:\n  a:\n    conditions: none\n    values:\n"

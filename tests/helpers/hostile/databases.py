@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.data.named_craters import GAZETTEER, read_gazetteer
-from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import (
+from boresight.campaign.data.named_craters import GAZETTEER, read_gazetteer
+from boresight.estimators.craters.contract import CraterDetections, CraterMatches
+from boresight.estimators.craters.database.files import (
     CraterDatabase,
     ImageDetections,
     read_detections,
@@ -21,20 +21,20 @@ from estimators.craters.database.files import (
     write_detections,
     write_matches,
 )
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import SequencePicture
-from estimators.craters.learned.detector import read_network
-from estimators.craters.learned.network import SHAPES
-from estimators.craters.planning import PlannedImage, read_plan, write_plan
-from estimators.descriptors.database import FILE as DESCRIPTORS
-from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
-from estimators.landmark.database import LandmarkDatabase
-from estimators.maplets.database import FILE as MAPLETS
-from estimators.maplets.database import MapletDatabase
+from boresight.estimators.craters.database.landmarks import Landmarks
+from boresight.estimators.craters.database.numbering import PairMatches
+from boresight.estimators.craters.database.pictures import SequencePicture
+from boresight.estimators.craters.learned.detector import read_network
+from boresight.estimators.craters.learned.network import SHAPES
+from boresight.estimators.craters.planning import PlannedImage, read_plan, write_plan
+from boresight.estimators.descriptors.database import FILE as DESCRIPTORS
+from boresight.estimators.descriptors.database import DescriptorDatabase, ViewFeatures
+from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.maplets.database import FILE as MAPLETS
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.geometry import Camera, Ellipses, Pose
 from hostile import recipes
 from hostile.target import Target
-from scenarios.geometry import Camera, Ellipses, Pose
 
 Written = Callable[[], tuple[bytes, ...]]
 

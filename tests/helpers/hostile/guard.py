@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
+from boresight.scenarios.errors import BoresightError
 from hostile.target import Target
-from scenarios.errors import BoresightError
 
 LIMIT_S = 5.0
 LONGEST_WAIT_S = 60.0

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from astropy.io import fits
 
+from boresight.renderers.images import open_product
+from boresight.renderers.images.pixels import read_image
+from boresight.renderers.images.posed_set import read_table
 from hostile import recipes
 from hostile.target import Target
-from renderers.images import open_product
-from renderers.images.pixels import read_image
-from renderers.images.posed_set import read_table
 
 _PIXELS = (np.arange(30, dtype=np.uint8).reshape(5, 6) * 8).astype(np.uint8)
 

@@ -13,23 +13,23 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from campaign.cli.printed import MADE, Printed, PrintedGrid, print_report, printed_before
-from campaign.cli.status import status_command
-from campaign.inspection.recompute import reopened
-from campaign.papers.gather import newest_finished
-from campaign.runs.manifest import make_manifest
-from campaign.runs.newest import newest_first
-from campaign.runs.request import RunRequest
-from campaign.runs.resolve import resolve
-from campaign.store.folder import Block, RunFolder
+from boresight.campaign.cli.printed import MADE, Printed, PrintedGrid, print_report, printed_before
+from boresight.campaign.cli.status import status_command
+from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.papers.gather import newest_finished
+from boresight.campaign.runs.manifest import make_manifest
+from boresight.campaign.runs.newest import newest_first
+from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.store.folder import Block, RunFolder
+from boresight.reports.run.clusters import clusters_of, pools
+from boresight.reports.run.data import read_run
+from boresight.reports.run.limits import known_lines
+from boresight.reports.schema.tables import schema
+from boresight.scenarios.checksums import checksum_text
+from boresight.scenarios.errors import BoresightError
 from hostile import recipes
 from hostile.target import Target
-from reports.run.clusters import clusters_of, pools
-from reports.run.data import read_run
-from reports.run.limits import known_lines
-from reports.schema.tables import schema
-from scenarios.checksums import checksum_text
-from scenarios.errors import BoresightError
 
 _BLOCK = Block("orbit", 0, 2, 0)
 _ROWS, _SUMS = f"rows/{_BLOCK.file_name}", f"checksums/{_BLOCK.checksums_name}"

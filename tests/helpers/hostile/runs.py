@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from campaign.cli.bench import read_ratios
-from campaign.imaging.image_store import StoredImage, read_chunk, write_images
+from boresight.campaign.cli.bench import read_ratios
+from boresight.campaign.imaging.image_store import StoredImage, read_chunk, write_images
+from boresight.renderers.spice.instruments import INSTRUMENTS
+from boresight.renderers.spice.kernels import loaded_kernels
 from hostile import recipes
 from hostile.target import Target
-from renderers.spice.instruments import INSTRUMENTS
-from renderers.spice.kernels import loaded_kernels
 
 
 def targets() -> dict[str, Target]:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.bodies.readers.icq import cube_lattice
+from boresight.scenarios.spec.body import BodySpec
 from hostile.target import Target
-from scenarios.bodies import load_body
-from scenarios.bodies.readers.icq import cube_lattice
-from scenarios.spec.body import BodySpec
 
 _VERTICES = ("1 0 0", "0 1 0", "0 0 1", "-1 -1 -1")
 _FACES = ((1, 2, 3), (1, 4, 2), (2, 4, 3), (3, 4, 1))
