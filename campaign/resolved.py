@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from boresight.campaign.imaging.real_images import images_digest
+from boresight.estimators.registry import file_of, source_digest
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.bodies import body_digest
@@ -72,7 +73,7 @@ class ResolvedCampaign:
                 for s in self.scenarios
             ],
             "estimators": [
-                {"label": e.label, "name": e.name, "options": e.options, "version": list(methods[e.label])}
+                {"label": e.label, **_source(e.name), "options": e.options, "version": list(methods[e.label])}
                 for e in self.spec.estimators
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
@@ -112,3 +113,11 @@ class ResolvedCampaign:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+
+def _source(estimator: str) -> dict[str, object]:
+    """Identify the code of an estimator: its name; of ``file.py:Class`` that without folder, and a digest."""
+    file = file_of(estimator)
+    if file is None:
+        return {"name": estimator}
+    return {"name": f"{file.name}:{estimator.rpartition(':')[2]}", "source": source_digest(estimator)}

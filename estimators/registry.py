@@ -1,12 +1,17 @@
-"""Find estimators by name: our own, and those of other packages by their entry points."""
+"""Find estimators by name: our own, those of other packages by their entry points, and classes of modules and files."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+import hashlib
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from boresight.scenarios.errors import BoresightError, one_line
@@ -40,30 +45,88 @@ class Registry(Generic[T]):
         return tuple(sorted({*self.own, *(point.name for point in entry_points(group=self.group))}))
 
     def find(self, name: str) -> type[T]:
-        """Import the class of a name; our own names take precedence over those of other packages.
+        """Import the class of a name, ``module:Class`` or ``file.py:Class``; our own names come before foreign ones.
 
         Raises
         ------
         BoresightError
-            If the name is unknown, or a class of another package cannot be imported or lacks an attribute.
+            If the name is unknown, or a foreign class cannot be imported or lacks an attribute.
         """
         if name in self.own:
             module, attribute = self.own[name].split(":")
             return cast("type[T]", getattr(import_module(module), attribute))
         points = [point for point in entry_points(group=self.group) if point.name == name]
-        if not points:
+        if not points and ":" not in name:
             near = difflib.get_close_matches(name, self.names(), n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(self.names())}"
             raise BoresightError(f"estimator {name!r} is unknown; {hint}")
-        try:
-            found = points[0].load()
-        except Exception as error:  # a foreign module may raise anything
-            said = one_line(error) or type(error).__name__
-            raise BoresightError(f"estimator {name!r} cannot be imported from {points[0].value}: {said}") from error
+        place = points[0].value if points else name
+        found = _imported(name, place, points[0].load) if points else class_at(name)
         missing = [part for part in self.parts if not hasattr(found, part)]
         if missing:
-            raise BoresightError(f"estimator {name!r} ({points[0].value}) lacks {', '.join(missing)} of the contract")
+            raise BoresightError(f"estimator {name!r} ({place}) lacks {', '.join(missing)} of the contract")
         return cast("type[T]", found)
+
+
+def file_of(name: str) -> Path | None:
+    """Return the file of ``file.py:Class``; None for every other name."""
+    file = name.rpartition(":")[0]
+    return Path(file) if file.endswith(".py") else None
+
+
+def source_digest(name: str) -> str | None:
+    """Return the digest of the file of ``file.py:Class``; None for every other name.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    file = file_of(name)
+    return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def class_at(name: str) -> object:
+    """Import the attribute that ``module:Class`` or ``file.py:Class`` names.
+
+    A file is a module by its content: one that was changed is imported again. What lies beside it can be imported.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be imported.
+    """
+    place, _, attribute = name.rpartition(":")
+    file = file_of(name)
+    if file is None:
+        return _imported(name, place, lambda: getattr(import_module(place), attribute))
+    return _imported(name, place, lambda: getattr(_module(file, f"{file.stem}_{source_digest(name)}"), attribute))
+
+
+def _module(file: Path, called: str) -> ModuleType:
+    """Import a file under a name of its own."""
+    if called not in sys.modules:
+        folder = str(file.absolute().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)
+        spec = spec_from_file_location(called, file)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{file} is no Python file")
+        sys.modules[called] = module_from_spec(spec)
+        try:
+            spec.loader.exec_module(sys.modules[called])
+        except BaseException:
+            del sys.modules[called]
+            raise
+    return sys.modules[called]
+
+
+def _imported(name: str, place: str, load: Callable[[], object]) -> object:
+    try:
+        return load()
+    except Exception as error:  # a foreign module may raise anything
+        said = one_line(error) or type(error).__name__
+        raise BoresightError(f"estimator {name!r} cannot be imported from {place}: {said}") from error
 
 
 _ESTIMATORS: Registry[Estimator] = Registry(
@@ -88,10 +151,17 @@ estimator_names, estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
 
 def needed_sensors(name: str) -> frozenset[str]:
     """Return the sensors that an estimator needs in addition to the camera; empty for most."""
-    return frozenset(getattr(estimator_class(name), "sensors", ())) if name in estimator_names() else frozenset()
+    return frozenset(cast("Iterable[str]", _said_by(name, "sensors", ())))
 
 
 def base_of(name: str, options: Mapping[str, object]) -> str | None:
     """Return the name of the estimator that another builds on, by option or class attribute; None for most."""
-    base = getattr(estimator_class(name), "base", None) if name in estimator_names() else None
+    base = _said_by(name, "base", None)
     return None if base is None else str(options.get("base", base))
+
+
+def _said_by(name: str, attribute: str, default: object) -> object:
+    """Return an attribute of an estimator's class; the default where it has none, or the name is of another kind."""
+    if ":" in name or name in estimator_names():
+        return getattr(class_at(name) if ":" in name else estimator_class(name), attribute, default)
+    return default

@@ -6,7 +6,6 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -15,7 +14,7 @@ from rich.text import Text
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.machine import cores
-from boresight.campaign.runs.read import CATALOG, campaign_names, read_campaign
+from boresight.campaign.runs.read import CATALOG, CampaignFiles, campaign_names, is_campaign, read_campaign
 from boresight.campaign.trial.kind import kind_names
 from boresight.scenarios.designs import grid_cells
 from boresight.scenarios.errors import printable
@@ -24,7 +23,6 @@ from boresight.scenarios.load import (
     LoadedScenario,
     canonical_json,
     dump_yaml,
-    file_kind,
     json_schema,
     load_campaign,
     load_scenario,
@@ -112,16 +110,26 @@ def _print_row(out: Console, row: Sequence[str], widths: Sequence[int]) -> None:
 
 def show_command(arguments: argparse.Namespace) -> int:
     """Print a campaign or a scenario as YAML, every default filled in."""
-    if _is_campaign(arguments.name):
-        campaign = read_campaign(arguments.name, arguments.overrides, embedded=arguments.embedded)
+    if is_campaign(arguments.name):
+        read: CampaignFiles | LoadedScenario = read_campaign(
+            arguments.name, arguments.overrides, embedded=arguments.embedded
+        )
+    else:
+        read = load_scenario(arguments.name, arguments.overrides)
+    console().print(as_yaml(read), end="", highlight=False)
+    return 0
+
+
+def as_yaml(read: CampaignFiles | LoadedScenario) -> str:
+    """Write a campaign or a scenario as YAML, every default filled in."""
+    if isinstance(read, CampaignFiles):
         shown = {
-            "campaign": json.loads(canonical_json(campaign.loaded.spec)),
-            "scenarios": [json.loads(canonical_json(s.spec)) for s in campaign.scenarios],
+            "campaign": json.loads(canonical_json(read.loaded.spec)),
+            "scenarios": [json.loads(canonical_json(s.spec)) for s in read.scenarios],
         }
     else:
-        shown = {"scenario": json.loads(canonical_json(load_scenario(arguments.name, arguments.overrides).spec))}
-    console().print(dump_yaml(shown), end="", highlight=False)
-    return 0
+        shown = {"scenario": json.loads(canonical_json(read.spec))}
+    return dump_yaml(shown)
 
 
 def validate_command(arguments: argparse.Namespace) -> int:
@@ -130,7 +138,7 @@ def validate_command(arguments: argparse.Namespace) -> int:
     from boresight.campaign.runs.check import check_campaign, check_scenario
     from boresight.campaign.runs.resolve import resolve
 
-    if _is_campaign(arguments.file):
+    if is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)
         check_campaign(campaign, campaign.spec.trials)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
@@ -140,15 +148,6 @@ def validate_command(arguments: argparse.Namespace) -> int:
         what = f"the scenario {scenario.spec.name}"
     console().print(f"{arguments.file}: ok, {what}")
     return 0
-
-
-def _is_campaign(name: str) -> bool:
-    """Tell campaigns from scenarios: by the catalogue first, by the keys of the file otherwise."""
-    if name in campaign_names():
-        return True
-    if name in scenario_names():
-        return False
-    return file_kind(Path(name), campaign_names()) == "campaign"
 
 
 def schema_command(arguments: argparse.Namespace) -> int:

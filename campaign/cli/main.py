@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 import tomllib
@@ -104,6 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        if "_ARGCOMPLETE" in os.environ:
+            _complete()
         parsed = make_parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
         return handler(parsed.handler)(parsed)
     except BoresightError as error:
@@ -118,6 +121,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         _complain(explain_write_error(error.filename or "standard output", error))
         return EXIT_USER_ERROR
+
+
+def _complete() -> None:
+    """Tell a shell with ``eval "$(register-python-argcomplete boresight)"`` how a word may end, and exit."""
+    import argcomplete
+
+    from boresight.campaign.runs.read import campaign_names
+    from boresight.scenarios.load import scenario_names
+
+    def names(prefix: str, **_: object) -> list[str]:
+        return [*campaign_names(), *scenario_names(), *argcomplete.FilesCompleter()(prefix)]
+
+    argcomplete.autocomplete(make_parser(), default_completer=names)
 
 
 def handler(name: str) -> Callable[[argparse.Namespace], int]:

@@ -13,13 +13,14 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.campaign.inspection.case import ORDER, Case, Choice, worst_cases
+from boresight.campaign.inspection.case import CONTROLS, ORDER, Case, Choice, worst_cases
 from boresight.campaign.inspection.recompute import Recomputed, StoredComparison, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.image_trials import write_image
 from boresight.campaign.trial.kind import Record
+from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.case import CasePage, write_case
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
@@ -30,6 +31,23 @@ from boresight.scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables with few rows per case, shown on its page; longer ones are only written as Parquet."""
+
+
+def typical_figure(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
+    """Draw the first figure of the trial in the middle, from the worst to the best, of the first method that measures.
+
+    None if recomputing a trial takes minutes, or there is nothing to draw.
+    """
+    show = show_of(campaign.spec.experiment)
+    label = next((label for label in campaign.labels if label not in CONTROLS), campaign.labels[0])
+    if show is None or show.long(campaign):
+        return
+    run = read_run(folder.path)
+    cases, ranked_by = worst_cases(run, len(run.rows), Choice(campaign.scenarios[0].spec.name, label), None)
+    again = recompute(campaign, folder, cases[len(cases) // 2])
+    for figure in islice(draw_case(again, show, campaign.spec.experiment).figures, 1):
+        words = f"The trial in the middle of {len(cases)}, from the worst to the best by {ranked_by}. {figure.caption}"
+        yield replace(figure, stem=LEAD, caption=words)
 
 
 def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
+from boresight.campaign.papers import PAPERS
 from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.request import RUNS
@@ -75,7 +76,15 @@ class Paper:
 
 
 def paper_called(name: str) -> Paper:
-    """Return the paper of that name, one of `campaign.papers.PAPERS`."""
+    """Return the paper of that name, one of `campaign.papers.PAPERS`.
+
+    Raises
+    ------
+    BoresightError
+        If there is none of that name.
+    """
+    if name not in PAPERS:
+        raise BoresightError(f"{name!r} is no paper: choose one of {', '.join(PAPERS)}")
     return cast("Paper", import_module(f"boresight.campaign.papers.{name}").PAPER)
 
 

@@ -82,7 +82,11 @@ def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int 
     -------
     How many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
     """
-    given = next(section for section in _KINDS if getattr(scenario.spec, section) is not None)
     limit, bodies = trial_limit(scenario), check_bodies(scenario)
-    kind_named(experiment or _KINDS[given]).check_scenario(scenario)
+    kind_named(experiment or kind_of(scenario)).check_scenario(scenario)
     return limit, bodies
+
+
+def kind_of(scenario: LoadedScenario) -> str:
+    """Name the kind of trial that the sections of a scenario ask for."""
+    return next(kind for section, kind in _KINDS.items() if getattr(scenario.spec, section) is not None)

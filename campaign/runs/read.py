@@ -8,7 +8,16 @@ from pathlib import Path
 
 from boresight.scenarios.designs import GridCell, GridVariation, grid_cells
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.load import ConfigEntry, LoadedCampaign, LoadedScenario, load_campaign, load_scenario, names_in
+from boresight.scenarios.load import (
+    ConfigEntry,
+    LoadedCampaign,
+    LoadedScenario,
+    file_kind,
+    load_campaign,
+    load_scenario,
+    names_in,
+    scenario_names,
+)
 from boresight.scenarios.spec.campaign import CampaignSpec
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -17,6 +26,15 @@ CATALOG = Path(__file__).parents[1] / "catalog"
 def campaign_names() -> list[str]:
     """Return the names of the campaigns that come with boresight."""
     return names_in(CATALOG)
+
+
+def is_campaign(name: str) -> bool:
+    """Tell campaigns from scenarios: by the catalogue first, by the keys of the file otherwise."""
+    if name in campaign_names():
+        return True
+    if name in scenario_names():
+        return False
+    return file_kind(Path(name), campaign_names()) == "campaign"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Any
 from boresight.campaign.resolved import ResolvedCampaign, Versions
 from boresight.campaign.runs.read import read_campaign
 from boresight.campaign.trial.kind import Kind, kind_named
-from boresight.estimators.registry import base_of, needed_sensors
+from boresight.estimators.registry import base_of, file_of, needed_sensors
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedCampaign, LoadedScenario
 from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
@@ -36,7 +36,8 @@ def resolve(
         If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
     """
     read = read_campaign(name_or_path, overrides, embedded=embedded)
-    loaded, spec, scenarios = read.loaded, read.loaded.spec, read.scenarios
+    loaded, scenarios = read.loaded, read.scenarios
+    spec = _with_whole_paths(loaded.spec, loaded.path.parent)
     files = read_campaign(name_or_path, overrides).scenarios if embedded else scenarios
     kind = _kind_of(loaded)
     if spec.databases > 1:
@@ -63,6 +64,29 @@ def _replaced(files: Sequence[LoadedScenario], embedded: Sequence[LoadedScenario
     bodies = [*((a.body, b.body) for a, b in specs), *((a.onboard.body, b.onboard.body) for a, b in specs)]
     said = [f"{b.shape} in place of {a.shape}" for a, b in bodies if a and b and a.shape != b.shape]
     return tuple(dict.fromkeys(said))
+
+
+def _with_whole_paths(spec: CampaignSpec, near: Path) -> CampaignSpec:
+    """Make files of estimators absolute, which a campaign names by their path from its own."""
+    entries = []
+    for entry in spec.estimators:
+        file = file_of(entry.name)
+        whole = entry.name if file is None else f"{(near / file).absolute()}:{entry.name.rpartition(':')[2]}"
+        entries.append(entry.model_copy(update={"name": whole}))
+    return spec.model_copy(update={"estimators": tuple(entries)})
+
+
+def of_scenario(
+    scenario: LoadedScenario, estimators: Mapping[str, Mapping[str, object]], experiment: str, seed: int, variant: str
+) -> ResolvedCampaign:
+    """Make a campaign of one scenario without a file; ``estimators`` are options by name."""
+    kind_named(experiment)
+    written = {"name": "trial", "experiment": experiment, "scenarios": [scenario.spec.name], "trials": 1, "seed": seed}
+    asked = CampaignSpec.model_validate({**written, "estimators": [{name: dict(o)} for name, o in estimators.items()]})
+    spec = _with_whole_paths(asked, Path())
+    for entry in spec.estimators:
+        _check_sensors(entry, (scenario,))
+    return ResolvedCampaign(spec, (scenario,), seed, _versions(spec), variant)
 
 
 def _kind_of(loaded: LoadedCampaign) -> Kind:

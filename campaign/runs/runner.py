@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 from boresight.campaign.imaging.real_images import left_out_notes
@@ -53,7 +53,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         previous = _previous(folder, campaign)
         for note in (note for scenario in campaign.scenarios for note in left_out_notes(scenario)):
             listener.message(note)
-        products = _build_products(campaign, request, listener)
+        products = build_products(campaign, request, listener.message)
         manifest = manifests.make_manifest(campaign, request, products, previous)
         for note in manifests.missing_notes(products):
             listener.message(note)
@@ -91,15 +91,15 @@ def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] |
     return manifest
 
 
-def _build_products(
-    campaign: ResolvedCampaign, request: RunRequest, listener: Listener
+def build_products(
+    campaign: ResolvedCampaign, request: RunRequest, tell: Callable[[str], None] | None
 ) -> list[BuiltProduct | MissingProduct]:
     """Build what the trials need, before any of them."""
     kind = kind_named(campaign.spec.experiment)
     products: list[BuiltProduct | MissingProduct] = []
     for scenario in campaign.scenarios:
         place = request.out / "products"
-        assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
+        assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft)
         products += missing(scenario, kind.methods(campaign, scenario))
         products += [] if kind.prepare is None else kind.prepare(campaign, scenario, assets)
     return products

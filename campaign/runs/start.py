@@ -1,4 +1,4 @@
-"""Start of a run from the command line or from Python; `campaign.run` returns the rows of a run."""
+"""Start of a run from the command line or from Python; `boresight.run` returns the rows of a run."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def run(
     -------
     DataFrame
         One row for each scenario, trial and estimator, with the columns of the table ``rows`` of the README, of no
-        more trials than were asked for. ``attrs["folder"]`` is the run folder, for `reports.read_run`.
+        more trials than were asked for. ``attrs["folder"]`` is the run folder, for `boresight.read_run`.
 
     Raises
     ------

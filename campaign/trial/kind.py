@@ -10,6 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -19,7 +22,33 @@ if TYPE_CHECKING:
 
 Record = dict[str, object]
 Records = dict[str, list[Record]]
-Witness = Callable[[object], None]
+
+
+class Witnessed(Protocol):
+    """What came about in a trial of one method. The types are those of the kind of trial."""
+
+    @property
+    def image(self) -> NDArray[np.float32] | None:
+        """Image (H, W); None where methods see tracks or data."""
+        ...
+
+    @property
+    def truth(self) -> object:
+        """What is true."""
+        ...
+
+    @property
+    def observation(self) -> object:
+        """What the method saw."""
+        ...
+
+    @property
+    def estimate(self) -> object | None:
+        """What the method returned; None where it raised or broke its contract."""
+        ...
+
+
+Witness = Callable[[Witnessed], None]
 """Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
 
 Prepare = Callable[["ResolvedCampaign", "LoadedScenario", "BuiltAssets"], "Sequence[BuiltProduct | MissingProduct]"]

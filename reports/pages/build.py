@@ -7,50 +7,96 @@ import re
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 
 from boresight.reports.figures.provenance import add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
-from boresight.reports.kinds import Content, draw_figures, report_grids
+from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids
 from boresight.reports.pages.content import read_content
 from boresight.reports.pages.distributions import distributions
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
+from boresight.reports.run.data import RunData
+from boresight.reports.run.limits import database_line, known_lines, single_draws
 from boresight.reports.run.row_files import row_links, write_row_files
+from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 
+LEAD = "typical"
+"""Stem of the figure at the top of a page: a trial in the middle of all."""
+
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
-    """Fill the page's template.
+    """Fill the page's template: what was asked and what came out first, how and from what last.
 
     Parameters
     ----------
     content
         Content of the report.
     figures
-        Each with its PNG, which is embedded.
+        Each with its PNG, which is embedded; one called `LEAD` stands at the top.
     """
-    manifest = content.run.manifest
+    run, manifest = content.run, content.run.manifest
+    card = list(_card(content))
+    said = {text for _, text in card}
+    brief = [replace(_on_page(grid, run), note="") for grid in brief_grids(content)]
+    short = {grid.title for grid in brief}
+    grids = [(_on_page(grid, run), row_links(run, grid)) for grid in report_grids(content)]
+    embedded = embed_figures(figures)
     return fill_template(
         "page.html",
         manifest=manifest,
-        progress=content.run.progress(),
+        progress=run.progress(),
+        card=card,
+        brief=brief,
+        lead=next((one for one in embedded if one[0].stem == LEAD), None),
         facts=_facts(content),
-        notes=content.notes,
+        notes=[note for note in content.notes if note not in said],
         js=template_text("page.js"),
-        grids=[(grid, row_links(content.run, grid)) for grid in report_grids(content)],
-        distributions=list(distributions(content.run)),
-        figures=embed_figures(figures),
+        grids=[
+            (replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid, links)
+            for grid, links in grids
+        ],
+        distributions=list(distributions(run)),
+        figures=[one for one in embedded if one[0].stem != LEAD],
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
         },
         command=reproduce_command(content),
     )
+
+
+def _card(content: Content) -> Iterator[tuple[str, str]]:
+    """Yield what was asked, what the spacecraft knew, how much was run, and the verdicts on published values."""
+    run = content.run
+    done, total = run.progress()
+    trials = f"{done} of {total}" if done < total else f"{total:,}"
+    yield from [("Asked", run.manifest.description)] if run.manifest.description else []
+    yield from (("On board", line) for line in known_lines(run))
+    yield "Trials", trials
+    yield from [("Intervals", database_line(run))] if database_line(run) else []
+    values = [one.verdict for one in content.compared]
+    verdicts = Counter(filter(None, (*values, *(one.verdict for one in content.claims))))
+    if verdicts:
+        yield "Published values", ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
+
+
+def _on_page(grid: Grid, run: RunData) -> Grid:
+    """Leave out of a table what the top of the page says of all: limits of intervals, knowledge, the only scenario."""
+    limits = single_draws(run)
+    grid = replace(grid, title=grid.title.removesuffix(f", of {limits}") if limits else grid.title, known="")
+    if (
+        grid.columns[:1] == ("scenario",)
+        and len({row[0] for row in grid.rows}) == 1
+        and len(run.manifest.scenarios) == 1
+    ):
+        return grid.keep(*grid.columns[1:])
+    return grid
 
 
 def reproduce_command(content: Content) -> str:
@@ -60,12 +106,10 @@ def reproduce_command(content: Content) -> str:
 
 
 def _facts(content: Content) -> list[tuple[str, str]]:
-    """List campaign, trials, seed, date, commit, machine and versions of a run."""
+    """List campaign, seed, date, commit, machine and versions of a run."""
     manifest = content.run.manifest
-    done, total = content.run.progress()
     facts = [
         ("Campaign", manifest.name),
-        ("Trials", f"{done} of {total}"),
         ("Seed", str(manifest.seed)),
         ("Created", manifest.created),
         ("Commit", manifest.commit),
@@ -202,8 +246,13 @@ def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures beside it."""
     manifest = content.run.manifest
     parts = [f"# {_plain_line(manifest.title or manifest.name)}", "\n".join(f"- {note}" for note in content.notes)]
-    parts += [grid.markdown() for grid in report_grids(content)]
-    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
+    drawn = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
+    lead = [text for figure, text in zip(figures, drawn, strict=True) if figure.stem == LEAD]
+    parts += [
+        *lead,
+        *(grid.markdown() for grid in report_grids(content)),
+        *(text for text in drawn if text not in lead),
+    ]
     parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
     return "\n\n".join(parts) + "\n"
 

@@ -12,6 +12,8 @@ from boresight.scenarios.spec.base import PlainValue, SpecModel
 from boresight.scenarios.spec.scenario import NAME_PATTERN
 
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
+_CLASS = r"^[^\x00-\x1f\x7f:][^\x00-\x1f\x7f]*:[A-Za-z_][A-Za-z0-9_]*$"
+"""``module:Class`` or ``file.py:Class``."""
 
 _NAME = re.compile(r"[a-z0-9._-]+")
 MOST_SCENARIOS = 1000
@@ -79,10 +81,11 @@ class EstimatorSpec(SpecModel):
     """An estimator with its options and a unique label for tables.
 
     A campaign writes the name alone, ``prior``, or the name with options, ``{landmark-harris: {images: 200}}``.
-    The option ``label`` distinguishes two entries of the same estimator; it is the name by default.
+    ``module:Class`` or ``file.py:Class`` is a class that is not registered. The option ``label`` distinguishes two
+    entries of the same estimator; it is the name by default, or that of the class.
     """
 
-    name: str = Field(pattern=_LABEL)
+    name: str = Field(pattern=f"{_LABEL}|{_CLASS}")
     label: str = Field(pattern=_LABEL)
     options: Mapping[str, PlainValue] = Field(default_factory=dict)
 
@@ -97,9 +100,9 @@ def _read_estimator(value: object) -> EstimatorSpec:
         raise ValueError("write an estimator as its name, or as {name: {option: value}}")
     ((name, options),) = value.items()
     options = {} if options is None else options
-    if not re.fullmatch(_LABEL, name) or not isinstance(options, dict):
+    if not re.fullmatch(f"{_LABEL}|{_CLASS}", name) or not isinstance(options, dict):
         raise ValueError(f"the options of {name!r} are not a mapping: write {{name: {{option: value}}}}")
-    label = options.get("label", name)
+    label = options.get("label", name.rpartition(":")[2])
     if not re.fullmatch(_LABEL, str(label)):
         raise ValueError(f"the label {label!r} of {name} may hold letters, digits and . _ + - alone")
     return EstimatorSpec(

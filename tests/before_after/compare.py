@@ -20,6 +20,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from link_tree import link_tree
+
 CAMPAIGNS = Path(__file__).parent / "campaigns"
 CATALOG = {"quickstart": 20, "delpech2015-smoke": 3, "orbit-smoke": 2, "endtoend-smoke": 1}
 """Campaigns that come with boresight, and how many trials of each are run."""
@@ -50,18 +53,20 @@ def run(checkout: Path, folder: Path) -> int:
     """Run all campaigns with the code of a checkout; each has a run folder of its own."""
     files = {file.stem: [str(file)] for file in sorted(CAMPAIGNS.glob("*.yaml")) if "estimators:" in file.read_text()}
     wanted = files | {name: [name, "--trials", str(trials)] for name, trials in CATALOG.items()}
-    worst = 0
+    worst, tree = 0, folder / ".tree"
+    link_tree(checkout, tree)
     for name, words in wanted.items():
         if (folder / name).exists():
             continue
         command = ["run", *words, "--jobs", "2", "--no-report", "--out", str(folder / name)]
-        code = f"import sys; sys.path.insert(0, {str(checkout)!r}); from boresight.campaign.cli import main; sys.exit(main())"
-        environment = {**os.environ, "PYTHONPATH": str(checkout)}
         print(name, flush=True)
         worst = max(
             worst,
             subprocess.run(
-                [sys.executable, "-c", code, *command], cwd=checkout, env=environment, check=False
+                [sys.executable, "-m", "boresight", *command],
+                cwd=checkout,
+                env={**os.environ, "PYTHONPATH": str(tree)},
+                check=False,
             ).returncode,
         )
     return worst
@@ -70,7 +75,9 @@ def run(checkout: Path, folder: Path) -> int:
 def compare(before: Path, after: Path) -> int:
     """Print what differs in the rows of two folders of runs."""
     differences, cells = 0, 0
-    names = sorted({path.name for path in (*before.iterdir(), *after.iterdir()) if path.is_dir()})
+    names = sorted(
+        {path.name for path in (*before.iterdir(), *after.iterdir()) if path.is_dir() and path.name != ".tree"}
+    )
     for name in names:
         old, new = tables(before / name), tables(after / name)
         cells += sum(table.size for table in old.values())

@@ -215,9 +215,7 @@ def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys
 
 def started_by(preparation: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process that is prepared before, and whose workers inherit that."""
-    started = (
-        "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'boresight.campaign.cli', *sys.argv[1:]])"
-    )
+    started = "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'boresight', *sys.argv[1:]])"
     words = [sys.executable, "-c", f"{preparation}; {started}", *map(str, arguments)]
     return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
 
@@ -314,7 +312,7 @@ def test_a_full_disk(tiny_run, tmp_path, limit, jobs, options, stopped_at):
 def test_standard_output_on_a_full_disk():
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "boresight.campaign.cli", "list"],
+            [sys.executable, "-m", "boresight", "list"],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

@@ -34,7 +34,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("build")
     source = folder / "source"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy2(ROOT / name, source)
     for name in (*PACKAGES, "tests"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -62,25 +62,24 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_the_data_and_no_tests(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == set(PACKAGES)
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"boresight"}
     assert not [name for name in names if "test" in Path(name).name.lower() or "conftest" in name]
-    expected = {
-        path.relative_to(ROOT).as_posix()
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*")
-        if path.suffix in {".py", ".yaml", ".html", ".css", ".typed"} and "__pycache__" not in path.parts
-    }
+    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if "__pycache__" not in path.parts]
+    kept = {".py", ".pyi", ".yaml", ".html", ".css", ".js", ".toml", ".typed", ".npz", ".json", ".jsonl"}
+    inside = [path.relative_to(ROOT).as_posix() for path in files if path.suffix in kept]
+    expected = {f"boresight/{name.removeprefix('campaign/api/')}" for name in inside}
     assert expected <= set(names), f"left out: {sorted(expected - set(names))}"
-    for name in ("campaign/catalog/quickstart.yaml", "reports/pages/page.html", "reports/pages/page.css"):
-        assert name in expected
-    assert any(name.startswith("reports/published/") and name.endswith(".yaml") for name in expected)
+    for name in ("__init__.pyi", "campaign/catalog/quickstart.yaml", "reports/pages/page.html"):
+        assert f"boresight/{name}" in expected
+    assert any(name.startswith("boresight/reports/published/") and name.endswith(".yaml") for name in expected)
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
 def test_every_package_comes_from_the_wheel(environment, tmp_path):
-    code = f"import importlib; print(*(importlib.import_module(n).__file__ for n in {PACKAGES}), sep='\\n')"
+    names = ["boresight", *(f"boresight.{name}" for name in PACKAGES)]
+    code = f"import importlib; print(*(importlib.import_module(n).__file__ for n in {names}), sep='\\n')"
     found = checked(environment / "bin" / "python", "-c", code, cwd=tmp_path).split()
-    assert len(found) == len(PACKAGES)
+    assert len(found) == len(names)
     assert all(Path(path).is_relative_to(environment) for path in found), found
 
 
@@ -100,3 +99,28 @@ def test_a_campaign_runs_elsewhere_with_the_same_rows(environment, tiny_run, tmp
     assert_same_results(tiny_run.folder, tmp_path / "run")
     manifest = (tmp_path / "run" / "manifest.json").read_text()
     assert '"commit": ""' in manifest, "it runs from no checkout"
+
+
+def test_modules_of_a_user_with_the_names_of_our_folders_are_in_nobodys_way(environment, tmp_path):
+    (tmp_path / "campaign.py").write_text("raise RuntimeError('mine')\n")
+    for name in ("reports", "scenarios", "estimators", "renderers"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('mine')\n")
+    code = "import boresight; print(boresight.render('quickstart', overrides=['camera.fov_deg=20']).image.shape)"
+    (tmp_path / "mine.py").write_text(code)
+    for words in (["-c", code], ["mine.py"]):
+        assert checked(environment / "bin" / "python", *words, cwd=tmp_path) == "(512, 512)\n"
+    assert "quickstart" in checked(environment / "bin" / "python", "-m", "boresight", "list", cwd=tmp_path)
+
+
+@pytest.mark.long
+def test_the_source_distribution_builds_the_same_wheel(wheel, tmp_path):
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", tmp_path]
+    checked(*build, "--sdist", wheel.parent / "source", cwd=tmp_path)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    shutil.unpack_archive(archive, tmp_path / "unpacked")
+    (source,) = (tmp_path / "unpacked").iterdir()
+    checked(*build, "--wheel", source, cwd=tmp_path)
+    (again,) = tmp_path.glob("*.whl")
+    names = [sorted(zipfile.ZipFile(one).namelist()) for one in (wheel, again)]
+    assert names[0] == names[1]

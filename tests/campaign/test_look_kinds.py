@@ -122,9 +122,9 @@ def test_craters_of_a_pair_are_counted_by_hand():
 
     pair = CraterPair(look([4, 7, NO_CRATER, 9]), look([9, 7, 4, NO_CRATER]), 1.0, 1.0)
     # 7 with 7 is right, 4 with 9 is wrong, no crater with no crater is nothing.
-    found = pair_outcomes(MatchedPair(pair, CraterMatches(np.array([[1, 1], [0, 0], [2, 3]]), np.ones(3))))
+    found = pair_outcomes(MatchedPair(pair, None, CraterMatches(np.array([[1, 1], [0, 0], [2, 3]]), np.ones(3))))
     assert found.set_index("crater")["hits"].to_dict() == {4: 0.0, 7: 1.0, 9: 0.0}
-    assert pair_outcomes(MatchedPair(pair, None))["hits"].sum() == 0.0
+    assert pair_outcomes(MatchedPair(pair, None, None))["hits"].sum() == 0.0
 
 
 def test_landmarks_are_drawn_just_above_the_surface(world):

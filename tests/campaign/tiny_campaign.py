@@ -86,7 +86,7 @@ def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> str:
 
 def command(*arguments: object) -> list[str]:
     """Return the command line as a process."""
-    return [sys.executable, "-m", "boresight.campaign.cli", *_words(*arguments)]
+    return [sys.executable, "-m", "boresight", *_words(*arguments)]
 
 
 def _words(*arguments: object) -> list[str]:

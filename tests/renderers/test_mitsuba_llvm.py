@@ -222,7 +222,8 @@ def test_the_probe_sees_rays_where_there_are_some_and_says_what_fails():
 def test_threads_are_limited():
     assert (
         run(
-            "from boresight.renderers.mitsuba3 import limit_threads; limit_threads(1); import drjit; print(drjit.thread_count())"
+            "from boresight.renderers.mitsuba3 import limit_threads; limit_threads(1)\n"
+            "import drjit; print(drjit.thread_count())"
         )
         == "1\n"
     )

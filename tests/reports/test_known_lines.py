@@ -6,7 +6,7 @@ import pytest
 from stored_runs import SCENARIO
 from terminal_text import terminal_lines
 
-from boresight.reports import summary
+from boresight import summary
 from boresight.reports.compare import compare_runs, write_comparison
 from boresight.reports.kinds import brief_grids, report_grids
 from boresight.reports.pages.build import write_report

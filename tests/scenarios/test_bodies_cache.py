@@ -94,7 +94,10 @@ def test_machine_code_of_kernels_is_listed_and_cleared(cache, monkeypatch):
     """Kernels are compiled in a separate process, as in a run; entries of other kinds stay."""
     monkeypatch.setenv("BORESIGHT_CACHE", str(cache.root))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    code = "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope as m; m(np.array([2, 1]))"
+    code = (
+        "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope\n"
+        "make_envelope(np.array([2, 1]))"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
     cache.folder("bodies", "key", writer())
     machine_code = list(cache.root.glob("kernels/*/*.nbc"))

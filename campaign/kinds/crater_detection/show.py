@@ -48,7 +48,7 @@ def detected(
         shown = recompute(campaign, folder, Case(scenario, done[0], trial)).shown if done else None
         if isinstance(shown, DetectedImage):
             for label in done:
-                yield example_figure(run, scenario, label, trial, shown.frame.image)
+                yield example_figure(run, scenario, label, trial, shown.observation.frame.image)
 
 
 def stages_of(
@@ -63,11 +63,13 @@ def stages_of(
         detector = None if trials is None else trials.detectors[label]
         if not isinstance(shown, DetectedImage) or not isinstance(detector, CraterClassic):
             return
-        stages = detector.stages(shown.frame, shown.camera)
+        stages = detector.stages(shown.observation.frame, shown.observation.camera)
         arcs = {"shaded": [a.uv_px for a in stages.shaded], "lit": [a.uv_px for a in stages.lit]}
         small, large = stages.edges
         what = f"{scenario}, {label}, image {trial}"
-        yield stages_figure(shown.frame.image, small.mask | large.mask, arcs, stages.detections.ellipses, what)
+        yield stages_figure(
+            shown.observation.frame.image, small.mask | large.mask, arcs, stages.detections.ellipses, what
+        )
 
 
 def _richest(run: RunData, scenario: str) -> list[int]:
@@ -117,7 +119,11 @@ def draw_detection(again: Recomputed) -> CaseFigures | None:
     detections = [record for record in again.records.get("detections", []) if record["kept"]]
     matched = np.array([int(str(record["crater"])) != NO_CRATER for record in detections], dtype=np.bool_)
     figure = draw_example(
-        shown.frame.image, (truth.ellipses, truth.detectable), (ellipses_of(detections), matched), "craters", what
+        shown.observation.frame.image,
+        (truth.ellipses, truth.detectable),
+        (ellipses_of(detections), matched),
+        "craters",
+        what,
     )
     missed = int(truth.detectable.sum()) - sum(bool(record["detectable"]) for record in detections)
     note = f"{int(truth.detectable.sum())} detectable craters, {missed} of them missed; {int((~matched).sum())} of"
@@ -128,7 +134,7 @@ def draw_detection(again: Recomputed) -> CaseFigures | None:
 
 def kept(shown: object) -> CaseFiles:
     """Return the image that a detector saw."""
-    return CaseFiles({"image": shown.frame.image}) if isinstance(shown, DetectedImage) else CaseFiles()
+    return CaseFiles({"image": shown.observation.frame.image}) if isinstance(shown, DetectedImage) else CaseFiles()
 
 
 SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples)

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.observe import observe
@@ -31,17 +32,22 @@ from boresight.scenarios.craters import CraterTruth, build_surfaces, crater_trut
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.observation import Frame
+from boresight.scenarios.observation import Frame, Observation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedImage:
-    """A trial as a witness is shown it: what a detector sees, and what is true of it."""
+    """A trial of one detector as a witness is shown it; ``estimate`` is None where the detector raised or gave up."""
 
     sight: TrialImage
-    frame: Frame
-    camera: Camera
+    observation: Observation
     truth: CraterTruth
+    estimate: CraterDetections | None
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The image, as the camera took it."""
+        return self.sight.image
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,18 +139,21 @@ class CraterDetection:
         if self.keep_image is not None:
             self.keep_image(trial, sight.image)
         truth = self.truth(sight)
-        if self.witness is not None:
-            self.witness(DetectedImage(sight, frame, camera, truth))
         image_key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name}
         records: Records = {
             "crater_images": [{**image_key, **_image_facts(sight, truth)}],
             "craters": [{**image_key, **row} for row in _truth_rows(truth)],
         }
         stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+
+        def show(found: tuple[CraterDetections, float] | None) -> None:
+            if self.witness is not None:
+                self.witness(DetectedImage(sight, observation, truth, None if found is None else found[0]))
+
         for label, detector in self.detectors.items():
             call = Call(self.world.scenario.spec.name, trial, label)
             judged = Work(call, "detector", _circumstances(sight)).judged(
-                partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth)
+                partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth), show
             )
             judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
             judged["rows"][0] = {**_circumstances(sight), **judged["rows"][0], "database": self.database}

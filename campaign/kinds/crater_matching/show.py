@@ -42,7 +42,7 @@ def look_at_matches(scene: EstimatorRun) -> View3D:
     for trial in map(int, rows["trial"]):
         shown = recompute(scene.campaign, scene.folder, Case(scene.scenario, scene.label, trial)).shown
         if isinstance(shown, MatchedPair):
-            looks = (shown.pair.first, shown.pair.second)
+            looks = (shown.truth.first, shown.truth.second)
             views[trial] = np.array([look.view.T_cam_body.camera_position_m for look in looks])
             outcomes.append(pair_outcomes(shown))
     if not outcomes:
@@ -60,9 +60,9 @@ def look_at_matches(scene: EstimatorRun) -> View3D:
 
 def pair_outcomes(shown: MatchedPair) -> pd.DataFrame:
     """List the craters that both looks of a pair show, and whether each is matched with itself."""
-    one, other = (look.detections.crater for look in (shown.pair.first, shown.pair.second))
+    one, other = (look.detections.crater for look in (shown.truth.first, shown.truth.second))
     common = np.setdiff1d(np.intersect1d(one, other), [NO_CRATER])
-    pairs = np.zeros((0, 2), dtype=np.int64) if shown.matches is None else shown.matches.pairs
+    pairs = np.zeros((0, 2), dtype=np.int64) if shown.estimate is None else shown.estimate.pairs
     here, there = one[pairs[:, 0]], other[pairs[:, 1]]
     hits = np.isin(common, here[here == there]).astype(float)
     return pd.DataFrame({"crater": common, "chances": np.ones(len(common)), "hits": hits})
@@ -82,18 +82,19 @@ def draw_pair_case(again: Recomputed) -> CaseFigures | None:
     shown, what = again.shown, str(again.case)
     if not isinstance(shown, MatchedPair):
         return None
-    looks = (shown.pair.first, shown.pair.second)
-    matches = CraterMatches.none("") if shown.matches is None else shown.matches
+    looks = (shown.truth.first, shown.truth.second)
+    matches = CraterMatches.none("") if shown.estimate is None else shown.estimate
     one, other = (look.detections.crater for look in looks)
-    unlisted = unlisted_matches(matches, shown.pair)
-    pairs, right = matches.pairs[~unlisted], right_matches(matches, shown.pair)[~unlisted]
+    unlisted = unlisted_matches(matches, shown.truth)
+    pairs, right = matches.pairs[~unlisted], right_matches(matches, shown.truth)[~unlisted]
     rims = MatchedRims(
         (looks[0].detections.ellipses, looks[1].detections.ellipses), pairs, right, _missed(one, other, pairs[right])
     )
     images = (looks[0].frame.image, looks[1].frame.image)
+    view_deg, sun_deg = shown.truth.view_deg, shown.truth.sun_deg
     caption = (
-        f"{what}. The same craters have the same colour and number in both looks, {shown.pair.view_deg:.0f} deg of view"
-        f" and {shown.pair.sun_deg:.0f} deg of Sun apart. Red and dashed: wrong matches. White and dashed: craters that"
+        f"{what}. The same craters have the same colour and number in both looks, {view_deg:.0f} deg of view"
+        f" and {sun_deg:.0f} deg of Sun apart. Red and dashed: wrong matches. White and dashed: craters that"
         " both show and that were not matched. Grey: other detections."
     )
     figure = NamedFigure(
@@ -148,11 +149,11 @@ def kept(shown: object) -> CaseFiles:
     """Return both images, where there are some, and the matches; none of a matcher that raised."""
     if not isinstance(shown, MatchedPair):
         return CaseFiles()
-    looks = {"first": shown.pair.first.frame.image, "second": shown.pair.second.frame.image}
+    looks = {"first": shown.truth.first.frame.image, "second": shown.truth.second.frame.image}
     images = {name: image for name, image in looks.items() if image.size}
-    if shown.matches is None:
+    if shown.estimate is None:
         return CaseFiles(images)
-    matches = shown.matches
+    matches = shown.estimate
     return CaseFiles(
         images, {"reason": matches.reason, "pairs": matches.pairs.tolist(), "score": matches.score.tolist()}
     )

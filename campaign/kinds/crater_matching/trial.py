@@ -49,10 +49,15 @@ from boresight.scenarios.spec.craters import CraterPairsSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPair:
-    """A trial of one matcher as a witness is shown it; ``matches`` is None where the matcher raised."""
+    """A trial of one matcher as a witness is shown it; ``estimate`` is None where the matcher raised."""
 
-    pair: CraterPair
-    matches: CraterMatches | None
+    truth: CraterPair
+    observation: tuple[CraterImage, CraterImage]
+    estimate: CraterMatches | None
+
+    @property
+    def image(self) -> None:
+        """None: a matcher sees two, where any is rendered."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +157,8 @@ class CraterMatching:
 
         def show(sound: _Answer | None) -> None:
             if self.witness is not None and answers:
-                self.witness(MatchedPair(answers[0].pair, None if sound is None else sound.matches))
+                pair = answers[0].pair
+                self.witness(MatchedPair(pair, self.images(pair), None if sound is None else sound.matches))
 
         score = partial(self._scored, circumstances)
         return Work(call, "matcher", circumstances).judged(work, self._check, score, show)

@@ -46,6 +46,15 @@ class DeterminedOrbit:
     data: OrbitData
     estimate: OrbitEstimate | None
 
+    @property
+    def image(self) -> None:
+        """None: a method sees data."""
+
+    @property
+    def observation(self) -> OrbitData:
+        """What the method saw."""
+        return self.data
+
 
 @dataclass(frozen=True, eq=False)
 class OrbitTrials:

@@ -50,6 +50,20 @@ class FollowedSequence:
     seen: Seen
     estimate: SequenceEstimate | None
 
+    @property
+    def image(self) -> None:
+        """None: a method sees tracks."""
+
+    @property
+    def truth(self) -> SequenceTruth:
+        """True motion, landmarks and tracks."""
+        return self.seen.truth
+
+    @property
+    def observation(self) -> TrackSequence:
+        """What the method saw."""
+        return self.seen.sequence
+
 
 @dataclass(frozen=True, eq=False)
 class SequenceTrials:

@@ -28,7 +28,7 @@ from boresight.estimators.contract import Estimate, Estimator, Table
 from boresight.estimators.registry import estimator_class
 from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.draw import estimator_generator
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.onboard import onboard_camera
@@ -47,6 +47,16 @@ class EstimatedImage:
     sight: TrialImage
     observation: Observation
     estimate: Estimate | None
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The image, as the camera took it."""
+        return self.sight.image
+
+    @property
+    def truth(self) -> View:
+        """The true view; of real images that of the reference pose."""
+        return self.sight.view
 
 
 @dataclass(frozen=True, eq=False)
