@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 
-.PHONY: quickstart test test-data test-long lint clean
+.PHONY: quickstart test test-data test-long lint docs clean
 
 quickstart: $(STAMP)
 	$(BIN)/boresight run quickstart
@@ -25,6 +25,14 @@ lint: $(STAMP)
 	$(BIN)/python tests/link_tree.py . build/tree
 	$(BIN)/mypy
 	PYTHONPATH=build/tree $(BIN)/lint-imports
+
+# The site, build/docs/index.html; a warning is an error.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs build/docs
+
+$(VENV)/.docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	touch $@
 
 $(STAMP): pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)

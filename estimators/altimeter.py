@@ -262,6 +262,7 @@ class AltimeterEstimator:
 
     name: ClassVar[str] = "landmark-altimeter"
     version: ClassVar[int] = 2
+    options_model: ClassVar[type[SpecModel]] = AltimeterOptions
     base: ClassVar[str] = "landmark-harris"
     sensors: ClassVar[frozenset[str]] = frozenset({"altimeter"})
 

@@ -40,6 +40,7 @@ class PriorEstimator:
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = PriorOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:

@@ -129,7 +129,7 @@ def _imported(name: str, place: str, load: Callable[[], object]) -> object:
         raise BoresightError(f"estimator {name!r} cannot be imported from {place}: {said}") from error
 
 
-_ESTIMATORS: Registry[Estimator] = Registry(
+ESTIMATORS: Registry[Estimator] = Registry(
     own={
         "centroid": "boresight.estimators.landmark.centroiding:CentroidAligner",
         "landmark-harris": "boresight.estimators.landmark.recognizer:LandmarkRecognizer",
@@ -146,7 +146,7 @@ _ESTIMATORS: Registry[Estimator] = Registry(
     group="boresight.estimators",
     parts=("name", "version", "from_options", "estimate"),
 )
-estimator_names, estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
+estimator_names, estimator_class = ESTIMATORS.names, ESTIMATORS.find
 
 
 def needed_sensors(name: str) -> frozenset[str]:

@@ -75,6 +75,7 @@ class CraterPose:
 
     name: ClassVar[str] = "crater-pose"
     version: ClassVar[int] = 4
+    options_model: ClassVar[type[SpecModel]] = CraterPoseOptions
 
     def __init__(
         self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 from boresight.estimators.craters.contract import CraterDetector, CraterMatcher
 from boresight.estimators.registry import Registry
 
-_DETECTORS: Registry[CraterDetector] = Registry(
+DETECTORS: Registry[CraterDetector] = Registry(
     own={
         "crater-classic": "boresight.estimators.craters.detection.classic:CraterClassic",
         "crater-learned": "boresight.estimators.craters.learned.detector:CraterLearned",
@@ -13,9 +13,9 @@ _DETECTORS: Registry[CraterDetector] = Registry(
     group="boresight.crater_detectors",
     parts=("name", "version", "from_options", "detect"),
 )
-crater_detector_names, crater_detector_class = _DETECTORS.names, _DETECTORS.find
+crater_detector_names, crater_detector_class = DETECTORS.names, DETECTORS.find
 
-_MATCHERS: Registry[CraterMatcher] = Registry(
+MATCHERS: Registry[CraterMatcher] = Registry(
     own={
         "context": "boresight.estimators.craters.matching.context:ContextMatcher",
         "correlation": "boresight.estimators.craters.matching.correlation:CorrelationMatcher",
@@ -26,4 +26,4 @@ _MATCHERS: Registry[CraterMatcher] = Registry(
     group="boresight.crater_matchers",
     parts=("name", "version", "from_options", "match"),
 )
-crater_matcher_names, crater_matcher_class = _MATCHERS.names, _MATCHERS.find
+crater_matcher_names, crater_matcher_class = MATCHERS.names, MATCHERS.find

@@ -18,6 +18,7 @@ from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
 from boresight.scenarios.geometry import Camera, TriangleMesh
 from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.base import SpecModel
 
 
 class PhotometricOptions(RegistrationOptions):
@@ -35,6 +36,7 @@ class PhotometricEstimator:
 
     name: ClassVar[str] = "photometric"
     version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = PhotometricOptions
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
         self._renderer = renderer

@@ -24,6 +24,7 @@ from boresight.estimators.landmark.recognizer import (
 )
 from boresight.estimators.options import parse_options
 from boresight.scenarios.observation import Frame
+from boresight.scenarios.spec.base import SpecModel
 
 _SAMPLES_PER_PIXEL = 4
 # The facets of the mesh are a dozen pixels wide: finer levels improve the rotation little and double the time.
@@ -55,6 +56,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
 
     name: ClassVar[str] = "whole-image"
     version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = WholeImageOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:

@@ -81,6 +81,7 @@ class DescriptorNavigator:
 
     name: ClassVar[str]
     version: ClassVar[int] = 4
+    options_model: ClassVar[type[SpecModel]] = DescriptorNavigatorOptions
     kind: ClassVar[Kind]
 
     def __init__(self, database: DescriptorDatabase, options: DescriptorNavigatorOptions) -> None:

@@ -37,6 +37,7 @@ class CentroidAligner:
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = CentroidOptions
 
     def __init__(self, renderer: ImageRenderer, options: CentroidOptions) -> None:
         self._renderer = renderer

@@ -221,6 +221,7 @@ class LandmarkRecognizer:
 
     name: ClassVar[str] = "landmark-harris"
     version: ClassVar[int] = 2
+    options_model: ClassVar[type[SpecModel]] = LandmarkOptions
 
     def __init__(
         self,

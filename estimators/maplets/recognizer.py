@@ -212,6 +212,7 @@ class MapletNavigator:
 
     name: ClassVar[str] = "lmaps"
     version: ClassVar[int] = 2
+    options_model: ClassVar[type[SpecModel]] = MapletsOptions
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:
         self._scene = scene

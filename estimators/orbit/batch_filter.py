@@ -24,6 +24,7 @@ from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, StoppingCriteria
 from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.orbits.data import OrbitData
+from boresight.scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
@@ -69,6 +70,7 @@ class BatchFilter:
 
     name: ClassVar[str] = "batch-filter"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = OrbitOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> BatchFilter:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from boresight.estimators.orbit.contract import OrbitEstimator
 from boresight.estimators.registry import Registry
 
-_ESTIMATORS: Registry[OrbitEstimator] = Registry(
+ESTIMATORS: Registry[OrbitEstimator] = Registry(
     own={"batch-filter": "boresight.estimators.orbit.batch_filter:BatchFilter"},
     group="boresight.orbit_estimators",
     parts=("name", "version", "from_options", "determine"),
 )
-orbit_estimator_names, orbit_estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
+orbit_estimator_names, orbit_estimator_class = ESTIMATORS.names, ESTIMATORS.find

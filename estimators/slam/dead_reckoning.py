@@ -26,6 +26,7 @@ class DeadReckoning:
 
     name: ClassVar[str] = "dead-reckoning"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = DeadReckoningOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:

@@ -9,7 +9,7 @@ from boresight.estimators.registry import Registry
 if TYPE_CHECKING:
     from boresight.estimators.slam.contract import SequenceEstimator
 
-_ESTIMATORS: Registry[SequenceEstimator] = Registry(
+ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={
         "dead-reckoning": "boresight.estimators.slam.dead_reckoning:DeadReckoning",
         "ba-slam": "boresight.estimators.slam.bundle:BundleSlam",
@@ -29,4 +29,4 @@ _ESTIMATORS: Registry[SequenceEstimator] = Registry(
 EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam"}
 """Estimators that need an extra of the installation, and the package of the same name that it installs."""
 
-sequence_estimator_names, sequence_estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
+sequence_estimator_names, sequence_estimator_class = ESTIMATORS.names, ESTIMATORS.find

@@ -17,6 +17,7 @@ from boresight.scenarios.load.merge import Models, field_models
 from boresight.scenarios.spec.base import SpecModel
 
 _TAG = "<tag>"
+_BOUNDS = ("gt", "ge", "lt", "le")
 _WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
@@ -127,8 +128,10 @@ def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, messa
         return message
     if kind in _WANTED:
         return f"is not {_WANTED[kind]}"
-    interval = _interval(field, context)
-    return f"is not {interval}" if interval else f"is wrong: {message[:1].lower()}{message[1:]}"
+    bounds = bounds_of(field)
+    if not set(bounds) & set(context):
+        bounds = {name: value for name, value in context.items() if name in _BOUNDS}
+    return f"is not {interval(bounds)}" if bounds else f"is wrong: {message[:1].lower()}{message[1:]}"
 
 
 def _missing(loc: tuple[int | str, ...], spot: _ErrorLocation) -> str:
@@ -149,13 +152,14 @@ def _wrong_length(kind: str, context: Mapping[str, Any]) -> str:
     return f"has {context['actual_length']} values, not at {'least' if kind == 'too_short' else 'most'} {bound}"
 
 
-def _interval(field: FieldInfo | None, context: Mapping[str, Any]) -> str:
-    """Format the bounds of a number: those of the field, or that of the violated rule."""
-    bounds: dict[str, float] = {}
-    for rule in field.metadata if field is not None else ():
-        bounds |= {name: getattr(rule, name) for name in ("gt", "ge", "lt", "le") if hasattr(rule, name)}
-    if not set(bounds) & set(context):
-        bounds = {name: value for name, value in context.items() if name in {"gt", "ge", "lt", "le"}}
+def bounds_of(field: FieldInfo | None) -> dict[str, float]:
+    """Return the bounds of a number, by ``gt``, ``ge``, ``lt`` and ``le``."""
+    rules = field.metadata if field is not None else ()
+    return {name: getattr(rule, name) for rule in rules for name in _BOUNDS if hasattr(rule, name)}
+
+
+def interval(bounds: Mapping[str, float]) -> str:
+    """Return bounds in words: ``in [0, 1)``, ``above 0``."""
     below, above = {"gt", "ge"} & set(bounds), {"lt", "le"} & set(bounds)
     if below and above:
         left = f"({bounds['gt']:g}" if "gt" in bounds else f"[{bounds['ge']:g}"

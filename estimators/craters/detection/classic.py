@@ -100,6 +100,7 @@ class CraterClassic:
 
     name: ClassVar[str] = "crater-classic"
     version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = ClassicOptions
 
     options: ClassicOptions
 

@@ -140,6 +140,7 @@ class CraterLearned:
 
     name: ClassVar[str] = "crater-learned"
     version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = LearnedOptions
 
     options: LearnedOptions
     network: Network

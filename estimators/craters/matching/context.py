@@ -49,6 +49,7 @@ class ContextMatcher:
 
     name: ClassVar[str] = "context"
     version: ClassVar[int] = 2
+    options_model: ClassVar[type[SpecModel]] = ContextOptions
 
     def __init__(self, options: ContextOptions) -> None:
         self._options = options

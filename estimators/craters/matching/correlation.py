@@ -47,6 +47,7 @@ class CorrelationMatcher:
 
     name: ClassVar[str] = "correlation"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = CorrelationOptions
 
     def __init__(self, options: CorrelationOptions) -> None:
         self._options = options

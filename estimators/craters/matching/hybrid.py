@@ -58,6 +58,7 @@ class HybridMatcher:
 
     name: ClassVar[str] = "hybrid"
     version: ClassVar[int] = 2
+    options_model: ClassVar[type[SpecModel]] = HybridOptions
 
     def __init__(self, options: HybridOptions) -> None:
         self._options = options

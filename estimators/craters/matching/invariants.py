@@ -41,6 +41,7 @@ class InvariantMatcher:
 
     name: ClassVar[str] = "invariants"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = InvariantOptions
 
     def __init__(self, options: InvariantOptions) -> None:
         self._options = options

@@ -45,6 +45,7 @@ class VoteMatcher:
 
     name: ClassVar[str] = "vote"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = VoteOptions
 
     def __init__(self, options: VoteOptions) -> None:
         self._options = options

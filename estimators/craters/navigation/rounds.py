@@ -97,6 +97,7 @@ class CraterNavigation:
 
     name: ClassVar[str] = "crater-navigation"
     version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = NavigationOptions
 
     def __init__(self, options: NavigationOptions) -> None:
         self.options = options

@@ -96,6 +96,7 @@ class ConsensusRecognizer:
 
     name: ClassVar[str] = "landmark-ransac"
     version: ClassVar[int] = 3
+    options_model: ClassVar[type[SpecModel]] = ConsensusOptions
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
         self._database = database

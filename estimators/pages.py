@@ -1,0 +1,81 @@
+"""The page of an estimator: what it does, when to use it, when it fails, its cost, its source and its options.
+
+The texts are the docstring of the estimator's class, which has the sections `SECTIONS`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.estimators.craters.registry import DETECTORS, MATCHERS
+from boresight.estimators.orbit.registry import ESTIMATORS as ORBIT_ESTIMATORS
+from boresight.estimators.registry import ESTIMATORS, Registry
+from boresight.estimators.slam.registry import ESTIMATORS as SEQUENCE_ESTIMATORS
+from boresight.scenarios.spec.base import SpecModel
+
+FAMILIES: Mapping[str, Registry[Any]] = {
+    "Estimators of single images": ESTIMATORS,
+    "Estimators of sequences": SEQUENCE_ESTIMATORS,
+    "Crater detectors": DETECTORS,
+    "Crater matchers": MATCHERS,
+    "Orbit determination": ORBIT_ESTIMATORS,
+}
+SECTIONS = ("Use it when", "It fails when", "Cost", "Source")
+
+_HEADING = re.compile(rf"^({'|'.join(SECTIONS)})\n-+\n", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorPage:
+    """The page of an estimator.
+
+    Parameters
+    ----------
+    name, version
+        As a campaign and a row name it.
+    family
+        A key of `FAMILIES`; '' for a class that no registry holds.
+    summary, text
+        First paragraph of the docstring, and the others before its sections.
+    sections
+        Text of each of `SECTIONS` that the docstring has.
+    options
+        Model of its options; None if the class names none.
+    """
+
+    name: str
+    version: int
+    family: str
+    summary: str
+    text: str
+    sections: Mapping[str, str]
+    options: type[SpecModel] | None
+
+
+def family_of(name: str) -> str:
+    """Return the family of an estimator's name; that of single images for ``module:Class``, '' for an unknown name."""
+    if ":" in name:
+        return next(iter(FAMILIES))
+    return next((family for family, registry in FAMILIES.items() if name in registry.names()), "")
+
+
+def page_of(name: str) -> EstimatorPage:
+    """Return the page of a registered estimator.
+
+    Raises
+    ------
+    BoresightError
+        If the name is unknown, or a foreign class cannot be imported.
+    """
+    family = family_of(name)
+    found = FAMILIES[family].find(name) if family else ESTIMATORS.find(name)
+    # `__doc__` of the class itself: a class without a docstring inherits none.
+    before, *rest = _HEADING.split(inspect.cleandoc(found.__doc__ or ""))
+    summary, _, text = before.partition("\n\n")
+    sections = {heading: told.strip() for heading, told in zip(rest[::2], rest[1::2], strict=True)}
+    options = getattr(found, "options_model", None)
+    return EstimatorPage(found.name, found.version, family, summary, text.strip(), sections, options)

@@ -1,0 +1,181 @@
+"""Keys of a model in words: type, unit, default and meaning, for the reference and the terminal."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BeforeValidator, TypeAdapter
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from boresight.scenarios.load.explain import bounds_of, interval
+from boresight.scenarios.load.merge import Models
+from boresight.scenarios.spec.base import SpecModel
+
+# The ends of names, longest first, so that `_m_s2` is not taken for `_s2`.
+_UNITS = {
+    "_m2_kg": "m²/kg", "_m3_s2": "m³/s²", "_m_s2": "m/s²", "_m_s": "m/s", "_per_deg3": "1/deg³", "_per_deg2": "1/deg²",
+    "_per_deg": "1/deg", "_e_per_s": "electrons/s", "_e_per_dn": "electrons/DN", "_px2": "px²", "_px": "px",
+    "_urad": "µrad", "_rad": "rad", "_deg": "deg", "_km": "km", "_m": "m", "_s": "s", "_h": "h", "_days": "days",
+    "_au": "au", "_dn": "DN", "_e": "electrons",
+}  # fmt: skip
+_PLAIN = {float: "number", int: "whole number", bool: "true or false", str: "text"}
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key of a file.
+
+    Parameters
+    ----------
+    name
+        As a file writes it, without its section; ``NAME`` in place of a name that the user chooses.
+    type
+        In words, with the range of a number.
+    unit
+        '' if it has none.
+    default
+        As YAML writes it; None if the key is required.
+    meaning
+        A phrase or sentence, without its full stop.
+    sections
+        Models of the section that it holds; empty for a plain value, several for alternatives.
+    """
+
+    name: str
+    type: str
+    unit: str
+    default: str | None
+    meaning: str
+    sections: Models
+
+
+def keys_of(model: type[SpecModel]) -> tuple[Key, ...]:
+    """Return the keys of a model in their order."""
+    return tuple(_key(name, field, model) for name, field in model.model_fields.items())
+
+
+def unit_of_key(name: str) -> str:
+    """Return the unit that the end of a key's name says, '' if it says none."""
+    name = f"_{name}".removesuffix("_max").removesuffix("_min")
+    return next((unit for end, unit in _UNITS.items() if name.endswith(end) and (name != end or end == "_days")), "")
+
+
+def words_of(thing: type) -> str:
+    """Return a docstring as plain text; empty if there is none of its own."""
+    return inspect.cleandoc(thing.__doc__ or "")
+
+
+def _key(name: str, field: FieldInfo, model: type[SpecModel]) -> Key:
+    sections, told, written = _sections(field.annotation), field.description, field.alias or name
+    if not told and len(sections) == 1:
+        told = words_of(sections[0]).split("\n\n")[0].replace("\n", " ")
+    default = _default(field)
+    return Key(
+        written,
+        _type(field.annotation, interval(bounds_of(field)), field.metadata),
+        unit_of_key(written) if _numeric(field.annotation) else "",
+        "the name of the file" if default is None and name in model.own else default,
+        (told or "").removesuffix("."),
+        sections,
+    )
+
+
+def _law(annotation: Any) -> bool:
+    """Whether an annotation is the model of a distribution: a value in a file, not a section."""
+    return isinstance(annotation, type) and bool({"uniform", "normal"} & set(getattr(annotation, "model_fields", ())))
+
+
+def _sections(annotation: Any) -> Models:
+    """Return the models of the sections that an annotation allows, in lists and by names too."""
+    if get_origin(annotation) is Annotated and _input_type(get_args(annotation)[1:]) is not None:
+        return ()
+    if isinstance(annotation, type) and issubclass(annotation, SpecModel):
+        return () if _law(annotation) else (annotation,)
+    return tuple(dict.fromkeys(model for part in get_args(annotation) for model in _sections(part)))
+
+
+def _input_type(metadata: Sequence[Any]) -> Any:
+    """Return what a file may write in place of the annotated type; None if just that."""
+    return next((one.json_schema_input_type for one in metadata if isinstance(one, BeforeValidator)), None)
+
+
+def _numeric(annotation: Any) -> bool:
+    """Whether an annotation contains a number."""
+    return annotation in (float, int) or _law(annotation) or any(_numeric(part) for part in get_args(annotation))
+
+
+def _type(annotation: Any, bounds: str = "", metadata: Sequence[Any] = ()) -> str:
+    """Return a type in words; ``bounds`` are of the number in it."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        ours = FieldInfo.from_annotation(annotation)
+        return _type(parts[0], bounds or interval(bounds_of(ours)), parts[1:])
+    if _input_type(metadata) is not None:
+        return _type(_input_type(metadata))
+    if origin is Literal:
+        return _either([str(part) for part in parts])
+    if origin in (Union, UnionType):
+        told = [_type(part, bounds) for part in parts if part is not NoneType]
+        return _either(list(dict.fromkeys(told)))
+    if origin in (tuple, list):
+        return _list(parts, bounds)
+    if annotation in _PLAIN:
+        return f"{_PLAIN[annotation]} {bounds}".strip()
+    if _law(annotation):
+        return words_of(annotation).split("``")[1]
+    if isinstance(annotation, type) and issubclass(annotation, SpecModel):
+        return "section"
+    if isinstance(origin or annotation, type) and issubclass(origin or annotation, Mapping):
+        return "section of names"
+    return "any value"
+
+
+def _list(parts: tuple[Any, ...], bounds: str) -> str:
+    """Return the type of a list in words: ``list of 2 numbers``."""
+    if parts[-1] is Ellipsis:
+        return f"list of {_plural(_type(parts[0], bounds))}"
+    told = [_type(part, bounds) for part in parts]
+    runs = [(one, len(list(same))) for one, same in groupby(told)]
+    return "list of " + " and ".join(f"{count} {_plural(one)}" if count > 1 else f"a {one}" for one, count in runs)
+
+
+def _plural(one: str) -> str:
+    """Return ``numbers in [0, 1]`` for ``number in [0, 1]``."""
+    word = next((word for word in ("whole number", "number", "text", "section", "list") if one.startswith(word)), "")
+    return one.replace(word, f"{word}s", 1) if word else one
+
+
+def _either(told: list[str]) -> str:
+    return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} or {told[-1]}"
+
+
+def _default(field: FieldInfo) -> str | None:
+    """Return the default as YAML writes it; of a section only what differs from the defaults of its keys."""
+    value = field.get_default(call_default_factory=True)
+    if value is PydanticUndefined:
+        return None
+    if isinstance(value, SpecModel):
+        fields = type(value).model_fields
+        changed = {key for key in fields if getattr(value, key) != fields[key].get_default(call_default_factory=True)}
+        shown = value.model_dump(mode="json", include=changed | ({"kind"} & set(fields)))
+        return _yaml(shown) if shown else "the defaults of its keys"
+    return "left out" if value is None else _yaml(TypeAdapter(object).dump_python(value, mode="json"))
+
+
+def _yaml(value: object) -> str:
+    """Write a plain value as YAML in one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_yaml(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_yaml, value)) + "]"
+    if isinstance(value, float):
+        whole = value.is_integer() and abs(value) < 1e9
+        return f"{value:.0f}" if whole else f"{value:.4g}"
+    return value or "''" if isinstance(value, str) else json.dumps(value)
