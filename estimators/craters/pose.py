@@ -45,14 +45,16 @@ class CraterDatabaseOptions(SpecModel):
     """The number of images that a database is made from, and the detector."""
 
     images: int = Field(150, ge=2, description="Rendered images of the on-board model of the body")
-    seed: int = Field(0, ge=0, description="Of their views")
+    seed: int = Field(0, ge=0, description="Seed of their views")
     phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
     detector: str = Field("crater-classic", description="Name of the detector of craters")
     most_detections: int = Field(20, ge=1, description="Most detections of an image")
     association: CraterAssociationOptions = Field(
         CraterAssociationOptions(), description="Uncertainty of its detections: for matches and lines of sight"
     )
-    height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
+    height_sigma_m: float = Field(
+        30.0, gt=0, description="Standard deviation of the a priori shape's height under a crater"
+    )
 
 
 class CraterPoseOptions(SpecModel):

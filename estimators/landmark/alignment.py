@@ -30,7 +30,7 @@ class AlignmentOptions(SpecModel):
     """End of the iteration of rendering and shifting."""
 
     tolerance_px: float = Field(5.0, gt=0, description="Done when the rendered centroid moves less than this")
-    max_iterations: int = Field(10, ge=1, le=1000)
+    max_iterations: int = Field(10, ge=1, le=1000, description="Most iterations of rendering and shifting")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,8 +31,8 @@ class CandidateOptions(SpecModel):
     """Options of the images and of the candidate landmarks in them."""
 
     images: int = Field(500, ge=1, le=100_000, description="Images rendered")
-    range_m: float | None = Field(None, gt=0, description="Their range; left out: that of the scenario")
-    camera: CameraSpec | None = Field(None, description="Their camera; left out: that of the scenario")
+    range_m: float | None = Field(None, gt=0, description="Range of these images; left out: that of the scenario")
+    camera: CameraSpec | None = Field(None, description="Camera of these images; left out: that of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
     seed: int = Field(0, ge=0, description="Seed of their views")
     corners: CornerOptions = CornerOptions()

@@ -82,7 +82,9 @@ class RecognitionOptions(SpecModel):
 class LandmarkOptions(RecognitionOptions):
     """Options of ``landmark-harris``."""
 
-    alignment: Literal["centroid", "image", "none"] = "centroid"
+    alignment: Literal["centroid", "image", "none"] = Field(
+        "centroid", description="What is aligned first: the brightness centroid, as in the paper, the image, or nothing"
+    )
     alignment_loop: AlignmentOptions = AlignmentOptions()
 
 

@@ -36,7 +36,7 @@ class SizesSpec(SpecModel):
 class BoulderSpec(SizesSpec):
     """Boulders whose cumulative number follows N(>D) ~ D**-exponent."""
 
-    count: int = Field(ge=0, le=2_000_000)
+    count: int = Field(ge=0, le=2_000_000, description="Boulders on the whole body")
     exponent: float = Field(3.0, gt=0, lt=10, description="Slope of the cumulative size distribution")
     height_ratio: float = Field(0.35, gt=0, le=1, description="Typical height over diameter of the part above ground")
 
@@ -44,8 +44,8 @@ class BoulderSpec(SizesSpec):
 class CraterSpec(SizesSpec):
     """Bowl-shaped craters with raised rims; cumulative number N(>D) ~ D**-exponent."""
 
-    count: int = Field(ge=0, le=200_000)
-    exponent: float = Field(2.5, gt=0, lt=10)
+    count: int = Field(ge=0, le=200_000, description="Craters on the whole body")
+    exponent: float = Field(2.5, gt=0, lt=10, description="Slope of the cumulative size distribution")
     depth_ratio: float = Field(0.12, gt=0, le=0.4, description="Depth over diameter")
     rim_ratio: float = Field(0.03, ge=0, le=0.1, description="Rim height over diameter")
 
@@ -54,9 +54,9 @@ class RoughnessSpec(SpecModel):
     """Fractal relief: a band-limited random field with a Hurst exponent."""
 
     rms_m: float = Field(ge=0, description="RMS height of the whole field")
-    hurst: float = Field(0.8, gt=0, lt=1)
-    max_wavelength_m: float = Field(100.0, gt=0)
-    min_wavelength_m: float = Field(2.0, gt=0)
+    hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
+    max_wavelength_m: float = Field(100.0, gt=0, description="Longest scale of the relief")
+    min_wavelength_m: float = Field(2.0, gt=0, description="Shortest scale of the relief")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -85,7 +85,7 @@ class DetailSpec(SpecModel):
     """Subdivision of a coarse shape with added relief; the same seed gives the same body."""
 
     facets: int = Field(ge=4, le=13_000_000, description="At least this many facets, and less than four times as many")
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, description="Seed of all relief and albedo of this section")
     boulders: BoulderSpec | None = None
     craters: CraterSpec | None = None
     roughness: RoughnessSpec | None = None
@@ -100,8 +100,8 @@ class HeightErrorSpec(SpecModel):
     rms_m: float = Field(ge=0, description="RMS of the error")
     max_wavelength_m: float = Field(30.0, gt=0, description="Longest scale of the error")
     min_wavelength_m: float = Field(5.0, gt=0, description="Shortest scale of the error")
-    hurst: float = Field(0.8, gt=0, lt=1)
-    seed: int = Field(0, ge=0)
+    hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
+    seed: int = Field(0, ge=0, description="Seed of the error")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -115,7 +115,9 @@ class BodySpec(SpecModel):
 
     shape: str = Field("contact-binary", description="A file name, or an embedded body: contact-binary")
     unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the shape file")
-    format: Literal["auto", "obj", "ply", "pds-plates", "pds-grid", "icq"] = "auto"
+    format: Literal["auto", "obj", "ply", "pds-plates", "pds-grid", "icq"] = Field(
+        "auto", description="Format of the shape file; auto goes by its content and suffix"
+    )
     longitude: Literal["east", "west"] = Field("east", description="Direction of longitudes in a pds-grid file")
     expected_diameter_m: tuple[float, float] = Field(
         (1.0, 2_000_000.0), description="The body's extent must lie in this range: guards against a wrong unit"

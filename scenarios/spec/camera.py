@@ -53,7 +53,7 @@ class CameraSpec(SpecModel):
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
     distortion: DistortionSpec | None = Field(
-        None, description="Of the lens; images are resampled to the pinhole before an estimator sees them"
+        None, description="Distortion of the lens; images are resampled to the pinhole before an estimator sees them"
     )
 
     @model_validator(mode="after")

@@ -61,7 +61,7 @@ class GridSpec(SpecModel):
     (resolution IV).
     """
 
-    design: Literal["full", "one-at-a-time", "two-level"] = "full"
+    design: Literal["full", "one-at-a-time", "two-level"] = Field("full", description="Which combinations run")
     axes: dict[str, AxisSpec] = Field(min_length=1, description="What is varied, by name")
 
     @model_validator(mode="after")
@@ -85,9 +85,9 @@ class EstimatorSpec(SpecModel):
     entries of the same estimator; it is the name by default, or that of the class.
     """
 
-    name: str = Field(pattern=f"{_LABEL}|{_CLASS}")
-    label: str = Field(pattern=_LABEL)
-    options: Mapping[str, PlainValue] = Field(default_factory=dict)
+    name: str = Field(pattern=f"{_LABEL}|{_CLASS}", description="Name of the estimator")
+    label: str = Field(pattern=_LABEL, description="Its name in tables")
+    options: Mapping[str, PlainValue] = Field(default_factory=dict, description="Options of the estimator")
 
 
 def _read_estimator(value: object) -> EstimatorSpec:

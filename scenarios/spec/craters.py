@@ -18,30 +18,30 @@ LISTED_PX = 6.0
 class PlaneCratersSpec(SizesSpec):
     """Plane rims on the shape, uniform over its area; cumulative number N(>D) ~ D**-exponent."""
 
-    count: int = Field(ge=1, le=100_000, description="On the whole body")
+    count: int = Field(ge=1, le=100_000, description="Craters on the whole body")
     min_diameter_m: float = Field(230.0, gt=0, description="Smallest diameter")
     max_diameter_m: float = Field(5000.0, gt=0, description="Largest diameter")
-    exponent: float = Field(1.8, gt=0, lt=10)
-    seed: int = Field(0, ge=0)
+    exponent: float = Field(1.8, gt=0, lt=10, description="Slope of the cumulative size distribution")
+    seed: int = Field(0, ge=0, description="Seed of their places and sizes")
 
 
 class DetectionErrorSpec(SpecModel):
     """Error model of a simulated detector; standard deviations."""
 
-    centre_px: float = Field(0.35, ge=0, description="Of a coordinate of a rim's centre")
-    centre_radii: float = Field(0.04, ge=0, description="Its part that grows with the radius, in radii")
-    axes_px: float = Field(0.0, ge=0, description="Of a semi-axis")
-    axes_ratio: float = Field(0.05, ge=0, description="Of the logarithm of a semi-axis")
+    centre_px: float = Field(0.35, ge=0, description="Standard deviation of a coordinate of a rim's centre")
+    centre_radii: float = Field(0.04, ge=0, description="Part of that error that grows with the radius, in radii")
+    axes_px: float = Field(0.0, ge=0, description="Standard deviation of a semi-axis")
+    axes_ratio: float = Field(0.05, ge=0, description="Standard deviation of the logarithm of a semi-axis")
     recall: float = Field(0.8, gt=0, le=1, description="Probability that a visible crater is detected")
     false_share: float = Field(0.05, ge=0, lt=1, description="Share of the detections that are no crater")
-    least_radius_px: float = Field(6.0, ge=0, description="Smaller ones are not detected")
-    height_m: float = Field(20.0, ge=0, description="Of a crater above the a priori shape")
+    least_radius_px: float = Field(6.0, ge=0, description="Radius of the smallest crater that is detected")
+    height_m: float = Field(20.0, ge=0, description="Standard deviation of a crater's height above the a priori shape")
 
 
 class RenderedLooksSpec(SpecModel):
     """Rendered images of the scenario's craters for crater detectors."""
 
-    most_detections: int = Field(20, ge=1, description="Of an image by a detector, the most confident ones")
+    most_detections: int = Field(20, ge=1, description="Detections of an image at most, the most confident ones")
 
 
 class CraterPairsSpec(SpecModel):
@@ -56,11 +56,15 @@ class CraterPairsSpec(SpecModel):
     range_m: float = Field(gt=0, description="Distance of both cameras from the place")
     view_deg: Uniform = Field(description="Between the directions to the two cameras")
     sun_deg: Uniform = Field(description="Between the two directions of the Sun")
-    emission_deg: Uniform = Field(Uniform(uniform=(0.0, 35.0)), description="Of the first look at the place")
-    incidence_deg: Uniform = Field(Uniform(uniform=(25.0, 65.0)), description="At the place, first look")
-    aim_sigma_m: float = Field(1000.0, ge=0, description="Of where each camera points about the place, by coordinate")
+    emission_deg: Uniform = Field(Uniform(uniform=(0.0, 35.0)), description="Emission angle at the place, first look")
+    incidence_deg: Uniform = Field(
+        Uniform(uniform=(25.0, 65.0)), description="Incidence angle at the place, first look"
+    )
+    aim_sigma_m: float = Field(
+        1000.0, ge=0, description="Standard deviation of each coordinate of the point that a camera points at"
+    )
     craters: PlaneCratersSpec | None = Field(None, description="Plane rims, detected by geometry without any image")
-    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections by geometry")
+    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Errors of detections by geometry")
     images: RenderedLooksSpec | None = Field(None, description="Rendered looks, {} for the defaults")
 
     @model_validator(mode="after")
@@ -80,8 +84,8 @@ class CratersSpec(SizesSpec):
     Explosion Cratering, 489).
     """
 
-    seed: int = Field(0, ge=0)
-    count: int = Field(12_000, ge=1, le=100_000)
+    seed: int = Field(0, ge=0, description="Seed of the population")
+    count: int = Field(12_000, ge=1, le=100_000, description="Craters on the whole body")
     min_diameter_m: float = Field(80.0, gt=0, description="Smallest diameter")
     max_diameter_m: float = Field(5000.0, gt=0, description="Largest diameter")
     exponent: float = Field(2.0, gt=0, lt=10, description="Slope of the cumulative size distribution")

@@ -16,13 +16,13 @@ class ArcSpec(SpecModel):
     """Keplerian orbit at the epoch, and length of the arc; inertial axes are the body axes at the epoch."""
 
     semi_major_axis_m: float = Field(200_000.0, gt=0, description="NEAR's of March 2000 in Cheng et al. (2003)")
-    eccentricity: float = Field(0.02, ge=0, lt=1)
-    inclination_deg: float = Field(37.0, ge=0, le=180, description="To the body's equator")
+    eccentricity: float = Field(0.02, ge=0, lt=1, description="Eccentricity of the orbit")
+    inclination_deg: float = Field(37.0, ge=0, le=180, description="Inclination to the body's equator")
     node_deg: float = Field(60.0, description="Right ascension of the ascending node")
     pericentre_deg: float = Field(0.0, description="From the node to the pericentre")
     anomaly_deg: float = Field(0.0, description="Mean anomaly at the epoch")
     days: float = Field(20.5, gt=0, le=365, description="Length of the arc with data")
-    predicted_days: float = Field(3.0, ge=0, le=60, description="How long the orbit is predicted beyond it")
+    predicted_days: float = Field(3.0, ge=0, le=60, description="Length of the prediction after the arc")
 
 
 class AsteroidSpec(SpecModel):
@@ -36,7 +36,7 @@ class AsteroidSpec(SpecModel):
         1e-3,
         ge=0,
         lt=1,
-        description="Of normalised coefficients of degree 2 and 3, about those of one density",
+        description="Standard deviation of normalised coefficients of degree 2 and 3 about those of one density",
     )
     rotation_h: float = Field(5.27, gt=0, description="Period of the rotation")
 
@@ -45,9 +45,9 @@ class SunEarthSpec(SpecModel):
     """Constant directions to Sun and Earth, and solar radiation pressure (cannonball model without shadow)."""
 
     sun_dir: Vector = Field((0.6, 0.0, 0.8), description="Towards the Sun, inertial axes")
-    sun_distance_au: float = Field(1.75, gt=0)
+    sun_distance_au: float = Field(1.75, gt=0, description="Distance of the body from the Sun")
     earth_dir: Vector = Field((0.75, -0.45, 0.48), description="Towards the Earth, inertial axes")
-    area_to_mass_m2_kg: float = Field(0.02, ge=0, description="Of the spacecraft")
+    area_to_mass_m2_kg: float = Field(0.02, ge=0, description="Area over mass of the spacecraft")
     reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
     noise_share: float = Field(
         0.0, ge=0, lt=1, description="Standard deviation of a coordinate of what nothing models, in solar pressures"
@@ -75,42 +75,57 @@ class CraterSightingSpec(SpecModel):
     )
     emission_max_deg: float = Field(60.0, gt=0, le=90, description="Largest emission angle of a crater that is found")
     incidence_max_deg: float = Field(75.0, gt=0, le=90, description="Largest incidence angle of the same")
-    margin_px: float = Field(12.0, ge=0, description="Its centre lies so far from the frame's edge at least")
+    margin_px: float = Field(
+        12.0, ge=0, description="Least distance of a sighted crater's centre from the edge of the image"
+    )
     noise_px: float = Field(0.7, gt=0, description="Standard deviation of a coordinate of its centre")
     wrong_share: float = Field(0.01, ge=0, lt=1, description="Sightings that carry the number of another crater near")
-    wrong_within_px: float = Field(60.0, gt=0, description="How near it would have been in the image, as a scale")
+    wrong_within_px: float = Field(
+        60.0, gt=0, description="Scale of the distance in the image between a crater and the one whose number it gets"
+    )
     merged_share: float = Field(0.0, ge=0, lt=1, description="Craters that share their number with a neighbour")
 
 
 class PointingSpec(SpecModel):
     """Errors of attitude and camera, drawn once per trial; attitude errors are drawn for each image."""
 
-    attitude_urad: float = Field(100.0, gt=0, description="Of an image's attitude about each camera axis, 1 sigma")
-    misalignment_urad: float = Field(200.0, ge=0, description="Of the camera's mounting about each axis, 1 sigma")
-    focal_error: float = Field(0.0, ge=0, lt=0.1, description="Of the focal length, relative, 1 sigma")
+    attitude_urad: float = Field(
+        100.0, gt=0, description="Standard deviation of an image's attitude about each camera axis"
+    )
+    misalignment_urad: float = Field(
+        200.0, ge=0, description="Standard deviation of the camera's mounting about each axis"
+    )
+    focal_error: float = Field(0.0, ge=0, lt=0.1, description="Relative standard deviation of the focal length")
 
 
 class RadiometrySpec(SpecModel):
     """Range and Doppler from the Earth, corrected for light time and the station's motion."""
 
     interval_h: float = Field(1.0, gt=0, description="Time between two records")
-    range_sigma_m: float = Field(10.0, gt=0)
-    range_rate_sigma_m_s: float = Field(2e-4, gt=0)
-    range_bias_sigma_m: float = Field(50.0, ge=0, description="Of the bias that all ranges of a trial share")
+    range_sigma_m: float = Field(10.0, gt=0, description="Standard deviation of a range")
+    range_rate_sigma_m_s: float = Field(2e-4, gt=0, description="Standard deviation of a range rate")
+    range_bias_sigma_m: float = Field(
+        50.0, ge=0, description="Standard deviation of the bias that all ranges of a trial share"
+    )
 
 
 class OrbitKnowledgeSpec(SpecModel):
     """Standard deviations of the a priori knowledge; errors are drawn once per trial."""
 
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
-    gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
-    light_sigma: float = Field(0.1, ge=0, lt=1, description="Of the size of solar pressure, relative")
+    gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Relative standard deviation of GM")
+    light_sigma: float = Field(0.1, ge=0, lt=1, description="Relative standard deviation of the solar pressure")
     pole_sigma_deg: float = Field(
-        0.0, ge=0, le=90, description="Of the spin axis about each of two axes across it; nothing estimates it"
+        0.0,
+        ge=0,
+        le=90,
+        description="Standard deviation of the spin axis about each of two axes across it; it is not estimated",
     )
-    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Of the rate of rotation, relative; nothing estimates it")
+    spin_sigma: float = Field(
+        0.0, ge=0, lt=1, description="Relative standard deviation of the spin rate; it is not estimated"
+    )
     shape_degree: int = Field(
-        34, ge=2, le=34, description="Of the a priori shape, as spherical harmonics of the radius"
+        34, ge=2, le=34, description="Degree of the spherical harmonics of the a priori shape's radius"
     )
 
 
@@ -118,16 +133,18 @@ class ImagingSpec(SpecModel):
     """Planned images in which craters are detected and matched, instead of numbered sightings."""
 
     epochs: int = Field(
-        240, ge=2, le=5000, description="At even steps over the arc; each has an image where ground is lit and in sight"
+        240, ge=2, le=5000, description="Epochs at even steps over the arc; each has an image if lit ground is in view"
     )
     detections: Literal["rendered", "drawn"] = Field(
         "rendered", description="Images of the scenario's craters, or rims of drawn ones projected by geometry"
     )
     control_urad: float = Field(
-        300.0, ge=0, description="How far the camera points off the plan about each axis, 1 sigma; telemetry tells it"
+        300.0,
+        ge=0,
+        description="Standard deviation of the pointing about the plan, about each axis; telemetry contains it",
     )
-    craters: PlaneCratersSpec = Field(PlaneCratersSpec(count=600), description="Of detections that are drawn")
-    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections that are drawn")
+    craters: PlaneCratersSpec = Field(PlaneCratersSpec(count=600), description="Craters of detections that are drawn")
+    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Errors of detections that are drawn")
 
 
 class OrbitSpec(SpecModel):

@@ -15,15 +15,19 @@ class ForcesSpec(SpecModel):
     """Forces on a spacecraft near a small body: equation (6) of Delpech et al. (2015)."""
 
     gravity: Literal["point-mass", "polyhedral"] = Field(
-        "point-mass", description="Of a point at the origin, or of the scenario's body with one density throughout"
+        "point-mass", description="Gravity of a point at the origin, or of the scenario's body at one density"
     )
     area_to_mass_m2_kg: float = Field(
-        0.0, ge=0, description="Of the spacecraft as a ball, for solar radiation pressure; 0 for none"
+        0.0, ge=0, description="Area over mass of the spacecraft as a sphere, for solar radiation pressure; 0 for none"
     )
     reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
-    sun_distance_au: float = Field(1.0, gt=0, description="0.746 to 1.099 for Apophis")
+    sun_distance_au: float = Field(
+        1.0, gt=0, description="Distance of the body from the Sun; 0.746 to 1.099 for Apophis"
+    )
     noise_m_s2: float = Field(
-        0.0, ge=0, description="Standard deviation of each coordinate of what is left, drawn anew between two frames"
+        0.0,
+        ge=0,
+        description="Standard deviation of each coordinate of an unmodelled acceleration, drawn for each step",
     )
 
 
@@ -34,9 +38,13 @@ class BodyMotionSpec(SpecModel):
     inertia in body axes.
     """
 
-    kind: Literal["none", "spin", "tumbling"] = "none"
-    period_h: float = Field(30.4, gt=0, description="Of the rotation at the first frame; 30.4 h for Apophis")
-    axis_body: tuple[float, float, float] = Field((0.0, 0.0, 1.0), description="Its direction, body axes")
+    kind: Literal["none", "spin", "tumbling"] = Field(
+        "none", description="At rest, about a fixed axis, or torque-free about no principal axis"
+    )
+    period_h: float = Field(30.4, gt=0, description="Period of the rotation at the first frame; 30.4 h for Apophis")
+    axis_body: tuple[float, float, float] = Field(
+        (0.0, 0.0, 1.0), description="Direction of the angular velocity, body axes"
+    )
     inertia: tuple[float, float, float] = Field(
         (0.61, 0.965, 1.0),
         description="Principal moments about the body's x, y, z, in any unit; only tumbling depends on them",
@@ -106,14 +114,16 @@ class SequenceOrbitSpec(SpecModel):
     first frame.
     """
 
-    model: Literal["circular", "propagated"] = "circular"
+    model: Literal["circular", "propagated"] = Field(
+        "circular", description="A circle at constant speed, or an orbit integrated under ``forces``"
+    )
     radius_m: float = Field(790.0, gt=0, description="Radius: 600 m above a sphere of 190 m in Delpech et al. (2015)")
     normal_body: tuple[float, float, float] = Field(
         (0.0, 0.0, 1.0), description="Normal of the orbit, inertial axes; over the terminator it points to the Sun"
     )
     start_deg: float = Field(0.0, description="Anomaly of the first frame, from where the orbit comes nearest body x")
     step_deg: float = Field(2.0, ge=0.01, le=90, description="Anomaly between frames")
-    revolutions: float = Field(2.0, gt=0, le=1000)
+    revolutions: float = Field(2.0, gt=0, le=1000, description="Length of the sequence, in revolutions")
     gm_m3_s2: float = Field(3.54, gt=0, description="Gravity of the body, which sets the times; 5.3e10 kg by default")
     forces: ForcesSpec = ForcesSpec()
 
@@ -146,7 +156,9 @@ class VisionSpec(SpecModel):
     The paper prints no image size: its 2 px at 3 sigma are read as those of 1024 px across 30 deg.
     """
 
-    landmarks_per_frame: float = Field(15.0, gt=0, le=5000, description="N; the density is adapted to it")
+    landmarks_per_frame: float = Field(
+        15.0, gt=0, le=5000, description="N: mean number of landmarks in a frame; the density is adapted to it"
+    )
     count: Literal["average", "constant"] = Field(
         "average", description="N on average over a field that is uniform by chance, or filled up to N in every frame"
     )
@@ -154,11 +166,18 @@ class VisionSpec(SpecModel):
         "renewed",
         description="New landmarks for new tracks, or landmarks for good that are found again as new tracks",
     )
-    tracked_share: float = Field(0.5, gt=0, lt=1, description="Of a fixed field: landmarks in view that are tracked")
-    recognised: float = Field(
-        0.0, ge=0, le=1, description="Of a fixed field: found-again landmarks that are recognised, after a turn or less"
+    tracked_share: float = Field(
+        0.5, gt=0, lt=1, description="Share of the landmarks in view that are tracked, with field: fixed"
     )
-    mistaken: float = Field(0.0, ge=0, lt=1, description="Of a fixed field: new tracks taken for another lost landmark")
+    recognised: float = Field(
+        0.0, ge=0, le=1, description="Share of the landmarks found again that are recognised, with field: fixed"
+    )
+    mistaken: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Share of the new tracks that are taken for another lost landmark, with field: fixed",
+    )
     lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
     noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate: 2 px at 3 sigma")
     repeatability: float = Field(
@@ -166,8 +185,12 @@ class VisionSpec(SpecModel):
     )
     repeatability_step_deg: float = Field(2.0, gt=0, description="The change of view that k belongs to")
     min_connection: int = Field(3, ge=0, description="Tracks that live on from frame to frame, if as many are visible")
-    mismatch_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen where the nearest other one is")
-    outlier_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen anywhere in the image")
+    mismatch_share: float = Field(
+        0.0, ge=0, lt=1, description="Share of the tracked points that are seen at the nearest other one"
+    )
+    outlier_share: float = Field(
+        0.0, ge=0, lt=1, description="Share of the tracked points that are seen anywhere in the image"
+    )
 
     @model_validator(mode="after")
     def _only_a_fixed_field_is_seen_again(self) -> Self:
@@ -200,23 +223,35 @@ class SequenceKnowledgeSpec(SpecModel):
     )
     range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
     range_every: int = Field(
-        0, ge=0, description="As many are measured again in every so many-th frame; 0 for the first frame alone"
+        0, ge=0, description="Ranges are measured again after so many frames; 0 for the first frame alone"
     )
-    position_sigma_m: float = Field(0.0, ge=0, description="Of each coordinate of the first camera position")
-    attitude_sigma_deg: float = Field(0.0, ge=0, description="Of a frame's attitude about each camera axis")
+    position_sigma_m: float = Field(
+        0.0, ge=0, description="Standard deviation of each coordinate of the first camera position"
+    )
+    attitude_sigma_deg: float = Field(
+        0.0, ge=0, description="Standard deviation of a frame's attitude about each camera axis"
+    )
     misalignment_sigma_deg: float = Field(
-        0.0, ge=0, description="Of the camera's attitude on the star tracker, about each axis, the same in all frames"
+        0.0,
+        ge=0,
+        description="Standard deviation of the camera's mounting about each axis, the same in all frames",
     )
     pole_sigma_deg: float = Field(
-        0.0, ge=0, description="Of the direction of the body's angular velocity, about each of two axes across it"
+        0.0,
+        ge=0,
+        description="Standard deviation of the direction of the body's spin axis, about each of two axes across it",
     )
-    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Of the body's rate of rotation, relative")
-    dynamics: bool = Field(False, description="Whether the spacecraft knows the forces on it, as well as said below")
-    gm_sigma: float = Field(0.0, ge=0, lt=1, description="Of the gravity parameter, relative")
-    radiation_sigma: float = Field(0.0, ge=0, lt=1, description="Of the size of the radiation pressure, relative")
-    velocity_sigma_m_s: float = Field(0.0, ge=0, description="Of each coordinate of the velocity at the first frame")
+    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the body's spin rate")
+    dynamics: bool = Field(
+        False, description="Whether the spacecraft knows the forces on it, with the errors of the keys below"
+    )
+    gm_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the gravity parameter")
+    radiation_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the radiation pressure")
+    velocity_sigma_m_s: float = Field(
+        0.0, ge=0, description="Standard deviation of each coordinate of the velocity at the first frame"
+    )
     noise_m_s2: float | None = Field(
-        None, gt=0, description="What it takes for the unmodelled acceleration; left out: what acts in truth"
+        None, gt=0, description="Unmodelled acceleration that estimators assume; left out: the true one"
     )
 
     @model_validator(mode="after")

@@ -19,7 +19,7 @@ def _check_within(key: str, bounds: tuple[float, float], low: float, high: float
 class ViewpointSpec(SpecModel):
     """Random direction at a fixed range, boresight to the body's centre or to a target kind, random roll."""
 
-    kind: Literal["random-direction"] = "random-direction"
+    kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
     range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
     roll_deg: Uniform = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
     latitude_deg: Uniform = Field(
@@ -79,7 +79,7 @@ class PoseErrorSpec(SpecModel):
 
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
     position_cam_px: Vector3 | None = Field(
-        None, description="The same in pixel sizes at the body's range, instead of position_cam_m"
+        None, description="Shift in camera axes in pixel sizes at the body's range, instead of position_cam_m"
     )
     attitude: AttitudeErrorSpec = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
 

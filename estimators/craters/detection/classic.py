@@ -57,7 +57,9 @@ class ClassicOptions(SpecModel):
     softness: float = Field(
         default=3.0, ge=0.0, description="Gradients that count half in refinement, over the median one."
     )
-    rounds: int = Field(default=25, ge=0, description="Of conjugate gradients, at most; 0 leaves the fit as it is.")
+    rounds: int = Field(
+        default=25, ge=0, description="Most iterations of conjugate gradients; 0 leaves the fit as it is."
+    )
     crest_scale: float = Field(
         default=1.06, gt=0.5, lt=2.0, description="Crest's radius over that of the steepest gradient."
     )

@@ -80,7 +80,9 @@ class LearnedOptions(SpecModel):
     window_px: float = Field(
         default=20.0, gt=2.0, description="Standard deviation of the window that evens contrast out."
     )
-    levels: int = Field(default=5, ge=1, le=6, description="Of the pyramid of templates; each doubles the radii.")
+    levels: int = Field(
+        default=5, ge=1, le=6, description="Levels of the pyramid of templates; each doubles the radii."
+    )
     merit_min: float = Field(default=0.3, ge=0.0, lt=1.0, description="Least merit of a ring template's proposal.")
     proposals: int = Field(default=1600, ge=1, description="Most proposals passed to the network.")
     rounds: int = Field(default=3, ge=1, description="How often the network is applied to the remaining proposals.")

@@ -47,8 +47,12 @@ def huber_weights(sigmas: FloatArray) -> FloatArray:
 class CraterAssociationOptions(SpecModel):
     """The uncertainty of detections, and the required probability of a pair."""
 
-    centre_sigma_px: float = Field(0.7, gt=0.0, description="Of a rim's centre, both detections together")
-    centre_sigma_radii: float = Field(0.06, ge=0.0, description="The same, in radii: rims are not ellipses")
+    centre_sigma_px: float = Field(
+        0.7, gt=0.0, description="Standard deviation of a rim's centre, both detections together"
+    )
+    centre_sigma_radii: float = Field(
+        0.06, ge=0.0, description="Part of that error that grows with the radius, in radii, as rims are not ellipses"
+    )
     size_sigma: float = Field(0.10, gt=0.0, description="Standard deviation of the log ratio of radii")
     axes_sigma: float = Field(0.15, gt=0.0, description="Standard deviation of the log ratio of axes ratios")
     redetected: float = Field(0.5, gt=0.0, lt=1.0, description="Probability that an expected crater is detected")

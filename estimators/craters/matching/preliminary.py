@@ -24,9 +24,11 @@ _BLOCK_SIZE = 64  # landmarks compared with all others at once, to bound the mem
 class PreliminaryOptions(SpecModel):
     """Conditions on landmarks that may be the same, and on pairs of images worth matching."""
 
-    gate_sigma: float = Field(3.5, gt=0.0, description="Of the distance of two landmarks by their uncertainty")
-    height_sigma_m: float = Field(30.0, gt=0.0, description="Of the height of the a priori shape under a crater")
-    size_ratio: float = Field(1.5, gt=1.0, description="Of the radii of two landmarks, either way")
+    gate_sigma: float = Field(3.5, gt=0.0, description="Largest distance of two landmarks, in sigmas")
+    height_sigma_m: float = Field(
+        30.0, gt=0.0, description="Standard deviation of the a priori shape's height under a crater"
+    )
+    size_ratio: float = Field(1.5, gt=1.0, description="Largest ratio of the radii of two landmarks, or its inverse")
     landmarks: int = Field(1, ge=1, description="Landmarks of an image pair that may be the same, at the least")
     overlap: float = Field(0.1, ge=0.0, le=1.0, description="Share of a lit region that the other image shows lit")
     footprint: int = Field(8, ge=2, description="Points on a side of the grid of lines of sight of an image")

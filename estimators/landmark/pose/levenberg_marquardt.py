@@ -44,7 +44,7 @@ class MarquardtOptions(SpecModel):
     tolerance: float = Field(
         1e-10, gt=0, lt=1, description="Done when chi-square changes by less than this, relatively"
     )
-    max_iterations: int = Field(100, ge=1, le=10_000)
+    max_iterations: int = Field(100, ge=1, le=10_000, description="Most iterations")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
