@@ -1,0 +1,53 @@
+"""``boresight init`` writes files that run at once, and changes none."""
+
+from __future__ import annotations
+
+import re
+
+import pandas as pd
+
+from boresight.campaign.cli.init import FILES
+from boresight.campaign.cli.main import main
+
+
+def test_the_campaign_runs_as_it_is_written(cache, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "mine"]) == 0
+    said = capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == sorted(FILES)
+    assert "boresight run mine/campaign.yaml" in said
+    assert main(["run", "mine/campaign.yaml", "--trials", "4", "--out", "run", "--no-report"]) == 0
+    rows = pd.read_parquet(tmp_path / "run" / "rows")
+    assert rows.groupby("estimator").size().to_dict() == {"landmark-harris": 4, "landmark-ransac": 4, "prior": 4}
+    assert (rows["status"] != "error").all()
+
+
+def test_files_that_are_there_stay_as_they_are(tmp_path, capsys):
+    (tmp_path / "campaign.yaml").write_text("mine")
+    assert main(["init", str(tmp_path)]) == 2
+    assert (tmp_path / "campaign.yaml").read_text() == "mine"
+    assert not (tmp_path / "scenario.yaml").exists()
+    said = capsys.readouterr().err
+    assert "campaign.yaml: is there already" in said
+    assert said.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made_is_said_in_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["init", str(tmp_path / "file" / "below")]) == 2
+    said = capsys.readouterr().err
+    assert "could not be written" in said
+    assert said.count("\n") == 1
+    assert "--out" not in said
+
+
+def test_every_section_is_explained(tmp_path):
+    assert main(["init", str(tmp_path)]) == 0
+    for name in FILES:
+        lines = (tmp_path / name).read_text().splitlines()
+        keys = [number for number, line in enumerate(lines) if re.match(r"[a-z_]+:", line)]
+        ends = [*keys[1:], len(lines)]
+        # The description and the title say what they are.
+        sections = {lines[first]: lines[first - 1 : end] for first, end in zip(keys, ends, strict=True)}
+        bare = [key for key, told in sections.items() if not any("#" in line for line in told)]
+        assert [key for key in bare if not key.startswith(("description", "title"))] == []
