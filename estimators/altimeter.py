@@ -258,7 +258,29 @@ def _neighbour_means(mesh: TriangleMesh) -> FloatArray:
 
 
 class AltimeterEstimator:
-    """The pose of another estimator, updated with the altimeter's range where there is one."""
+    """The pose of another estimator, updated with the range of a laser altimeter along the boresight.
+
+    The range to the mesh of the base's landmark data base is predicted, and the pose updated by an iterated Kalman
+    update. With ``trust: adaptive`` the base's covariance is first inflated where the range contradicts it.
+
+    Use it when
+    -----------
+    The scenario has an altimeter (``sensors.altimeter``), and the base is an estimator on a landmark data base. Use
+    ``trust: reported`` with a base whose covariance describes its errors, such as ``landmark-ransac``.
+
+    It fails when
+    -------------
+    The base fails or gives no covariance. Where there is no reading, or the boresight misses the mesh, the pose of the
+    base is returned unchanged. A range measures one direction alone: errors of the attitude remain.
+
+    Cost
+    ----
+    That of its base, and less than 0.01 s: 0.10 s an image of ``quickstart`` with ``landmark-harris``.
+
+    Source
+    ------
+    Rowell et al. (2015), section 6, propose the fusion; the method is ours. Inflation: Zhou and Frank (1996).
+    """
 
     name: ClassVar[str] = "landmark-altimeter"
     version: ClassVar[int] = 2

@@ -25,6 +25,8 @@ FAMILIES: Mapping[str, Registry[Any]] = {
     "Orbit determination": ORBIT_ESTIMATORS,
 }
 SECTIONS = ("Use it when", "It fails when", "Cost", "Source")
+COSTS = "Median processor time on one core of an AMD EPYC; images, data bases and compilation are not included."
+"""What the numbers of all sections on costs are."""
 
 _HEADING = re.compile(rf"^({'|'.join(SECTIONS)})\n-+\n", re.MULTILINE)
 

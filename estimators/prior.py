@@ -36,7 +36,24 @@ class PriorOptions(SpecModel):
 
 
 class PriorEstimator:
-    """The control estimator: returns the prior pose and covariance unchanged, without using the image."""
+    """The control: returns the prior pose and covariance unchanged, without using the image.
+
+    Use it when
+    -----------
+    In every campaign, as the control: an estimator is useful only where its errors are below those of ``prior``.
+
+    It fails when
+    -------------
+    It does not fail.
+
+    Cost
+    ----
+    None.
+
+    Source
+    ------
+    Ours.
+    """
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -17,7 +19,7 @@ from boresight.campaign.machine import cores
 from boresight.campaign.runs.read import CATALOG, CampaignFiles, campaign_names, is_campaign, read_campaign
 from boresight.campaign.trial.kind import kind_names
 from boresight.scenarios.designs import grid_cells
-from boresight.scenarios.errors import printable
+from boresight.scenarios.errors import BoresightError, printable
 from boresight.scenarios.load import (
     LoadedCampaign,
     LoadedScenario,
@@ -28,6 +30,7 @@ from boresight.scenarios.load import (
     load_scenario,
     scenario_names,
 )
+from boresight.scenarios.load.entry import shortened
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
@@ -109,15 +112,44 @@ def _print_row(out: Console, row: Sequence[str], widths: Sequence[int]) -> None:
 
 
 def show_command(arguments: argparse.Namespace) -> int:
-    """Print a campaign or a scenario as YAML, every default filled in."""
-    if is_campaign(arguments.name):
-        read: CampaignFiles | LoadedScenario = read_campaign(
-            arguments.name, arguments.overrides, embedded=arguments.embedded
-        )
+    """Print a campaign or a scenario as YAML, every default filled in, or the page of an estimator."""
+    name = arguments.name
+    if _is_estimator(name):
+        # Imported here: it loads the estimator, which the other commands do without.
+        from boresight.campaign.cli.estimator import print_page
+
+        if arguments.overrides:
+            raise BoresightError(f"--set changes scenarios and campaigns, and {name} is an estimator: remove it")
+        print_page(name)
+        return 0
+    if is_campaign(name):
+        read: CampaignFiles | LoadedScenario = read_campaign(name, arguments.overrides, embedded=arguments.embedded)
     else:
-        read = load_scenario(arguments.name, arguments.overrides)
+        read = load_scenario(name, arguments.overrides)
     console().print(as_yaml(read), end="", highlight=False)
     return 0
+
+
+def _is_estimator(name: str) -> bool:
+    """Whether a name is that of an estimator of any kind.
+
+    Raises
+    ------
+    BoresightError
+        If there is nothing of that name, and an estimator has the most similar one.
+    """
+    files = {*campaign_names(), *scenario_names()}
+    if name in files or Path(name).suffix in (".yaml", ".yml"):
+        return False
+    from boresight.estimators.pages import FAMILIES
+
+    estimators = {one for registry in FAMILIES.values() for one in registry.names()}
+    near = difflib.get_close_matches(name, files | estimators, n=1)
+    if name in estimators or ":" in name:
+        return True
+    if near and near[0] in estimators and not Path(name).exists():
+        raise BoresightError(f"{shortened(name)}: no such campaign, scenario or estimator; did you mean {near[0]}?")
+    return False
 
 
 def as_yaml(read: CampaignFiles | LoadedScenario) -> str:

@@ -17,7 +17,7 @@ from sphinx.domains.std import ConfigurationValue
 import boresight
 from boresight.campaign.cli.main import make_parser, manual
 from boresight.campaign.trial.kind import kind_names
-from boresight.estimators.pages import FAMILIES, EstimatorPage, page_of
+from boresight.estimators.pages import COSTS, FAMILIES, EstimatorPage, page_of
 from boresight.reports.schema import common
 from boresight.reports.schema.column import Column, unit_by_suffix
 from boresight.reports.schema.tables import TABLES, kind_schema
@@ -77,10 +77,10 @@ def _pages() -> Iterator[tuple[str, str]]:
         _lines(
             "# Keys of scenario files",
             words_of(ScenarioSpec),
-            "Keys can be written as sections or, after `--set` and in `set` of a campaign, with dots: `camera.fov_deg=20`."
+            "A file writes keys in sections; `--set` and `set` of a campaign may use dots: `camera.fov_deg=20`."
             " An unknown key is an error. `boresight show NAME` prints a scenario with every default filled in.",
-            "A file with `extends: NAME` starts from another scenario: a file, a name from `boresight list`, or a list of"
-            " them, of which later ones override earlier ones.",
+            "A file with `extends: NAME` starts from another scenario: a file or a name from `boresight list`."
+            " `NAME` may be a list; later ones override earlier ones.",
             *_keys(ScenarioSpec, "scenario-key"),
         ),
     )
@@ -196,7 +196,7 @@ def _column_table(columns: Sequence[Column]) -> str:
 def _command_line() -> str:
     parser = make_parser()
     (commands,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
-    told = ["# Command line", f"```text\n{manual().whole.strip()}\n```"]
+    told = ["# Command line", *_whole(manual().whole)]
     for name, command in commands.choices.items():
         page = manual().commands[name]
         usage = command.format_usage().removeprefix("usage: ").strip()
@@ -205,6 +205,22 @@ def _command_line() -> str:
         told += ["Examples:"]
         told += [f"```console\n$ {example}\n```\n{{.example}}\n{what}." for example, what in page.examples.items()]
     return _lines(*told)
+
+
+def _whole(text: str) -> Iterator[str]:
+    """Yield the text below ``boresight --help``: a table under the heading of each group of lines."""
+    for group in text.strip().split("\n\n"):
+        heading, *lines = group.splitlines()
+        yield f"## {heading.removesuffix(':').capitalize()}"
+        rows: list[list[str]] = []
+        for line in lines:
+            parts = re.split(r" {2,}", line.strip(), maxsplit=1)
+            if len(parts) == 2:
+                rows.append(parts)
+            else:
+                # A line of one column continues the one before.
+                rows[-1][1] += f" {parts[0]}"
+        yield _table(("", ""), {f"`{one}`": _escaped(other) for one, other in rows})
 
 
 def _argument(action: argparse.Action) -> str:
@@ -249,7 +265,7 @@ def _estimators() -> Iterator[tuple[str, str]]:
     for family, registry in FAMILIES.items():
         pages = [page_of(name) for name in registry.own]
         told += [f"## {family}", _table(("estimator", "what it does"), {_link(one): one.summary for one in pages})]
-        told += [_toctree([one.name for one in pages], ":hidden:")]
+        told += [_toctree([one.name for one in pages], ":hidden:", f":caption: {family}")]
         links = {_link(one, "../estimators/"): _option_names(one) for one in pages}
         options += [f"## {family}", _table(("estimator", "options"), links)]
         for one in pages:
@@ -273,6 +289,6 @@ def _option_names(page: EstimatorPage) -> str:
 def _estimator(page: EstimatorPage) -> str:
     told = [f"# `{page.name}`", page.summary, page.text]
     for heading, text in page.sections.items():
-        told += [f"## {heading}", text]
+        told += [f"## {heading}", text, COSTS if heading == "Cost" and text != "None." else ""]
     keys = list(_keys(page.options, "option-key", f"{page.name}: ")) if page.options is not None else []
     return _lines(*told, "## Options", *(keys or ["None."]), f"Version {page.version}.")

@@ -69,10 +69,30 @@ class CraterPoseOptions(SpecModel):
 
 
 class CraterPose:
-    """Updates the prior pose by the centres of the craters that it recognises.
+    """Updates the prior pose by the centres of the craters that it recognises in the image.
 
-    The errors of the prior move all craters together: the association estimates them (see `association`), is linearised
-    again about the estimate, and gives the pose and its covariance by Huber's loss of the craters, with the prior.
+    Craters are detected and associated with those of a data base. The errors of the prior move all craters together:
+    the association estimates them, is linearised again about the estimate, and gives the pose and its covariance by
+    Huber's loss of the craters, with the prior.
+
+    Use it when
+    -----------
+    The surface has craters of more than about ten pixels, the image shows a part of the body, and the prior's attitude
+    is known from stars.
+
+    It fails when
+    -------------
+    No crater is detected, or fewer than ``least`` are recognised. In 100 images of ``trade-craters`` it failed in 5
+    with ``crater-learned`` and in 17 with ``crater-classic``. The covariance is too small: mean NEES 9.83 and 9.18, 6
+    expected.
+
+    Cost
+    ----
+    That of its detector, and less for the association with the data base.
+
+    Source
+    ------
+    Ours; detection and the data base after Cheng et al. (2003).
     """
 
     name: ClassVar[str] = "crater-pose"

@@ -32,7 +32,29 @@ class PhotometricOptions(RegistrationOptions):
 
 
 class PhotometricEstimator:
-    """Registers renderings of the onboard shape with the image, from coarse to fine, maximum a posteriori."""
+    """Registers renderings of the onboard shape with the image, from coarse to fine, maximum a posteriori.
+
+    Gauss-Newton steps minimise the difference of both band-passed images, with Huber's loss and the prior. The
+    derivatives are those of the renderer, or differences of renderings.
+
+    Use it when
+    -----------
+    The onboard shape is good, no landmarks are wanted, and a second of processor time an image is available.
+
+    It fails when
+    -------------
+    The rendering goes out of view or into the dark, or correlates with the image by less than ``correlation_min``. Of
+    500 images of ``compare-mismatched`` it failed, or was worse than the prior, in none with exact knowledge and in
+    4.20 % with that of a mission. The covariance is too small: mean NEES 42.0 and 40.6, 6 expected.
+
+    Cost
+    ----
+    0.77 s an image of ``quickstart``.
+
+    Source
+    ------
+    Ours.
+    """
 
     name: ClassVar[str] = "photometric"
     version: ClassVar[int] = 3

@@ -48,10 +48,30 @@ class WholeImageOptions(RecognitionOptions):
 
 
 class WholeImageRecognizer(LandmarkRecognizer):
-    """Rowell et al. (2015) with the whole image aligned in place of its centroid, as their section 6 proposes.
+    """The recognition of ``landmark-harris``, started from the pose at which the rendered mesh fits the whole image.
 
     The mesh of the landmarks is translated and rotated until its rendering fits the image. Landmarks are then first
     predicted with the estimated attitude instead of the prior's.
+
+    Use it when
+    -----------
+    The data base is that of ``landmark-harris``, and the prior's attitude error moves landmarks by more than their
+    spacing.
+
+    It fails when
+    -------------
+    As ``landmark-harris``; and the mesh goes out of view or into the dark during the registration. Of 500 images of
+    ``compare-mismatched`` it failed, or was worse than the prior, in 14.0 % with exact knowledge and in 54.8 % with
+    that of a mission.
+
+    Cost
+    ----
+    0.29 s an image of ``quickstart``.
+
+    Source
+    ------
+    Rowell et al. (2015), section 6, propose to align the whole image; the registration is ours, the recognition that of
+    their section 3.
     """
 
     name: ClassVar[str] = "whole-image"

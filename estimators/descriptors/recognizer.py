@@ -220,14 +220,64 @@ def find_consensus(
 
 
 class SiftNavigator(DescriptorNavigator):
-    """Recognition by SIFT features."""
+    """Matches SIFT features with those of rendered images, and estimates the posterior pose.
+
+    The features of the image are matched with those of the nearest views of the data base, if they lie near their
+    predicted positions. RANSAC removes outliers, and the pose is the maximum a posteriori with the prior. A solution
+    that contradicts the prior is a failure.
+
+    Use it when
+    -----------
+    A baseline by standard features is wanted, the onboard shape is nearly as detailed as the true one, and the data
+    base may be large (20 MB for the 500 images of ``compare-mismatched``).
+
+    It fails when
+    -------------
+    Fewer than four features match or agree, or the solution contradicts the prior. Small relief that differs from the
+    truth leaves few right matches: of 500 images of ``compare-mismatched`` it failed, or was worse than the prior, in
+    1.20 % with exact knowledge and in 45.2 % with that of a mission.
+
+    Cost
+    ----
+    0.15 s an image of ``quickstart``.
+
+    Source
+    ------
+    Features: Lowe (2004); RANSAC: MAGSAC++ of Barath et al. (2020); both by OpenCV. Rowell et al. (2015), section 5.2,
+    leave the comparison with other landmarks open. The posterior is ours.
+    """
 
     name: ClassVar[str] = "landmark-sift"
     kind: ClassVar[Kind] = "sift"
 
 
 class OrbNavigator(DescriptorNavigator):
-    """Recognition by ORB features."""
+    """Matches ORB features with those of rendered images, and estimates the posterior pose.
+
+    The features of the image are matched with those of the nearest views of the data base, if they lie near their
+    predicted positions. RANSAC removes outliers, and the pose is the maximum a posteriori with the prior. A solution
+    that contradicts the prior is a failure.
+
+    Use it when
+    -----------
+    A baseline by standard features is wanted, the onboard shape is nearly as detailed as the true one, and the data
+    base may be large (7.9 MB for the 500 images of ``compare-mismatched``).
+
+    It fails when
+    -------------
+    Fewer than four features match or agree, or the solution contradicts the prior. Small relief that differs from the
+    truth leaves few right matches: of 500 images of ``compare-mismatched`` it failed, or was worse than the prior, in
+    5.20 % with exact knowledge and in 32.0 % with that of a mission.
+
+    Cost
+    ----
+    0.06 s an image of ``quickstart``.
+
+    Source
+    ------
+    Features: Rublee et al. (2011); RANSAC: MAGSAC++ of Barath et al. (2020); both by OpenCV. Rowell et al. (2015),
+    section 5.2, leave the comparison with other landmarks open. The posterior is ours.
+    """
 
     name: ClassVar[str] = "landmark-orb"
     kind: ClassVar[Kind] = "orb"

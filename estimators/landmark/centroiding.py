@@ -33,7 +33,30 @@ class CentroidOptions(SpecModel):
 
 
 class CentroidAligner:
-    """Shifts the prior until the brightness centroids of the rendered landmark mesh and of the image coincide."""
+    """Shifts the prior until the brightness centroids of the rendered landmark mesh and of the image coincide.
+
+    The position across the line of sight is corrected. Attitude and range stay those of the prior, and there is no
+    covariance.
+
+    Use it when
+    -----------
+    The whole body is in the image, and the position across the line of sight is enough; or to measure the first stage
+    of ``landmark-harris`` by itself.
+
+    It fails when
+    -------------
+    The image holds no signal, or the rendered mesh is out of view or in the dark. The centroid is biased where the
+    onboard reflectance or direction to the Sun is wrong, where much of the body is dark, and where part of it is
+    outside the image.
+
+    Cost
+    ----
+    0.05 s an image of ``quickstart``.
+
+    Source
+    ------
+    Rowell et al. (2015), section 3.2, equations (11) to (13).
+    """
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 1

@@ -219,7 +219,31 @@ def shape_renderer(options: RecognitionOptions, assets: Assets) -> ImageRenderer
 
 
 class LandmarkRecognizer:
-    """Rowell et al. (2015): recognises known landmarks by the proximity of Harris corners."""
+    """Recognises known landmarks by the proximity of Harris corners, after Rowell et al. (2015).
+
+    The mesh of the landmarks is rendered and shifted onto the brightness centroid of the image. Landmarks are projected
+    and matched with the nearest corners; EPnP and Levenberg-Marquardt solve for the pose. Matching and solving
+    alternate until the matches no longer change. The covariance is that of the least-squares fit, without the prior.
+
+    Use it when
+    -----------
+    The method of the paper is wanted, or the data base must be small, and the onboard model is close to the truth.
+
+    It fails when
+    -------------
+    Fewer than four landmarks are matched, or the pose is fitted to wrong matches: the fit then looks good and is not.
+    It needs an onboard model close to the truth. Of 500 images of ``compare-mismatched`` it gave no estimate, or one
+    worse than the prior, in 21.2 % with exact knowledge and in 70.6 % with that of a mission. The covariance is far too
+    small: mean NEES 387 with exact knowledge, 6 expected.
+
+    Cost
+    ----
+    0.10 s an image of ``quickstart``.
+
+    Source
+    ------
+    Rowell et al. (2015): data base section 2, projection 3.1, centroid 3.2, corners 3.3, matching and pose 3.4.
+    """
 
     name: ClassVar[str] = "landmark-harris"
     version: ClassVar[int] = 2

@@ -208,7 +208,30 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
 
 
 class MapletNavigator:
-    """Matches maplets of the onboard shape, rendered at the predicted pose and Sun, with the image."""
+    """Matches maplets of the onboard shape, rendered at the predicted pose and Sun, with the image.
+
+    Maplets are square patches of heights and albedo, cut from the onboard shape. All are rendered, each is matched in
+    its window by correlation and then by least squares, and the pose is the maximum a posteriori with the prior.
+
+    Use it when
+    -----------
+    Accuracy and a small data base are wanted (268 kB in ``compare-mismatched``), and the onboard shape is known to
+    about a pixel.
+
+    It fails when
+    -------------
+    Fewer than four maplets correlate by ``correlation_min``, or the rendered maplets are out of view or in the dark. Of
+    500 images of ``compare-mismatched`` it failed, or was worse than the prior, in none with exact knowledge and in
+    2.20 % with that of a mission. The covariance is too small: mean NEES 12.8 and 52.6, 6 expected.
+
+    Cost
+    ----
+    0.91 s an image of ``quickstart``.
+
+    Source
+    ------
+    Maplets after Gaskell et al. (2008); the matching is ours.
+    """
 
     name: ClassVar[str] = "lmaps"
     version: ClassVar[int] = 2

@@ -64,7 +64,32 @@ class _Fit:
 
 @dataclass(frozen=True)
 class BatchFilter:
-    """Orbit determination by weighted least squares over a whole arc."""
+    """Orbit determination by weighted least squares over a whole arc, from sightings of craters, ranges and Doppler.
+
+    The unknowns are the state, forces, camera mounting, attitudes and all craters. The arc grows step by step; numbers
+    that two craters share are split, outliers are edited, and a solution that does not fit is rejected and tried again
+    from the orbit found.
+
+    Use it when
+    -----------
+    The craters of days or weeks of images are numbered, and an orbit with covariance is wanted. In ``cheng2003-orbit``
+    (963 images in 20 days, 20 runs each) the median RMS error over the arc is 5.04 m in the clean world, 11.0 m in the
+    combined one, and 50.1 m in that without radiometric data.
+
+    It fails when
+    -------------
+    There are too few sightings, the orbit diverges, the adjustment does not converge, more than ``edited_max`` of the
+    sightings do not agree, or chi-square exceeds ``chi_square_max`` a degree of freedom. Errors of the spin are not
+    estimated.
+
+    Cost
+    ----
+    0.26 s an arc of ``orbit-smoke`` (150 images in 3 days).
+
+    Source
+    ------
+    Cheng et al. (2003), batch filter; radiometric data, splitting and accelerations are ours.
+    """
 
     options: OrbitOptions = field(default_factory=OrbitOptions)
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from boresight.estimators.orbit.contract import OrbitEstimator
+from typing import TYPE_CHECKING
+
 from boresight.estimators.registry import Registry
+
+if TYPE_CHECKING:
+    from boresight.estimators.orbit.contract import (
+        OrbitEstimator,  # its data load compiled kernels, which names need not
+    )
 
 ESTIMATORS: Registry[OrbitEstimator] = Registry(
     own={"batch-filter": "boresight.estimators.orbit.batch_filter:BatchFilter"},

@@ -35,14 +35,34 @@ _MAX_PLACED = 2
 
 
 class BundleSlam(ConfiguredEstimator[BundleOptions]):
-    """Sequential bundle adjustment over a sliding window of views; the attitude is known, so only positions are free.
+    """Sequential bundle adjustment over a sliding window of views: BA-SLAM of Delpech et al. (2015).
 
-    The oldest view of the window is fixed at its last estimate. A range measured at the leading view replaces the depth
-    gauge in its adjustment, and the gauge continues with the distance estimated there. There is no covariance, since
-    the error of the fixed view and of the gauge is not modelled.
+    The attitude is known, so only positions and landmarks are adjusted. The oldest view of the window is fixed at its
+    last estimate, and the distance of one landmark, the depth gauge, fixes the scale. A range measured at the leading
+    view replaces the gauge in its adjustment, and the gauge continues with the distance estimated there. There is no
+    covariance, since the error of the fixed view and of the gauge is not modelled.
 
     With ``connected: last-two`` the rank is not checked, as in the paper: an undetermined scale stays as the predicted
     motion gave it. With ``connected: whole-window`` such a sequence fails.
+
+    Use it when
+    -----------
+    The method of the paper is wanted. Otherwise use ``fixed-lag``, which has smaller errors and a covariance on the
+    same tracks.
+
+    It fails when
+    -------------
+    No range is measured at the first frame, its landmark is lost before another takes the gauge over, or too few
+    landmarks are seen twice in the window. In ``delpech2015-comparison`` 83 of 100 runs of 10 landmarks a frame ended,
+    89 of 100 of 15 and of 20. The error of the scale is handed on and grows.
+
+    Cost
+    ----
+    0.10 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Delpech et al. (2015), section 3.2.
     """
 
     name: ClassVar[str] = "ba-slam"

@@ -22,7 +22,24 @@ class DeadReckoningOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True)
 class DeadReckoning:
-    """Sum of the predicted displacements and of the covariances of their errors; no tracks are used."""
+    """The control of sequences: sums the predicted displacements and their covariances, without any track.
+
+    Use it when
+    -----------
+    In every campaign of sequences, as the control: an estimator is useful only where its errors are below these.
+
+    It fails when
+    -------------
+    It does not fail; its error grows with the distance travelled.
+
+    Cost
+    ----
+    Less than 0.001 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Ours.
+    """
 
     name: ClassVar[str] = "dead-reckoning"
     version: ClassVar[int] = 1

@@ -130,7 +130,29 @@ class FilterHealth:
 
 
 class EkfSlam(ConfiguredEstimator[FilterOptions]):
-    """Extended Kalman filter of the camera (position or pose) and of the landmarks in view, in inverse depth."""
+    """EKF-SLAM of Delpech et al. (2015): Kalman filter of the camera and of the landmarks in view, in inverse depth.
+
+    The state of the camera is its position, with known attitude, or with ``camera: pose`` all 13 elements of the paper.
+
+    Use it when
+    -----------
+    The method of the paper is wanted. Otherwise use ``consistent-ekf-slam`` or ``fixed-lag``.
+
+    It fails when
+    -------------
+    No range is measured at the first frame, too few landmarks are left, or the filter diverges: an inverse distance is
+    not positive, a landmark is behind the camera, or the innovations are too large. It is overconfident: in
+    ``delpech2015-comparison`` 96, 100 and 100 of 100 runs of 10, 15 and 20 landmarks a frame ended, with a mean NEES of
+    294, 226 and 198, 3 expected.
+
+    Cost
+    ----
+    0.26 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Delpech et al. (2015), section 3.3. Gates: one-point RANSAC of Civera et al. (2010).
+    """
 
     name: ClassVar[str] = "ekf-slam"
     version: ClassVar[int] = 3
@@ -142,7 +164,24 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
 
 
 class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
-    """EKF-SLAM with iterated updates: each ends at the minimum of the cost of prediction and measurements."""
+    """``ekf-slam`` with iterated updates: each ends at the minimum of the cost of prediction and measurements.
+
+    Use it when
+    -----------
+    To see which part of the error of ``ekf-slam`` comes from a single linearisation in each update.
+
+    It fails when
+    -------------
+    As ``ekf-slam``. It is overconfident too, as derivatives are taken at estimates that change from frame to frame.
+
+    Cost
+    ----
+    0.73 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Bell and Cathey (1993) for the update; the rest as ``ekf-slam``.
+    """
 
     name: ClassVar[str] = "iterated-ekf-slam"
     version: ClassVar[int] = 2
@@ -158,10 +197,27 @@ class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
 
     Bearings do not depend on the scale. The filter's unobservable direction is the scale too if all derivatives by a
     landmark are taken at the same inverse distance and anchor. With derivatives at each frame's estimates the
-    unobservable directions differ from frame to frame, and the filter becomes overconfident (Huang, Mourikis and
-    Roumeliotis 2010, about translation and rotation; here attitude is measured, and a translation leaves anchored
-    landmarks as they are). The derivatives are fixed once an inverse distance is well known: the initial guess would
-    make them wrong.
+    unobservable directions differ from frame to frame, and the filter becomes overconfident. The derivatives are fixed
+    once an inverse distance is well known: the initial guess would make them wrong.
+
+    Use it when
+    -----------
+    A filter is wanted whose covariance describes its errors. With ``camera: pose`` it also models a misaligned camera.
+
+    It fails when
+    -------------
+    As ``ekf-slam``. With attitude noise its covariance is too small unless ``camera: pose`` is set: in
+    ``apophis-attitude`` the mean NEES with 0.03 deg of noise is 4.2 times what is expected, and 0.78 times with it (12
+    runs).
+
+    Cost
+    ----
+    0.87 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Huang, Mourikis and Roumeliotis (2010), about translation and rotation; here attitude is measured, and a translation
+    leaves anchored landmarks as they are.
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"

@@ -106,7 +106,26 @@ class Factors:
 
 
 class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
-    """iSAM2 of Kaess et al. (2012) in gtsam: a Bayes tree of all frames, updated incrementally."""
+    """iSAM2 of gtsam: a Bayes tree of all frames, updated incrementally.
+
+    It needs the extra ``gtsam``.
+
+    Use it when
+    -----------
+    To compare ``batch`` with another program on the same tracks.
+
+    It fails when
+    -------------
+    gtsam is not installed; gtsam reports an indeterminate system; otherwise as ``batch``. Outliers are not rejected.
+
+    Cost
+    ----
+    2.4 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Kaess et al. (2012), as implemented in gtsam.
+    """
 
     name: ClassVar[str] = "gtsam-isam2"
     version: ClassVar[int] = 2
@@ -124,7 +143,27 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
 
 
 class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
-    """Incremental fixed-lag smoother of gtsam: iSAM2 that marginalises frames older than the lag."""
+    """Incremental fixed-lag smoother of gtsam: iSAM2 that marginalises frames older than the lag.
+
+    It needs the extra ``gtsam``.
+
+    Use it when
+    -----------
+    To compare ``fixed-lag`` with another program on the same tracks.
+
+    It fails when
+    -------------
+    gtsam is not installed; gtsam reports an indeterminate system; otherwise as ``fixed-lag``. Outliers are not
+    rejected.
+
+    Cost
+    ----
+    0.55 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Kaess et al. (2012), as implemented in gtsam.
+    """
 
     name: ClassVar[str] = "gtsam-fixed-lag"
     version: ClassVar[int] = 2

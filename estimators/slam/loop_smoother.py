@@ -95,11 +95,29 @@ def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[F
 
 
 class LoopSmoother(ConfiguredEstimator[LoopOptions]):
-    """Fixed-lag smoother that adjusts all frames when enough lost landmarks have been recognised again.
+    """``fixed-lag`` that adjusts all frames when enough lost landmarks have been recognised again.
 
     Pairs of tracks that the vision layer recognises as one landmark are tested together against the covariance of the
     drift. Compatible pairs are merged, all frames are adjusted, and the measurements outside the window are
     marginalised to its new prior: every measurement is used once, and the covariance contains the loop closure.
+
+    Use it when
+    -----------
+    Landmarks are seen again after a revolution and recognised (``sequence.vision.recognised``): in ``apophis-loops``
+    the mean position error is 0.58 m, where that of ``fixed-lag`` is 4.06 m (20 runs).
+
+    It fails when
+    -------------
+    As ``fixed-lag``; or the history of all frames is not determined at a loop closure. Where nothing is recognised it
+    is ``fixed-lag``.
+
+    Cost
+    ----
+    0.28 s a revolution of ``apophis-sphere-sequence`` (181 frames, without a loop closure).
+
+    Source
+    ------
+    Ours. Joint compatibility: a greedy version of Neira and Tardos (2001).
     """
 
     name: ClassVar[str] = "loop-smoother"

@@ -37,7 +37,31 @@ _WEAK_RATIO = 10.0
 
 
 class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
-    """Fixed-lag smoother: adjusts the last frames, and marginalises older ones and lost landmarks."""
+    """Fixed-lag smoother: adjusts the last frames, and marginalises older ones and lost landmarks to a prior.
+
+    Predicted motions, ranges and pixels are measurements. Derivatives by variables of the prior are taken at their
+    first estimates. Outliers are rejected by one-point RANSAC and by their residuals.
+
+    Use it when
+    -----------
+    The usual choice for tracks along an orbit: small errors, a covariance that describes them, and cost that does not
+    grow.
+
+    It fails when
+    -------------
+    Too few landmarks are shared by two frames, or the scale is unobservable: the position's standard deviation exceeds
+    ``uncertainty_max`` of the distance. In ``delpech2015-comparison`` 96, 100 and 100 of 100 runs of 10, 15 and 20
+    landmarks a frame ended, with a mean NEES of 3.16, 2.97 and 2.84, 3 expected. Errors of the attitude are not
+    modelled with ``attitude: known``.
+
+    Cost
+    ----
+    0.26 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Ours. First-estimates Jacobians: Huang et al. (2010).
+    """
 
     name: ClassVar[str] = "fixed-lag"
     version: ClassVar[int] = 5
@@ -49,7 +73,25 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
 
 
 class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
-    """Adjustment of all frames so far at each frame: the accuracy reference for the others, and slow."""
+    """Adjusts all frames so far at each frame: the accuracy reference of the other estimators, and slow.
+
+    Use it when
+    -----------
+    To see how much of an estimator's error comes from its window: no right association can give more than this.
+
+    It fails when
+    -------------
+    As ``fixed-lag``. Outliers are used as they are unless ``associations: consensus`` is set. The time of a frame grows
+    with the number of frames.
+
+    Cost
+    ----
+    0.63 s a revolution of ``apophis-sphere-sequence`` (181 frames).
+
+    Source
+    ------
+    Ours: bundle adjustment with predicted motions and ranges.
+    """
 
     name: ClassVar[str] = "batch"
     version: ClassVar[int] = 1

@@ -98,7 +98,30 @@ class DetectionStages:
 
 @dataclass(frozen=True, slots=True)
 class CraterClassic:
-    """Two Canny passes, rims from pairs of lit and shaded edges, ellipse fit, refinement in the image, confidence."""
+    """Finds craters by pairs of lit and shaded rim edges, an ellipse fit and its refinement, after Cheng et al. (2003).
+
+    Two Canny passes with a small and a large kernel find edges. Edges that are convex towards or away from the Sun are
+    paired, ellipses are fitted to the pairs and refined on the gradient of the image, and those of low confidence are
+    dropped.
+
+    Use it when
+    -----------
+    The method of the paper is wanted, or detections must not depend on a training.
+
+    It fails when
+    -------------
+    Less than 2 % of the image is lit ground, a quarter of the pixels is saturated, or the Sun is along the boresight:
+    the image is refused. In 500 images of ``cheng2003-detection`` it finds 41.0 % of 11,572 detectable craters, where
+    ``crater-learned`` finds 92.1 %.
+
+    Cost
+    ----
+    0.20 s for the image of 537 x 412 pixels of ``boresight craters``.
+
+    Source
+    ------
+    Cheng et al. (2003), section on crater detection, equations (2) to (4); what they leave open is in the options.
+    """
 
     name: ClassVar[str] = "crater-classic"
     version: ClassVar[int] = 3

@@ -138,7 +138,28 @@ def read_network(path: Path) -> Network:
 
 @dataclass(frozen=True, slots=True)
 class CraterLearned:
-    """Ring templates propose rims; a small network decides which are craters, and corrects their places and shapes."""
+    """Finds craters by ring templates and a small network that decides which rings are craters and corrects their rims.
+
+    The network was trained on rendered ground of its own; its weights are part of the package.
+
+    Use it when
+    -----------
+    As many craters as possible are wanted, of rendered or similar images.
+
+    It fails when
+    -------------
+    The image is refused as by ``crater-classic``. Large craters are missed: in 500 images of ``cheng2003-detection`` it
+    finds 92.1 % of 11,572 detectable craters, but 75.6 % of those over 60 pixels across. All training and test images
+    are rendered: how it does on real images is not known.
+
+    Cost
+    ----
+    0.23 s for the image of 537 x 412 pixels of ``boresight craters``.
+
+    Source
+    ------
+    Ours; large rims are also refined by equations (2) to (4) of Cheng et al. (2003).
+    """
 
     name: ClassVar[str] = "crater-learned"
     version: ClassVar[int] = 3

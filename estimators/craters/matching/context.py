@@ -45,6 +45,23 @@ class ContextMatcher:
     The paper draws three craters from anywhere and stops at the first transform that fits. On a body with relief no
     plane fits everywhere: triangles are drawn among neighbours, and the search goes on with the craters that the
     accepted transforms have not matched, until the loops are used up.
+
+    Use it when
+    -----------
+    Both images have many craters in common, the relative pose is known to some pixels, and the Suns differ.
+
+    It fails when
+    -------------
+    An image has no more than ``agreeing`` craters, or no transform takes more than that along: few craters, strong
+    relief or a large angle between the views.
+
+    Cost
+    ----
+    0.015 s a pair of ``eros-crater-pairs``, 20 detections an image.
+
+    Source
+    ------
+    Cheng et al. (2003), context matching, steps 1 to 5.
     """
 
     name: ClassVar[str] = "context"

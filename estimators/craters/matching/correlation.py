@@ -43,7 +43,25 @@ class CorrelationOptions(SpecModel):
 
 
 class CorrelationMatcher:
-    """Confirms a crater if its image, rectified by the local plane (5), correlates with the second image (6)."""
+    """Confirms a crater if its image, rectified by the local plane, correlates with the second image.
+
+    Use it when
+    -----------
+    The Sun's directions in both images differ by less than 10 deg, and both images have pixels: it needs few craters.
+
+    It fails when
+    -------------
+    The directions of the Sun differ by more than ``sun_deg``, or no crater of the first image is in sight of the second
+    by the prior poses.
+
+    Cost
+    ----
+    Part of that of ``hybrid`` where images have pixels; not measured by itself.
+
+    Source
+    ------
+    Cheng et al. (2003), equations (5) and (6).
+    """
 
     name: ClassVar[str] = "correlation"
     version: ClassVar[int] = 1

@@ -31,12 +31,29 @@ class InvariantOptions(SpecModel):
 
 
 class InvariantMatcher:
-    """Compares the invariants (10) of all pairs of craters: needs no pose, but rims in one plane.
+    """Compares the conic invariants of all pairs of craters: needs no pose, but rims in one plane.
 
     On a body with relief no two rims are coplanar: from 200 km around Eros the invariants of exact rims differ by 3 %
     between two images (median), so that a tolerance wide enough for them gives chance pairs more votes than any fixed
     threshold, and the paper's rule then rejects the right pair with its rivals. With a ``margin`` the pair that
     outvotes its rivals is kept.
+
+    Use it when
+    -----------
+    No relative pose is known, and the ground is flat.
+
+    It fails when
+    -------------
+    An image has fewer than two craters, or no more than ``couples`` pairs have enough votes: relief and errors of the
+    rims scatter the invariants.
+
+    Cost
+    ----
+    0.003 s a pair of ``eros-crater-pairs``, 20 detections an image.
+
+    Source
+    ------
+    Cheng et al. (2003), equation (10); Forsyth et al. (1991).
     """
 
     name: ClassVar[str] = "invariants"

@@ -92,7 +92,31 @@ class _Solution:
 
 
 class ConsensusRecognizer:
-    """Searches the whole prior for the maximum a posteriori pose, with all corners as candidates."""
+    """Searches the whole prior for the maximum a posteriori pose, with all corners as candidates of each landmark.
+
+    The image is aligned first. Rotations within the prior are then scored on a map of the corners, and the best ones
+    are refined on a mixture: a landmark's corner is one of the nearest corners, or was not detected. Data base and
+    corners are those of ``landmark-harris``.
+
+    Use it when
+    -----------
+    The data base is that of ``landmark-harris``, and fewer failures or a usable covariance are wanted.
+
+    It fails when
+    -------------
+    Fewer than four landmarks or corners are in view, or no hypothesis has matches. It still needs an onboard model
+    close to the truth. Of 500 images of ``compare-mismatched`` it failed, or was worse than the prior, in 5.00 % with
+    exact knowledge (mean NEES 6.85, 6 expected) and in 21.6 % with that of a mission (43.6).
+
+    Cost
+    ----
+    0.26 s an image of ``quickstart``.
+
+    Source
+    ------
+    Rowell et al. (2015), section 6, propose to consider every corner within the matching radius; the method is ours.
+    Minimal sets: USAC, Raguram et al. (2013).
+    """
 
     name: ClassVar[str] = "landmark-ransac"
     version: ClassVar[int] = 3

@@ -1,0 +1,43 @@
+"""``boresight show ESTIMATOR`` prints the page of an estimator."""
+
+from __future__ import annotations
+
+import pytest
+
+from boresight.campaign.cli.main import main
+from boresight.estimators.pages import SECTIONS
+
+
+@pytest.mark.parametrize("name", ["landmark-ransac", "fixed-lag", "crater-learned", "vote", "batch-filter", "prior"])
+def test_show_prints_the_page_in_short(name, capsys):
+    assert main(["show", name]) == 0
+    said = capsys.readouterr().out
+    lines = said.splitlines()
+    assert lines[0].startswith(f"{name}, version ")
+    headings = [line for line in lines if line in (*SECTIONS, "Options")]
+    assert headings == [*SECTIONS, "Options"]
+    assert max(map(len, lines)) <= 100
+    assert "`" not in said
+
+
+def test_show_prints_each_option_with_type_unit_and_default(capsys):
+    assert main(["show", "landmark-ransac"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    line = "alignment_sigma_px: Standard deviation of that alignment, each axis (number above 0, px, default: 3.6)"
+    assert line in said
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["landmark-ransack"], "no such campaign, scenario or estimator; did you mean landmark-ransac?"),
+        (["quickstrt"], "did you mean quickstart?"),
+        (["prior", "--set", "camera.fov_deg=3"], "--set changes scenarios and campaigns"),
+        (["nosuch:Class"], "cannot be imported"),
+    ],
+)
+def test_what_cannot_be_shown_is_said_in_one_line(words, told, capsys):
+    assert main(["show", *words]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert said.count("\n") == 1
