@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tiny_campaign import compute, write_campaign
+from tiny_campaign import CAMPAIGN, TRIALS, compute, write_campaign
+
+from boresight.campaign.cli.main import main
 
 
 @dataclass(frozen=True)
@@ -39,3 +41,22 @@ def tiny_run(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> TinyRun:
 def tiny_file(cache: Path, tmp_path: Path) -> Path:
     """A campaign file of the test's own."""
     return write_campaign(tmp_path / "campaign")
+
+
+@pytest.fixture(scope="session")
+def examples(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder that holds the files and the runs that examples of the manual and of pages name."""
+    folder = tmp_path_factory.mktemp("examples")
+    one = CAMPAIGN.replace("scenarios: [scene]", "scenarios: [scene]\ntrials: 2").replace(f"trials: {TRIALS}\n", "")
+    write_campaign(folder, one).rename(folder / "my_campaign.yaml")
+    (folder / "before.json").write_text('{"stages": []}')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for words in (
+            "quickstart --trials 9 --out runs/quickstart-1a2b3c4d",
+            "delpech2015-smoke --trials 2",
+            "my_campaign.yaml --out runs/a",
+            "my_campaign.yaml --out runs/b --set brdf.kind=lommel-seeliger",
+        ):
+            assert main(["run", *words.split(), "--jobs", "1", "--no-report"]) == 0
+    return folder

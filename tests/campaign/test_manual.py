@@ -10,9 +10,9 @@ import sys
 
 import pytest
 from mission_data import needs_data
-from tiny_campaign import CAMPAIGN, TRIALS, write_campaign
+from page_blocks import run_command, stop_before_long
 
-from boresight.campaign.cli.main import main, make_parser, manual
+from boresight.campaign.cli.main import make_parser, manual
 
 PAGES, WHOLE = manual().commands, manual().whole
 
@@ -29,40 +29,7 @@ def test_every_command_has_a_page():
     assert set(PAGES) == set(commands())
 
 
-class ReachedError(Exception):
-    """An example that takes long is about to begin: all that it names was read and checked."""
-
-
-LONG = (
-    "boresight.campaign.runs.start.Start.go",
-    "boresight.campaign.cli.sensitivity.run_campaign",
-    "boresight.campaign.cli.figures.run_missing",
-    "boresight.campaign.cli.bench.benchmark",
-    "benchmarks.door.speed_table",
-    "boresight.campaign.cli.fetch.bring",
-)
-
-
 NEEDS_EROS = needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters")
-
-
-@pytest.fixture(scope="module")
-def place(cache, tmp_path_factory):
-    """Return a folder that holds the files and the runs that the examples name."""
-    folder = tmp_path_factory.mktemp("manual")
-    one = CAMPAIGN.replace("scenarios: [scene]", "scenarios: [scene]\ntrials: 2").replace(f"trials: {TRIALS}\n", "")
-    write_campaign(folder, one).rename(folder / "my_campaign.yaml")
-    (folder / "before.json").write_text('{"stages": []}')
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for words in (
-            "quickstart --trials 8 --out runs/quickstart-1a2b3c4d",
-            "delpech2015-smoke --trials 2",
-            "my_campaign.yaml --out runs/a",
-            "my_campaign.yaml --out runs/b --set brdf.kind=lommel-seeliger",
-        ):
-            assert main(["run", *words.split(), "--jobs", "1", "--no-report"]) == 0
-    return folder
 
 
 @pytest.mark.parametrize(
@@ -75,24 +42,16 @@ def place(cache, tmp_path_factory):
         for one in dict.fromkeys((*EXAMPLES, *FIRST))
     ],
 )
-def test_every_example_runs(place, cache, tmp_path, monkeypatch, example):
+def test_every_example_runs(examples, cache, tmp_path, monkeypatch, example):
     """Run it to its end or, where it would take long, to where all its input is read and checked."""
-
-    def reached(*arguments, **named):
-        raise ReachedError
-
     program, *words = shlex.split(example)
     assert program == "boresight"
-    for name in LONG:
-        monkeypatch.setattr(name, reached)
-    monkeypatch.chdir(place)
+    stop_before_long(monkeypatch)
+    monkeypatch.chdir(examples)
     if "--clear" in words:
         shutil.copytree(cache / words[-1], tmp_path / words[-1])
         monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path))
-    try:
-        assert main(words) == 0
-    except ReachedError:
-        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch")
+    assert run_command(words) == 0
 
 
 @pytest.mark.parametrize("name", sorted(PAGES))

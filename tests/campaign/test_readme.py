@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from page_blocks import blocks_of, install_entry_points, python_path
 
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.resolve import resolve
@@ -18,7 +19,6 @@ from boresight.campaign.trial.kind import kind_named
 from boresight.scenarios.known import known_on_board, merged
 
 README = Path(__file__).parents[2] / "README.md"
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -32,37 +32,21 @@ def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
         **os.environ,
         "PATH": path,
         "BORESIGHT_CACHE": str(folder / "cache"),
-        "PYTHONPATH": _python_path(folder),
+        "PYTHONPATH": python_path(folder),
     }
-    for language, body in BLOCK.findall(section):
-        if language == "bash":
+    for block in blocks_of(section):
+        if block.language == "bash":
             done = subprocess.run(
-                ["bash", "-euo", "pipefail", "-c", body],
+                ["bash", "-euo", "pipefail", "-c", block.body],
                 cwd=folder, env=environment, capture_output=True, text=True, check=False,
             )  # fmt: skip
-            assert done.returncode == 0, f"{body}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-        elif language == "toml":
-            _install(folder, tomllib.loads(body)["project"]["entry-points"])
+            assert done.returncode == 0, f"{block.body}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+        elif block.language == "toml":
+            install_entry_points(folder, block.body)
         else:
-            name = re.match(r"# file: (\S+)\n", body)
-            assert name is not None, f"a {language} block names no file:\n{body}"
-            (folder / name.group(1)).write_text(body, encoding="utf-8")
+            assert block.file, f"a {block.language} block names no file:\n{block.body}"
+            block.write(folder)
     return folder
-
-
-def _python_path(folder: Path) -> str:
-    return os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
-
-
-def _install(folder: Path, groups: dict[str, dict[str, str]]) -> None:
-    """Leave the entry points of the user's package as pip would."""
-    info = folder / "my_estimator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_estimator\nVersion: 1.0\n")
-    lines = [
-        line for group, names in groups.items() for line in (f"[{group}]", *(f"{n} = {o}" for n, o in names.items()))
-    ]
-    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize(("run", "trials"), [("my_run", 20), ("real_run", 18)])

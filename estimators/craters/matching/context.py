@@ -57,7 +57,7 @@ class ContextMatcher:
 
     Cost
     ----
-    0.015 s a pair of ``eros-crater-pairs``, 20 detections an image.
+    0.015 s a pair of ``eros-crater-pairs``, about 20 detections an image.
 
     Source
     ------

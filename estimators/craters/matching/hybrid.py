@@ -71,7 +71,7 @@ class HybridMatcher:
 
     Cost
     ----
-    0.023 s a pair of ``eros-crater-pairs``, 20 detections an image, without pixels to correlate.
+    0.023 s a pair of ``eros-crater-pairs``, about 20 detections an image, without pixels to correlate.
 
     Source
     ------

@@ -49,7 +49,7 @@ class InvariantMatcher:
 
     Cost
     ----
-    0.003 s a pair of ``eros-crater-pairs``, 20 detections an image.
+    0.003 s a pair of ``eros-crater-pairs``, about 20 detections an image.
 
     Source
     ------

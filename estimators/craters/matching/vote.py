@@ -52,7 +52,7 @@ class VoteMatcher:
 
     Cost
     ----
-    0.035 s a pair of ``eros-crater-pairs``, 20 detections an image.
+    0.035 s a pair of ``eros-crater-pairs``, about 20 detections an image.
 
     Source
     ------
