@@ -1,4 +1,4 @@
-"""The README's tutorial works as it is printed."""
+"""The README's examples work as they are printed, and what it and the pages of the papers say holds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from page_blocks import blocks_of, install_entry_points, python_path
+from page_blocks import blocks_of
 
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.resolve import resolve
@@ -22,62 +22,71 @@ README = Path(__file__).parents[2] / "README.md"
 
 
 @pytest.fixture(scope="module")
-def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write every file of the tutorial and run every command, in the order of the page."""
-    folder = tmp_path_factory.mktemp("tutorial")
-    text = README.read_text(encoding="utf-8")
-    section = text[text.index("## Tutorial") : text.index("## More")]
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {
-        **os.environ,
-        "PATH": path,
-        "BORESIGHT_CACHE": str(folder / "cache"),
-        "PYTHONPATH": python_path(folder),
-    }
-    for block in blocks_of(section):
-        if block.language == "bash":
-            done = subprocess.run(
-                ["bash", "-euo", "pipefail", "-c", block.body],
-                cwd=folder, env=environment, capture_output=True, text=True, check=False,
-            )  # fmt: skip
-            assert done.returncode == 0, f"{block.body}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-        elif block.language == "toml":
-            install_entry_points(folder, block.body)
-        else:
-            assert block.file, f"a {block.language} block names no file:\n{block.body}"
-            block.write(folder)
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the files of the page, with its estimator in its campaign."""
+    folder = tmp_path_factory.mktemp("examples")
+    blocks = blocks_of(README.read_text(encoding="utf-8"))
+    for block in (block for block in blocks if block.file):
+        block.write(folder)
+    file = folder / "my_campaign.yaml"
+    file.write_text(file.read_text().replace("lmaps]", "lmaps, my_estimator.py:Correlate]"))
     return folder
 
 
-@pytest.mark.parametrize(("run", "trials"), [("my_run", 20), ("real_run", 18)])
-def test_both_campaigns_improve_on_the_prior(tutorial: Path, run: str, trials: int):
-    rows = pd.read_parquet(tutorial / run / "rows")
-    found = rows[rows["estimator"] == "landmark-harris"]
-    assert len(found) == trials
-    assert (found["status"] == "ok").sum() >= 0.8 * trials
-    assert found["position_error_m"].median() < found["prior_position_error_m"].median()
+def run(folder: Path, *words: str) -> str:
+    """Run a command as a user does, and return what it prints on a wide terminal."""
+    done = subprocess.run(
+        [sys.executable, "-m", "boresight", *words],
+        cwd=folder, env={**os.environ, "COLUMNS": "200"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{words}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+    return done.stdout
 
 
-def test_the_real_campaign_names_its_images(tutorial: Path):
-    rows = pd.read_parquet(tutorial / "real_run" / "rows")
-    assert sorted(set(rows["image"])) == [f"{i}.png" for i in range(6)]
-    assert (tutorial / "real_run" / "report" / "report.html").stat().st_size > 10_000
+def test_the_page_is_one_page():
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_the_estimator_of_the_page_stands_beside_ours(tutorial: Path):
-    rows = pd.read_parquet(tutorial / "my_comparison" / "rows")
-    assert rows.groupby("estimator").size().to_dict() == {"prior": 20, "my-centroid": 20, "landmark-harris": 20}
+def test_the_examples_of_the_page_run(examples: Path):
+    run(examples, "run", "my_campaign.yaml", "--trials", "8", "--out", "short", "--no-report")
+    rows = pd.read_parquet(examples / "short" / "rows")
+    assert set(rows["estimator"]) == {"prior", "landmark-harris", "lmaps", "Correlate"}
+    assert (rows.query("estimator != 'landmark-harris'")["status"] == "ok").all()
     median = rows.groupby("estimator")["position_error_m"].median()
-    assert (rows["status"] == "ok").all()
-    assert median["my-centroid"] < 0.8 * median["prior"]
+    assert median["lmaps"] < 0.5 * median["prior"]
+    assert median["Correlate"] < 0.8 * median["prior"]
+    assert "Correlate" in run(examples, "compare", "short", "--by", "estimator")
 
 
-LINES = [line for line in README.read_text(encoding="utf-8").splitlines() if "Known exactly: " in line]
+@pytest.mark.long
+def test_the_examples_print_what_the_page_says(examples: Path):
+    printed = run(examples, "run", "my_campaign.yaml", "--out", "my_run")
+    printed += run(examples, "compare", "my_run", "--by", "estimator")
+    texts = [
+        block.body
+        for block in blocks_of(README.read_text(encoding="utf-8"))
+        if "my_run" in block.body or "my_campaign" in block.body
+    ]
+    told = [line.split() for text in texts for line in text.splitlines() if " [" in line]
+    assert len(told) > 10
+    lines = [line.split() for line in printed.splitlines()]
+    assert [line for line in told if line not in lines] == []
+
+
+PAGES = (README, *sorted((README.parent / "docs" / "papers").glob("*.md")))
+LINES = sorted(
+    {
+        line.removeprefix("- ")
+        for page in PAGES
+        for line in page.read_text(encoding="utf-8").splitlines()
+        if re.match(r"(- )?`[\w-]+`.*Known exactly: ", line)
+    }
+)
 
 
 def test_every_table_of_results_says_what_was_known_on_board():
     text = README.read_text(encoding="utf-8")
-    results = text[text.index("## What comes out") : text.index("## Campaigns")]
+    results = text[text.index("## What comes out") : text.index("## What is in it")]
     _, *after = results.split("\n|---")
     assert after
     assert all("Known exactly: " in part for part in after)
@@ -100,7 +109,7 @@ def test_what_was_known_on_board_is_what_the_scenarios_say(line: str):
 
 
 def test_headline_campaigns_draw_several_data_bases():
-    """Intervals that README prints include the variation between data bases, wherever the kind of trial has several."""
+    """Intervals that are printed include the variation between data bases, wherever the kind of trial has several."""
     named = {name for line in LINES for name in re.findall(r"`([\w-]+)`", line.partition("Known exactly: ")[0])}
     specs = [resolve(name).spec for name in sorted(named & set(campaign_names()))]
     databases = {spec.name: spec.databases for spec in specs if kind_named(spec.experiment).databases}

@@ -1,26 +1,21 @@
-"""Estimators of sequences of third parties: the page of the README as it is printed, and what breaks the contract."""
+"""Estimators of sequences of third parties: those of the page on them, and what breaks the contract."""
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from page_blocks import blocks_of
 
 from boresight.campaign.cli import main
 from boresight.estimators.slam.dead_reckoning import DeadReckoning
 from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from boresight.scenarios.errors import BoresightError
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-SECTION = README[README.index("## Sequences") : README.index("## Tutorial")]
-BLOCKS = {
-    name: body
-    for _, body in re.findall(r"^```(\w+)\n(.*?)^```$", SECTION, re.MULTILINE | re.DOTALL)
-    for name in re.findall(r"\A# file: (\S+)\n", body)
-}
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md"
+BLOCKS = {block.file: block.body for block in blocks_of(PAGE.read_text(encoding="utf-8")) if block.file}
 
 
 def install(folder, monkeypatch, module, lines):
@@ -34,22 +29,21 @@ def install(folder, monkeypatch, module, lines):
     monkeypatch.delitem(sys.modules, "my_slam", raising=False)
 
 
-def test_the_readmes_estimator_runs_beside_ours_on_the_readmes_orbit(tmp_path, monkeypatch, capsys):
-    table = re.search(r"\[project\.entry-points\.\"(.*?)\"\]\n(\w.*)", SECTION)
-    assert table[1] == "boresight.sequence_estimators"
-    install(tmp_path, monkeypatch, BLOCKS["my_slam.py"], [table[2].replace('"', "")])
-    for name in ("my_orbit.yaml", "my_orbits.yaml"):
-        (tmp_path / name).write_text(BLOCKS[name], encoding="utf-8")
+def test_the_estimator_of_the_page_runs_next_to_ours_by_file_and_by_entry_point(tmp_path, monkeypatch, capsys):
+    install(tmp_path, monkeypatch, BLOCKS["my_slam.py"], ["drift = my_slam:Drift"])
+    campaign = BLOCKS["my_orbits.yaml"].replace("my_slam.py:Drift", "my_slam.py:Drift, drift")
+    (tmp_path / "my_orbits.yaml").write_text(campaign, encoding="utf-8")
     assert main(["list", "--all"]) == 0
     assert "drift" in capsys.readouterr().out
     out = tmp_path / "out"
     short = ["--set", "sequence.orbit.revolutions=0.2", "--trials", "2", "--jobs", "1", "--worst", "0"]
     assert main(["run", str(tmp_path / "my_orbits.yaml"), *short, "--out", str(out)]) == 0
     rows = pd.read_parquet(out / "rows")
-    assert sorted(rows["estimator"]) == ["drift", "drift", "fixed-lag", "fixed-lag"]
-    drift = rows[rows["estimator"] == "drift"]
-    assert (drift["status"] == "ok").all()
-    assert drift["position_error_m"].gt(10.0).all()
+    assert rows.groupby("estimator").size().to_dict() == {"Drift": 2, "drift": 2, "fixed-lag": 2}
+    by_file, by_name = (rows[rows["estimator"] == name] for name in ("Drift", "drift"))
+    assert (by_file["status"] == "ok").all()
+    assert by_file["position_error_m"].gt(10.0).all()
+    assert by_file["position_error_m"].tolist() == by_name["position_error_m"].tolist()
 
 
 def test_a_name_of_ours_stays_ours(tmp_path, monkeypatch):
