@@ -22,7 +22,7 @@ extensions = [
     "sphinx_design",
 ]
 exclude_patterns = ["_ext", "_static", "README-draft.md"]
-nitpicky = False
+smartquotes = False  # they turn the two hyphens of an option into a dash
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "fieldlist"]
 myst_heading_anchors = 3

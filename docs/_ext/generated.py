@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import get_args
 
 from sphinx.application import Sphinx
 from sphinx.domains.std import ConfigurationValue
@@ -113,14 +114,14 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def _keys(model: type[SpecModel], kind: str, prefix: str = "", options: bool = False) -> Iterator[str]:
+def _keys(model: type[SpecModel], kind: str, prefix: str = "") -> Iterator[str]:
     """Yield the keys of a model and, under headings, of its sections; a model that was described is linked."""
     described: dict[type[SpecModel], str] = {}
 
     def section(model: type[SpecModel], path: str, level: int, suffix: str = "") -> Iterator[str]:
         keys = [key for key in keys_of(model) if not (suffix and key.name == "kind")]
         for key in keys:
-            yield _key(key, path, kind, prefix, suffix, level)
+            yield _key(key, path, kind, prefix, suffix)
         for key in keys:
             yield from below(key, f"{path}{key.name}", level)
 
@@ -137,7 +138,7 @@ def _keys(model: type[SpecModel], kind: str, prefix: str = "", options: bool = F
             yield f"{key.meaning}." if several else ""
         for one in key.sections:
             described[one] = path
-            law = one.model_fields["kind"].annotation.__args__[0] if several and "kind" in one.model_fields else ""
+            law = get_args(one.model_fields["kind"].annotation)[0] if several and "kind" in one.model_fields else ""
             yield f"{mark}# `{path}` with `kind: {law}`" if law else ""
             yield words_of(one)
             named = "NAME." if key.type == "section of names" else ""
@@ -150,16 +151,15 @@ def _anchor(kind: str, prefix: str, path: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", f"{kind}-section-{prefix}{path}".lower()).strip("-")
 
 
-def _key(key: Key, path: str, kind: str, prefix: str, suffix: str, level: int) -> str:
+def _key(key: Key, path: str, kind: str, prefix: str, suffix: str) -> str:
     """Write one key: its name, type, unit and default, and its meaning."""
     name = f"{prefix}{path}{key.name}" + (f" ({suffix})" if suffix else "")
     default = "required" if key.default is None else f"default `{key.default}`"
     if key.default in ("left out", "the name of the file", "the defaults of its keys"):
         default = f"default: {key.default}"
     facts = ", ".join(filter(None, (_escaped(key.type), key.unit)))
-    return (
-        f"```{{{kind}}} {name}\n{{.key-facts}}\n{facts} · {default}\n\n{key.meaning}{'.' if key.meaning else ''}\n```"
-    )
+    head = f"```{{{kind}}} {name}\n:no-contents-entry:\n"
+    return f"{head}\n{{.key-facts}}\n{facts} · {default}\n\n{key.meaning}{'.' if key.meaning else ''}\n```"
 
 
 def _escaped(text: str) -> str:
@@ -208,7 +208,7 @@ def _command_line() -> str:
 
 
 def _whole(text: str) -> Iterator[str]:
-    """Yield the text below ``boresight --help``: a table under the heading of each group of lines."""
+    """Yield the text below ``boresight --help``: a list under the heading of each group of lines."""
     for group in text.strip().split("\n\n"):
         heading, *lines = group.splitlines()
         yield f"## {heading.removesuffix(':').capitalize()}"
@@ -220,7 +220,7 @@ def _whole(text: str) -> Iterator[str]:
             else:
                 # A line of one column continues the one before.
                 rows[-1][1] += f" {parts[0]}"
-        yield _table(("", ""), {f"`{one}`": _escaped(other) for one, other in rows})
+        yield "\n\n".join(f"`{one}`\n: {_escaped(other)}" for one, other in rows)
 
 
 def _argument(action: argparse.Action) -> str:
@@ -233,7 +233,7 @@ def _argument(action: argparse.Action) -> str:
 
 
 def _python() -> Iterator[tuple[str, str]]:
-    missing = set(boresight.__all__) ^ {name for names in PYTHON.values() for name in names}
+    missing = set(dir(boresight)) ^ {name for names in PYTHON.values() for name in names}
     if missing:
         raise ValueError(f"docs/_ext/generated.py: PYTHON and the names of the package differ by {sorted(missing)}")
     told = ["# Python", (boresight.__doc__ or "").split("\n\n")[0]]
