@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
+# The tests start many processes: without compiled modules each of them compiles boresight, and pytest all tests, again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: quickstart test test-data test-long lint docs clean
 

@@ -1,12 +1,17 @@
-"""One set of compiled kernels for all tests, and mission data for the tests alone that are marked ``data``."""
+"""One set of compiled kernels for all tests, mission data for tests marked ``data``, and what each test costs."""
 
 from __future__ import annotations
 
+import json
 import os
+import resource
+import time
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 from mission_data import GIVEN, skip_without
+from yardstick import yardstick_s
 
 from boresight.scenarios.cache import default_cache
 
@@ -19,17 +24,48 @@ if os.environ.get("BORESIGHT_DATA") != NO_DATA:
     os.environ[GIVEN] = os.environ.get("BORESIGHT_DATA", "")
     os.environ["BORESIGHT_DATA"] = NO_DATA
 
+TIMES = os.environ.get("BORESIGHT_TEST_TIMES", "")
+"""Folder for the processor times of the tests, one file for each process (see ``tests/folder_times.py``)."""
+
+
+def processor_s() -> float:
+    """Return the processor time of this process and of its children that have ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def note(what: str, seconds: float) -> None:
+    """Write down a processor time of this process, if times are wanted."""
+    if TIMES:
+        with (Path(TIMES) / f"{os.getpid()}.jsonl").open("a") as stream:
+            stream.write(json.dumps([what, seconds]) + "\n")
+
+
+def pytest_collection_finish() -> None:
+    """Note what importing and collecting took, and the yardstick a first time; tests of tests note nothing."""
+    if TIMES:
+        del os.environ["BORESIGHT_TEST_TIMES"]
+        note("collecting", processor_s())
+        note("yardstick", yardstick_s())
+
+
+def pytest_sessionfinish() -> None:
+    """Note the yardstick a second time, in processes that ran tests."""
+    if TIMES and "BORESIGHT_TEST_TIMES" not in os.environ:
+        note("yardstick", yardstick_s())
+
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Show the data folder to a marked test and its fixtures, and to no other."""
-    if item.get_closest_marker("data") is None:
-        return (yield)
-    os.environ["BORESIGHT_DATA"] = os.environ[GIVEN]
+    """Show the data folder to a marked test and its fixtures, and to no other; add up what the test costs."""
+    before = processor_s()
+    if item.get_closest_marker("data") is not None:
+        os.environ["BORESIGHT_DATA"] = os.environ[GIVEN]
     try:
         return (yield)
     finally:
         os.environ["BORESIGHT_DATA"] = NO_DATA
+        note(item.nodeid, processor_s() - before)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
