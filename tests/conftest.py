@@ -9,14 +9,20 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
+import cv2  # noqa: F401  has a BLAS of its own
 import pytest
+import scipy.linalg  # noqa: F401  has another than numpy
 from mission_data import GIVEN, skip_without
+from threadpoolctl import threadpool_limits
 from yardstick import yardstick_s
 
 from boresight.scenarios.cache import default_cache
 
 # Each cache of its own would compile the kernels again, which takes a minute.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache().root / "kernels"))
+
+# As in the workers of a run: OpenBLAS's threads spin while they wait. Commands that tests start set their own limits.
+threadpool_limits(limits=1, user_api="blas")
 
 # xdist's workers inherit both variables from the process that starts them.
 NO_DATA = "/no-mission-data"
