@@ -66,7 +66,7 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model = BundleOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

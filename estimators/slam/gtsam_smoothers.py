@@ -128,7 +128,7 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
     """
 
     name: ClassVar[str] = "gtsam-isam2"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = GtsamOptions
 
     @classmethod
@@ -166,7 +166,7 @@ class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
     """
 
     name: ClassVar[str] = "gtsam-fixed-lag"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = GtsamFixedLagOptions
 
     @classmethod

@@ -121,7 +121,7 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
     """
 
     name: ClassVar[str] = "loop-smoother"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model = LoopOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -247,14 +247,7 @@ class SlamMap:
         rays = rows_of_3([self.ray(view, track) for track, views in seen for view in views])
         origins = rows_of_3([self.positions_m[view] for _, views in seen for view in views])
         begin = np.array(list(accumulate((len(views) for _, views in seen), initial=0)))
-        matrix, right = kernels.triangulation_equations(origins, rays, begin)
-        # Of two lines at an angle a the least eigenvalue is 1 - cos a, about a^2 / 2: 1e-12 is a parallax of 1.4e-6
-        # rad, far below the noise of any pixel.
-        parallel = np.linalg.eigvalsh(matrix)[:, 0] < 1e-12
-        matrix[parallel] = np.eye(3)
-        points = np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0], dtype=np.float64)
-        kernels.place_implausible(points, parallel, origins, rays, begin, np.array(depths_m))
-        return points
+        return kernels.triangulate(origins, rays, begin, np.array(depths_m))
 
     def _motion_information(self, view: int) -> FloatArray:
         """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""

@@ -64,7 +64,7 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     """
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model = SmootherOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -94,7 +94,7 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
     """
 
     name: ClassVar[str] = "batch"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     options_model = BatchOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -82,8 +82,8 @@ def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Adjustmen
     The damping starts at 1e-6 of the mean diagonal of the normal matrix.
     """
     start = floats(state.positions_m), floats(state.points_m)
-    positions, points, value, iterations, converged = descent.minimise(
-        problem.flat, *start, rule.step_m, rule.iterations
+    positions, points, value, iterations, converged = descent.minimise_arrays(
+        *start, rule.step_m, rule.iterations, *problem.flat
     )
     return AdjustmentSolution(State(positions, points), value, iterations, converged)
 

@@ -19,7 +19,6 @@ from boresight.estimators.slam.bundle import BundleSlam
 from boresight.estimators.slam.compiled import descent, equations, tracks
 from boresight.estimators.slam.compiled import envelope as packed
 from boresight.estimators.slam.compiled import problem as flat_problem
-from boresight.estimators.slam.compiled import residuals as residual_kernels
 from boresight.estimators.slam.normal import VariableOrdering, cost, normal_equations
 from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from boresight.estimators.slam.slam_map import SlamMap
@@ -102,21 +101,20 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
 def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
-    residuals = np.empty((residual_kernels.RESIDUAL_ROWS, len(problem.pixels.view)))
-    assert residual_kernels.evaluate_residuals(problem.flat, *at, residuals) == pytest.approx(
-        cost(problem, state), rel=1e-12
-    )
     ordering = flat_problem.make_ordering(problem.flat)
-    system = equations.linearise(problem.flat, ordering, *at, residuals)
+    value, system = equations.linearise(problem.flat, ordering, *at)
+    assert value == pytest.approx(cost(problem, state), rel=1e-12)
     done, matrix, right, inverse = descent.reduced(system, ordering, 0.3)
     assert done
     expected, expected_right, expected_inverse = normal_equations(problem, state, VariableOrdering.of(problem)).reduced(
         0.3
     )
+    lanes = ordering.landmark[: ordering.eliminated]
+    by_landmark = np.swapaxes(inverse.reshape(-1, 6, flat_problem.LANES), 1, 2)[lanes >= 0]
     for found, wanted in [
         (packed.dense(matrix, ordering.shape), expected),
         (right, expected_right),
-        (inverse, expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
+        (by_landmark[np.argsort(lanes[lanes >= 0])], expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
     ]:
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max(initial=1.0))
 
@@ -168,24 +166,22 @@ def test_minimum_is_that_of_numpy(seed: int) -> None:
 
 
 def test_points_are_triangulated_as_by_the_shared_equations() -> None:
-    """Bit for bit; a point with an implausible depth, or on parallel lines, is at the given depth on its last line."""
+    """A point with an implausible depth, or on parallel lines, is at the given depth on its last line."""
     rng = np.random.default_rng(8)
-    begin = np.array([0, 2, 5, 7, 9])
-    rays, origins = rng.normal(size=(9, 3)), 100.0 * rng.normal(size=(9, 3))
+    begin, true = np.array([0, 2, 5, 7, 9]), 100.0 * rng.normal(size=(4, 3))
+    rows = np.repeat(range(4), np.diff(begin))
+    rays = rng.normal(size=(9, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rays[8] = rays[7]
-    found = tracks.triangulation_equations(origins, rays, begin)
+    # Lines that miss their points by about 0.1 m, at depths of 40 to 60 m.
+    origins = true[rows] - rng.uniform(40.0, 60.0, (9, 1)) * rays + 0.1 * rng.normal(size=(9, 3))
     nothing = np.zeros((4, 3, 3)), np.zeros((4, 3))
-    expected = triangulation_equations(LinesOfSight(origins, rays), np.repeat(range(4), np.diff(begin)), nothing)
-    np.testing.assert_array_equal(found[0], expected[0])
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-15)
-    points, depths = origins[begin[:-1]] + 50.0 * rays[begin[:-1]], np.array([40.0, 900.0, 1.0, 50.0])
-    origins[1] = points[0] - 60.0 * rays[1]  # the first point is at 50 m and 60 m
-    placed = points.copy()
-    tracks.place_implausible(placed, np.array([False, False, False, True]), origins, rays, begin, depths)
+    matrix, right = triangulation_equations(LinesOfSight(origins, rays), rows, nothing)
+    depths = np.array([40.0, 50.0, 1.0, 50.0])
+    found = tracks.triangulate(origins, rays, begin, depths)
+    np.testing.assert_allclose(found[:2], np.linalg.solve(matrix[:2], right[:2, :, None])[:, :, 0], rtol=1e-12)
     last = begin[1:] - 1
-    np.testing.assert_array_equal(placed[0], points[0])
-    np.testing.assert_allclose(placed[1:], (origins[last] + depths[:, None] * rays[last])[1:], rtol=1e-15)
+    np.testing.assert_allclose(found[2:], (origins[last] + depths[:, None] * rays[last])[2:], rtol=1e-15)
 
 
 def test_landmark_behind_its_camera_costs_infinity_as_with_numpy() -> None:

@@ -137,9 +137,9 @@ def _descend(problem, system, state, value, damping):
     """Increase the damping until the cost does not increase; None if it increases for every step.
 
     Returns the new state, the longest step of a variable (m), and the damping to begin with next time. Rounding may
-    raise the cost by some parts in 1e12 at the minimum.
+    raise the cost by some parts in 1e12 at the minimum, first-estimates Jacobians by some in 1e6.
     """
-    step = 0.0
+    step, slack = 0.0, 1e-12 if problem.frozen is None else 1e-6
     for _ in range(25):
         try:
             kept_step, eliminated_step = _solve(system, damping)
@@ -148,7 +148,7 @@ def _descend(problem, system, state, value, damping):
             continue
         step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(eliminated_step).max(initial=0.0)))
         trial = system.stepped(state, kept_step, eliminated_step)
-        if cost(problem, trial) <= value + 1e-12 * abs(value) + 1e-18:
+        if cost(problem, trial) <= value + slack * abs(value) + 1e-18:
             return trial, step, 0.1 * damping
         damping *= 10.0
     return None, step, damping

@@ -7,14 +7,15 @@ equations are ``B dx + W de = -g`` and ``W' dx + V de = -h``. Eliminating de lea
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
 from boresight.estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
-from boresight.estimators.slam.compiled.equations import FlatEquations, linearise
-from boresight.estimators.slam.compiled.problem import FlatOrdering, FlatProblem, make_ordering
-from boresight.estimators.slam.compiled.residuals import RESIDUAL_ROWS, evaluate_residuals
+from boresight.estimators.slam.compiled.equations import FlatEquations, lane_sum, linearise, six
+from boresight.estimators.slam.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -24,17 +25,17 @@ IndexArray = NDArray[np.int64]
 def reduced(
     system: FlatEquations, ordering: FlatOrdering, damping: float
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
-    """Reduced matrix in its envelope, right-hand side (3n,), inverse blocks (e, 6) of the eliminated landmarks.
+    """Reduced matrix in its envelope, right-hand side (3n,), inverse blocks (G, 6 LANES) of the eliminated landmarks.
 
     The first value is False if a landmark is not determined.
     """
     # Copies, because rejected steps reduce the same system again with other dampings.
-    matrix, right = system.kept.copy(), -system.kept_gradient.ravel()
-    add_diagonal(matrix, ordering.shape, damping)
-    inverse = np.empty((len(ordering.eliminated), 6))
-    for g in range(len(ordering.eliminated)):
+    shape, matrix, right = ordering.shape, system.kept.copy(), -system.kept_gradient.ravel()
+    add_diagonal(matrix, shape, damping)
+    inverse = np.empty((ordering.eliminated, 6 * LANES))
+    for g in range(ordering.eliminated):
         # The damping of eq. (4) is on the whole diagonal, so that it has to be added before the elimination.
-        if not _invert(system.eliminated, ordering.eliminated[g], damping, inverse, g):
+        if not _invert(system.by_point, ordering.landmark, g, damping, inverse):
             return False, matrix, right, inverse
     _subtract_landmarks(system, ordering, inverse, matrix, right)
     return True, matrix, right, inverse
@@ -44,98 +45,135 @@ def reduced(
 def _subtract_landmarks(
     system: FlatEquations, ordering: FlatOrdering, inverse: FloatArray, matrix: FloatArray, right: FloatArray
 ) -> None:
-    """Subtract the Schur complement's coupling terms W V^-1 W' and W V^-1 g of the eliminated landmarks, in place."""
-    link, slots, terms = ordering.link, ordering.link_slot, system.terms
-    for g in range(len(ordering.eliminated)):
-        begin, end, own = ordering.link_begin[g], ordering.link_begin[g + 1], np.uintp(ordering.eliminated[g])
-        px, py, pz = system.eliminated[own, 6], system.eliminated[own, 7], system.eliminated[own, 8]
-        # A coupling block is -A'A, the negative of the stored term. The sign cancels in W V^-1 W' and remains in W V^-1
-        # h, which is therefore subtracted below.
-        i0, i1, i2, i3, i4, i5 = six(inverse, g)
-        for a in range(begin, end):
-            slot = slots[a]
-            block = six(terms, link[a])
-            x0, x1, x2 = times(block, i0, i1, i2)  # columns of the block times the inverse
-            y0, y1, y2 = times(block, i1, i3, i4)
-            z0, z1, z2 = times(block, i2, i4, i5)
-            right[3 * slot] -= x0 * px + y0 * py + z0 * pz
-            right[3 * slot + 1] -= x1 * px + y1 * py + z1 * pz
-            right[3 * slot + 2] -= x2 * px + y2 * py + z2 * pz
-            width = ordering.shape.width[slot]
-            corner = ordering.shape.begin[slot] - 3 * slot
-            # Only the upper triangle is stored. A view with a pixel and a distance to the landmark has two links with
-            # the same slot: both orders of the pair pass the test, and both belong to its diagonal block.
-            for b in range(begin, end):
-                if slots[b] >= slot:
-                    at = corner + 3 * slots[b]
-                    other = six(terms, link[b])
-                    _subtract(matrix, at, times(other, x0, y0, z0))
-                    _subtract(matrix, at + width, times(other, x1, y1, z1))
-                    _subtract(matrix, at + 2 * width, times(other, x2, y2, z2))
+    """Subtract the Schur complement's terms W V^-1 W' and W V^-1 h of the eliminated landmarks, in place."""
+    shape, slots, terms, sums = ordering.shape, ordering.view_slot, system.terms, system.by_point
+    # Rows and columns of the free views; the eliminated landmarks take nothing from those of the kept ones.
+    views = ordering.views
+    begin = np.zeros(views + 1, np.int64)
+    for i in range(views):
+        begin[i + 1] = begin[i] + min(shape.reach[i] + 1, views) - i
+    # The sums of each lane, and the product of its coupling block with its inverse.
+    blocks, pulls = np.zeros((begin[views], 9 * LANES)), np.zeros((views, 3 * LANES))
+    product = np.empty(9 * LANES)
+    lanes = terms.shape[1] // 9
+    for g in range(ordering.eliminated):
+        end = ordering.begin[g + 1]
+        for cell in range(ordering.begin[g], end):
+            i = cell + ordering.offset[g]
+            slot = slots[i]
+            if slot < 0:
+                continue
+            for k in range(lanes):
+                a, b, c = terms[cell, k], terms[cell, LANES + k], terms[cell, 2 * LANES + k]
+                d, e, f = terms[cell, 3 * LANES + k], terms[cell, 4 * LANES + k], terms[cell, 5 * LANES + k]
+                p, q, r = inverse[g, k], inverse[g, LANES + k], inverse[g, 2 * LANES + k]
+                s, t, u = inverse[g, 3 * LANES + k], inverse[g, 4 * LANES + k], inverse[g, 5 * LANES + k]
+                product[k], product[LANES + k] = a * p + b * q + c * r, a * q + b * s + c * t
+                product[2 * LANES + k], product[3 * LANES + k] = a * r + b * t + c * u, b * p + d * q + e * r
+                product[4 * LANES + k], product[5 * LANES + k] = b * q + d * s + e * t, b * r + d * t + e * u
+                product[6 * LANES + k], product[7 * LANES + k] = c * p + e * q + f * r, c * q + e * s + f * t
+                product[8 * LANES + k] = c * r + e * t + f * u
+            for row in range(3):
+                for k in range(lanes):
+                    pulls[slot, row * LANES + k] += (
+                        product[3 * row * LANES + k] * sums[g, 6 * LANES + k]
+                        + product[(3 * row + 1) * LANES + k] * sums[g, 7 * LANES + k]
+                        + product[(3 * row + 2) * LANES + k] * sums[g, 8 * LANES + k]
+                    )
+            for other in range(cell, end):
+                column = slots[i + other - cell]
+                if column < 0:
+                    continue
+                # Only the upper triangle is stored, and the slots of free views are consecutive.
+                at = begin[slot] + column - slot
+                for k in range(lanes):
+                    a, b, c = terms[other, k], terms[other, LANES + k], terms[other, 2 * LANES + k]
+                    d, e, f = terms[other, 3 * LANES + k], terms[other, 4 * LANES + k], terms[other, 5 * LANES + k]
+                    x, y, z = product[k], product[LANES + k], product[2 * LANES + k]
+                    blocks[at, k] += x * a + y * b + z * c
+                    blocks[at, LANES + k] += x * b + y * d + z * e
+                    blocks[at, 2 * LANES + k] += x * c + y * e + z * f
+                    x, y, z = product[3 * LANES + k], product[4 * LANES + k], product[5 * LANES + k]
+                    blocks[at, 3 * LANES + k] += x * a + y * b + z * c
+                    blocks[at, 4 * LANES + k] += x * b + y * d + z * e
+                    blocks[at, 5 * LANES + k] += x * c + y * e + z * f
+                    x, y, z = product[6 * LANES + k], product[7 * LANES + k], product[8 * LANES + k]
+                    blocks[at, 6 * LANES + k] += x * a + y * b + z * c
+                    blocks[at, 7 * LANES + k] += x * b + y * d + z * e
+                    blocks[at, 8 * LANES + k] += x * c + y * e + z * f
+    # A coupling block is -A'A, the negative of the stored term. The sign cancels in W V^-1 W' and remains in W V^-1 h,
+    # which is therefore subtracted too.
+    for i in range(views):
+        for row in range(3):
+            right[3 * i + row] -= lane_sum(pulls, i, row)
+            start = shape.begin[i] + row * shape.width[i]
+            for block in range(begin[i], begin[i + 1]):
+                for column in range(3):
+                    matrix[start + 3 * (block - begin[i]) + column] -= lane_sum(blocks, block, 3 * row + column)
 
 
 @kernel
-def _subtract(matrix: FloatArray, at: int, taken: tuple[float, float, float]) -> None:
-    """Subtract from three consecutive numbers; an unsigned index saves the test of its sign."""
-    k = np.uintp(at)
-    matrix[k] -= taken[0]
-    matrix[k + np.uintp(1)] -= taken[1]
-    matrix[k + np.uintp(2)] -= taken[2]
+def _invert(sums: FloatArray, landmark: IndexArray, g: int, damping: float, inverse: FloatArray) -> bool:
+    """Invert the symmetric block of each lane plus ``damping`` times the identity; False unless positive definite."""
+    sound = np.empty(LANES)
+    lanes = sums.shape[1] // 9
+    for k in range(lanes):
+        # Empty lanes have the identity.
+        added = damping if landmark[g, k] >= 0 else 1.0
+        a, b, c = sums[g, k] + added, sums[g, LANES + k], sums[g, 2 * LANES + k]
+        d, e, f = sums[g, 3 * LANES + k] + added, sums[g, 4 * LANES + k], sums[g, 5 * LANES + k] + added
+        # The pivots of LDL' test the sign of the block, and the inverse follows without a square root.
+        over = 1.0 / a
+        l1, l2 = b * over, c * over  # LDL'
+        d1 = d - l1 * b
+        over1 = 1.0 / d1
+        l3 = (e - l1 * c) * over1
+        d2 = f - l2 * c - l3 * l3 * d1
+        over2 = 1.0 / d2
+        m = l1 * l3 - l2
+        x, y = m * over2, l3 * over2
+        inverse[g, k], inverse[g, LANES + k] = over + l1 * l1 * over1 + m * x, -l1 * over1 - l3 * x
+        inverse[g, 2 * LANES + k], inverse[g, 3 * LANES + k] = x, over1 + l3 * y
+        inverse[g, 4 * LANES + k], inverse[g, 5 * LANES + k] = -y, over2
+        # NaN is not positive.
+        sound[k] = 1.0 if (a > 0.0) & (d1 > 0.0) & (d2 > 0.0) else 0.0
+    return sound.sum() == LANES
 
 
 @kernel
-def back_substitute(
-    system: FlatEquations, ordering: FlatOrdering, step: FloatArray, inverse: FloatArray, eliminated_step: FloatArray
-) -> None:
-    """Compute the steps (e, 3) of the eliminated landmarks from those (3n,) of the kept variables."""
-    for g in range(len(ordering.eliminated)):
-        own = system.eliminated[ordering.eliminated[g]]
-        x, y, z = -own[6], -own[7], -own[8]
-        for a in range(ordering.link_begin[g], ordering.link_begin[g + 1]):
-            at = 3 * ordering.link_slot[a]
-            # W is minus the stored term, so -W' dx is added.
-            i, j, k = times(six(system.terms, ordering.link[a]), step[at], step[at + 1], step[at + 2])
-            x, y, z = x + i, y + j, z + k
-        eliminated_step[g, 0], eliminated_step[g, 1], eliminated_step[g, 2] = times(six(inverse, g), x, y, z)
+def step_landmarks(
+    system: FlatEquations, ordering: FlatOrdering, step: FloatArray, inverse: FloatArray, points: FloatArray
+) -> float:
+    """Add the steps of the eliminated landmarks to ``points``, given those (3n,) of the kept variables.
 
-
-@kernel
-def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: int) -> bool:
-    """Invert a symmetric 3 x 3 block plus ``damping`` times the identity; False unless it is positive definite."""
-    a, b, c = sums[k, 0] + damping, sums[k, 1], sums[k, 2]
-    d, e, f = sums[k, 3] + damping, sums[k, 4], sums[k, 5] + damping
-    if not a > 0.0:
-        return False
-    # The pivots of LDL' test the sign of the block, and the inverse follows without a square root.
-    l1, l2 = b / a, c / a  # LDL'
-    d1 = d - l1 * b
-    if not d1 > 0.0:
-        return False
-    l3 = (e - l1 * c) / d1
-    d2 = f - l2 * c - l3 * l3 * d1
-    if not d2 > 0.0:
-        return False
-    m = l1 * l3 - l2
-    inverse[g, 0], inverse[g, 1] = 1.0 / a + l1 * l1 / d1 + m * m / d2, -l1 / d1 - l3 * m / d2
-    inverse[g, 2], inverse[g, 3] = m / d2, 1.0 / d1 + l3 * l3 / d2
-    inverse[g, 4], inverse[g, 5] = -l3 / d2, 1.0 / d2
-    return True
-
-
-@kernel
-def six(rows: FloatArray, k: int) -> tuple[float, float, float, float, float, float]:
-    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an unsigned index saves the test of its sign."""
-    i = np.uintp(k)
-    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4], rows[i, 5]
-
-
-@kernel
-def times(
-    block: tuple[float, float, float, float, float, float], x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Product of a symmetric block with a vector."""
-    a, b, c, d, e, f = block
-    return a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+    Returns the longest coordinate of a step.
+    """
+    longest, right, terms = 0.0, np.empty(3 * LANES), system.terms
+    lanes = terms.shape[1] // 9
+    for g in range(ordering.eliminated):
+        for k in range(3 * LANES):
+            right[k] = -system.by_point[g, 6 * LANES + k]
+        for cell in range(ordering.begin[g], ordering.begin[g + 1]):
+            slot = ordering.view_slot[cell + ordering.offset[g]]
+            if slot >= 0:
+                # W is minus the stored term, so -W' dx is added.
+                x, y, z = step[3 * slot], step[3 * slot + 1], step[3 * slot + 2]
+                for k in range(lanes):
+                    b, c, e = terms[cell, LANES + k], terms[cell, 2 * LANES + k], terms[cell, 4 * LANES + k]
+                    right[k] += terms[cell, k] * x + b * y + c * z
+                    right[LANES + k] += b * x + terms[cell, 3 * LANES + k] * y + e * z
+                    right[2 * LANES + k] += c * x + e * y + terms[cell, 5 * LANES + k] * z
+        for lane in range(lanes):
+            j = ordering.landmark[g, lane]
+            if j >= 0:
+                a, b, c, d, e, f = six(inverse, g, lane)
+                x, y, z = right[lane], right[LANES + lane], right[2 * LANES + lane]
+                x, y, z = a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+                longest = max(longest, abs(x), abs(y), abs(z))
+                points[j, 0] += x
+                points[j, 1] += y
+                points[j, 2] += z
+    return longest
 
 
 @kernel
@@ -143,31 +181,26 @@ def minimise(
     problem: FlatProblem, positions: FloatArray, points: FloatArray, step_m: float, iterations: int
 ) -> tuple[FloatArray, FloatArray, float, int, bool]:
     """Minimise from a state by Levenberg-Marquardt: positions, points, cost, steps, and whether it converged."""
-    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
-    value = evaluate_residuals(problem, positions, points, residuals)
+    ordering = make_ordering(problem)
+    value, system = linearise(problem, ordering, positions, points)
     if not np.isfinite(value):
         return positions, points, value, 0, False
-    ordering = make_ordering(problem)
-    # Negative: not yet set.
-    damping = -1.0
+    damping = _first_damping(system, ordering)
+    # Near the minimum the cost may increase by rounding. First-estimates Jacobians are not the derivatives of the cost,
+    # which may increase a little towards the state where their gradient is zero; damping would only delay that.
+    slack = 1e-12 if len(problem.frozen_points_m) == 0 and len(problem.frozen_positions_m) == 0 else 1e-6
     for iteration in range(1, iterations + 1):
-        system = linearise(problem, ordering, positions, points, residuals)
-        if damping < 0.0:
-            damping = _first_damping(system, ordering)
-        # ``residuals`` are those of the state: the search below ends with the accepted one.
-        accepted, longest, best = False, 0.0, value
+        accepted, longest = False, 0.0
         # Raise lambda until the cost decreases: 25 factors of 10 make the longest step vanish against any variable.
         for _ in range(25):
-            solved, kept_step, eliminated_step = _step(system, ordering, damping)
+            solved, length, ahead, points_ahead = _step(system, ordering, damping, positions, points)
             if solved:
-                longest = _longest(kept_step, eliminated_step)
-                ahead = _stepped_rows(positions, ordering.view_slot, kept_step)
-                points_ahead = _stepped_rows(points, ordering.point_slot, kept_step)
-                _add_steps(points_ahead, ordering.eliminated, eliminated_step)
-                best = evaluate_residuals(problem, ahead, points_ahead, residuals)
-                # Near the minimum the cost may increase by rounding; it is infinite with a landmark behind its camera.
-                if best <= value + 1e-12 * abs(value) + 1e-18:
-                    positions, points, value = ahead, points_ahead, best
+                longest = length
+                # In one pass with the next equations, since most steps are accepted.
+                best, next_system = linearise(problem, ordering, ahead, points_ahead)
+                # It is infinite with a landmark behind its camera.
+                if best <= value + slack * abs(value) + 1e-18:
+                    positions, points, value, system = ahead, points_ahead, best, next_system
                     accepted = True
                     break
             damping *= 10.0
@@ -178,6 +211,14 @@ def minimise(
         if longest <= step_m:
             return positions, points, value, iteration, True
     return positions, points, value, iterations, False
+
+
+@kernel
+def minimise_arrays(
+    positions: FloatArray, points: FloatArray, step_m: float, iterations: int, *arrays: Any
+) -> tuple[FloatArray, FloatArray, float, int, bool]:
+    """`minimise` the problem of some arrays: from Python, numba recognises arrays sooner than a tuple of them."""
+    return minimise(FlatProblem(*arrays), positions, points, step_m, iterations)
 
 
 @kernel
@@ -227,11 +268,9 @@ def reduced_at(
     problem: FlatProblem, positions: FloatArray, points: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray, FlatOrdering]:
     """Reduced matrix and right-hand side at a state; the first value is False if a landmark is not determined."""
-    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
-    evaluate_residuals(problem, positions, points, residuals)
     ordering = make_ordering(problem)
     # Without damping, which would count as information.
-    determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points, residuals), ordering, 0.0)
+    determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points)[1], ordering, 0.0)
     return determined, matrix, right, ordering
 
 
@@ -253,57 +292,41 @@ def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     """Return 1e-6 of the mean diagonal of the normal matrix."""
     # Relative to the matrix, so that the damping does not depend on the unit of length. One lambda for all, eq. (4):
     # all variables are positions in metres.
-    total, shape = 0.0, ordering.shape
-    n, e = len(shape.reach), len(ordering.eliminated)
-    # Nothing is free: any damping will do.
-    if n + e == 0:
-        return 1.0
-    for i in range(n):
+    total, shape, count = 0.0, ordering.shape, len(ordering.shape.reach)
+    for i in range(count):
         for row in range(3):
             total += system.kept[shape.begin[i] + row * (shape.width[i] + 1)]
-    for j in ordering.eliminated:
-        total += system.eliminated[j, 0] + system.eliminated[j, 3] + system.eliminated[j, 5]
-    return 1e-6 * total / (3 * (n + e))
+    for g in range(ordering.eliminated):
+        for row in (0, 3, 5):
+            total += lane_sum(system.by_point, g, row)
+        count += np.count_nonzero(ordering.landmark[g] >= 0)
+    # Nothing is free: any damping will do.
+    return 1e-6 * total / (3 * count) if count > 0 else 1.0
 
 
 @kernel
-def _step(system: FlatEquations, ordering: FlatOrdering, damping: float) -> tuple[bool, FloatArray, FloatArray]:
-    """Solve equation (4) for the steps (3n,) of the kept and (e, 3) of the eliminated variables."""
-    eliminated_step = np.empty((len(ordering.eliminated), 3))
+def _step(
+    system: FlatEquations, ordering: FlatOrdering, damping: float, positions: FloatArray, points: FloatArray
+) -> tuple[bool, float, FloatArray, FloatArray]:
+    """Solve equation (4): the longest coordinate of a step, and positions and points after it."""
+    ahead, points_ahead = positions.copy(), points.copy()
     solved, matrix, step, inverse = reduced(system, ordering, damping)
     # A rejected factorisation is answered by more damping.
     if not solved or not factorise(matrix, ordering.shape):
-        return False, step, eliminated_step
+        return False, 0.0, ahead, points_ahead
     solve(matrix, ordering.shape, step)
-    back_substitute(system, ordering, step, inverse, eliminated_step)
-    return True, step, eliminated_step
+    longest = step_landmarks(system, ordering, step, inverse, points_ahead)
+    for value in step:
+        longest = max(longest, abs(value))
+    _add_steps(ahead, ordering.view_slot, step)
+    _add_steps(points_ahead, ordering.point_slot, step)
+    return True, longest, ahead, points_ahead
 
 
 @kernel
-def _longest(kept_step: FloatArray, eliminated_step: FloatArray) -> float:
-    """Return the largest coordinate of all steps."""
-    longest = 0.0
-    for k in range(len(kept_step)):
-        longest = max(longest, abs(kept_step[k]))
-    for step in eliminated_step.flat:
-        longest = max(longest, abs(step))
-    return longest
-
-
-@kernel
-def _stepped_rows(rows: FloatArray, slots: IndexArray, step: FloatArray) -> FloatArray:
-    """Return positions or points after the steps (3n,) of their slots."""
-    ahead = rows.copy()
+def _add_steps(rows: FloatArray, slots: IndexArray, step: FloatArray) -> None:
+    """Add to positions or points the steps (3n,) of their slots in place."""
     for i in range(len(rows)):
         if slots[i] >= 0:
             for axis in range(3):
-                ahead[i, axis] += step[3 * slots[i] + axis]
-    return ahead
-
-
-@kernel
-def _add_steps(rows: FloatArray, which: IndexArray, steps: FloatArray) -> None:
-    """Add steps (e, 3) to some rows in place."""
-    for k in range(len(which)):
-        for axis in range(3):
-            rows[which[k], axis] += steps[k, axis]
+                rows[i, axis] += step[3 * slots[i] + axis]

@@ -60,20 +60,20 @@ def add_entry(values: FloatArray, shape: Envelope, i: int, row: int, j: int, col
 
 
 @kernel
-def add_symmetric(values: FloatArray, shape: Envelope, i: int, j: int, blocks: FloatArray, k: int, sign: float) -> None:
-    """Add a symmetric block, six entries, at block row ``i`` and block column ``j >= i``."""
-    at, width = shape.begin[i] + 3 * (j - i), shape.width[i]
-    values[at] += sign * blocks[k, 0]
-    values[at + 1] += sign * blocks[k, 1]
-    values[at + 2] += sign * blocks[k, 2]
-    at += width
-    values[at] += sign * blocks[k, 1]
-    values[at + 1] += sign * blocks[k, 3]
-    values[at + 2] += sign * blocks[k, 4]
-    at += width
-    values[at] += sign * blocks[k, 2]
-    values[at + 1] += sign * blocks[k, 4]
-    values[at + 2] += sign * blocks[k, 5]
+def add_symmetric(
+    values: FloatArray,
+    shape: Envelope,
+    i: int,
+    j: int,
+    block: tuple[float, float, float, float, float, float],
+    sign: float,
+) -> None:
+    """Add a symmetric block xx, xy, xz, yy, yz, zz at block row ``i`` and block column ``j >= i``."""
+    xx, xy, xz, yy, yz, zz = block
+    for row, entries in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
+        at = shape.begin[i] + row * shape.width[i] + 3 * (j - i)
+        for column in range(3):
+            values[at + column] += sign * entries[column]
 
 
 @kernel

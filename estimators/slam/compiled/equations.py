@@ -1,4 +1,4 @@
-"""Normal equations of an adjustment: the sums of `estimators.slam.normal`, measurement by measurement."""
+"""Cost and normal equations of an adjustment at a state, in one pass over its landmarks."""
 
 from __future__ import annotations
 
@@ -8,72 +8,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
-from boresight.estimators.slam.compiled.envelope import Envelope, add_entry, add_symmetric
-from boresight.estimators.slam.compiled.problem import FlatOrdering, FlatProblem, prior_slots
-from boresight.estimators.slam.compiled.residuals import (
-    RESIDUAL_ROWS,
-    evaluate_residuals,
-    line_of_sight,
-    motion_residual,
-    prior_offset,
-    prior_pull,
-    to_camera_axes,
-)
+from boresight.estimators.slam.compiled.envelope import add_entry, add_symmetric
+from boresight.estimators.slam.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering, prior_slots
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+Block = tuple[float, float, float, float, float, float]
 
 
 class FlatEquations(NamedTuple):
-    """Kept matrix and gradient (n, 3), sums by landmark (L, 9), and the terms of each measurement (m, 9).
+    """Kept matrix and gradient (n, 3), sums by landmark (G, 9 LANES), and terms of the cells (C, 9 LANES).
 
-    Nine numbers are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,).
+    Nine numbers of a lane are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,).
     """
 
     kept: FloatArray
     kept_gradient: FloatArray
-    eliminated: FloatArray
+    by_point: FloatArray
     terms: FloatArray
 
 
 @kernel
 def linearise(
-    problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, points: FloatArray, residuals: FloatArray
-) -> FlatEquations:
-    """Return J' W J and J' W f of equation (3) by blocks, given the ``residuals`` at the same state."""
-    shape, seen = ordering.shape, len(problem.seen_view)
+    problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, points: FloatArray
+) -> tuple[float, FlatEquations]:
+    """Return the cost, and J' W J and J' W f of equation (3) by blocks.
+
+    The cost is half the sum of squares, equation (2), plus the prior; inf with a landmark behind its camera.
+    """
+    shape = ordering.shape
     n = len(shape.reach)
     kept, kept_gradient = np.zeros(shape.begin[n]), np.zeros((n, 3))
-    by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
-    terms = measured_terms(problem, positions, points, residuals)
-    sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
-    sum_terms(terms, problem.ranged_view, problem.ranged_point, seen, by_view, by_point)
-    # A depends on landmark minus camera position alone: A'A is the same for both ends of a measurement, and the
-    # gradient by the view has the opposite sign.
-    _scatter(by_view, ordering.view_slot, -1.0, shape, kept, kept_gradient)
-    _scatter(by_point, ordering.point_slot, 1.0, shape, kept, kept_gradient)
-    # Kept landmarks have slots after the views; without them the coupling is all with eliminated landmarks.
-    if len(shape.reach) > ordering.views:
-        _couple_kept_points(problem, ordering, terms, kept)
-    _add_motions(problem, ordering, positions, kept, kept_gradient)
-    if len(problem.prior_gradient) > 0:
-        _add_prior(problem, ordering, positions, points, kept, kept_gradient)
-    return FlatEquations(kept, kept_gradient, by_point, terms)
-
-
-@kernel
-def measured_terms(
-    problem: FlatProblem, positions: FloatArray, points: FloatArray, residuals: FloatArray
-) -> FloatArray:
-    """(m, 9) A'A and A'r of each measurement, A by the landmark, given the ``residuals`` at the same state."""
-    terms = np.empty((len(problem.seen_view) + len(problem.ranged_view), 9))
-    frozen_positions = _merged(problem.frozen_positions_m, positions)
-    frozen_points = _merged(problem.frozen_points_m, points)
+    by_view, by_point = np.zeros((len(positions), 9 * LANES)), np.zeros((len(ordering.begin) - 1, 9 * LANES))
+    system = FlatEquations(kept, kept_gradient, by_point, np.empty((len(ordering.pixels), 9 * LANES)))
     # First-estimates Jacobians: derivatives at the merged point, residuals at the present state.
-    rows = _scaled(problem, residuals, frozen_positions, frozen_points)
-    _pixel_terms(problem.attitudes, problem.seen_view, rows, terms)
-    _distance_terms(problem, (positions, points, frozen_positions, frozen_points), terms)
-    return terms
+    at = positions, points, _merged(problem.frozen_positions_m, positions), _merged(problem.frozen_points_m, points)
+    total = _add_pixels(problem, ordering, at, by_view, system)
+    if len(problem.ranged_view) > 0:
+        measured = problem.ranged_view, problem.ranged_point, problem.range_m, problem.range_sigma_m
+        place = ordering.group, ordering.lane, ordering.offset
+        total += _add_distances(measured, at, place, (system.terms, by_point, by_view))
+    _add_sums(ordering, by_view, system)
+    # Kept landmarks have slots after the views; without them the coupling is all with eliminated landmarks.
+    if n > ordering.views:
+        _couple_kept_points(ordering, system)
+    if len(problem.motion_start) > 0:
+        total += _add_motions(problem, ordering, positions, kept, kept_gradient)
+    # Half of equation (2), whose gradient is J' W f without a factor of 2.
+    half = 0.5 * total
+    if len(problem.prior_gradient) > 0:
+        half += _add_prior(problem, ordering, positions, points, kept, kept_gradient)
+    return (half if np.isfinite(half) else np.inf), system
 
 
 @kernel
@@ -90,116 +75,204 @@ def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
 
 
 @kernel
-def _scaled(
-    problem: FlatProblem, residuals: FloatArray, frozen_positions: FloatArray, frozen_points: FloatArray
-) -> FloatArray:
-    """(6, k) f_x / (z sigma), f_y / (z sigma), x / z, y / z at the linearisation point, and residuals u, v in sigma."""
-    rows = np.empty_like(residuals)
-    fx, fy, _, _ = problem.pinhole
-    sigma_px, at = problem.seen_sigma_px, residuals
-    # The residuals hold the landmarks in camera axes at the present state: they serve for the derivatives too unless
-    # some variable is frozen.
-    if len(problem.frozen_points_m) > 0 or len(problem.frozen_positions_m) > 0:
-        at = np.empty((3, len(sigma_px)))
-        to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, frozen_positions, frozen_points, at)
-    # All divisions of a pixel here, in rows, which vectorise; what remains in `_pixel_terms` are products.
-    for k in range(len(sigma_px)):
-        x, y, z, sigma = at[0, k], at[1, k], at[2, k], sigma_px[k]
-        rows[0, k], rows[1, k], rows[2, k], rows[3, k] = fx / (z * sigma), fy / (z * sigma), x / z, y / z
-        rows[4, k], rows[5, k] = residuals[3, k] / sigma, residuals[4, k] / sigma
-    return rows
-
-
-@kernel
-def _pixel_terms(R: FloatArray, view: IndexArray, rows: FloatArray, terms: FloatArray) -> None:
-    """Write A'A and A'r of all pixels, A by the landmark: du (R_0 - x/z R_2), dv (R_1 - y/z R_2), rows R_i of R."""
-    for k in range(len(view)):
-        i = view[k]
-        du, dv, p, q, u, v = rows[0, k], rows[1, k], rows[2, k], rows[3, k], rows[4, k], rows[5, k]
-        # d(x/z) by the landmark in body axes is (R_0 - (x/z) R_2) / z, since x = R_0 . line and z = R_2 . line.
-        u0, v0 = du * (R[i, 0, 0] - p * R[i, 2, 0]), dv * (R[i, 1, 0] - q * R[i, 2, 0])
-        u1, v1 = du * (R[i, 0, 1] - p * R[i, 2, 1]), dv * (R[i, 1, 1] - q * R[i, 2, 1])
-        u2, v2 = du * (R[i, 0, 2] - p * R[i, 2, 2]), dv * (R[i, 1, 2] - q * R[i, 2, 2])
-        terms[k, 0], terms[k, 1], terms[k, 2] = u0 * u0 + v0 * v0, u0 * u1 + v0 * v1, u0 * u2 + v0 * v2
-        terms[k, 3], terms[k, 4], terms[k, 5] = u1 * u1 + v1 * v1, u1 * u2 + v1 * v2, u2 * u2 + v2 * v2
-        terms[k, 6], terms[k, 7], terms[k, 8] = u0 * u + v0 * v, u1 * u + v1 * v, u2 * u + v2 * v
-
-
-@kernel
-def _distance_terms(
-    problem: FlatProblem, at: tuple[FloatArray, FloatArray, FloatArray, FloatArray], terms: FloatArray
-) -> None:
-    """Write A'A and A'r of all distances, A by the landmark: the last row of equation (5).
+def _add_pixels(
+    problem: FlatProblem,
+    ordering: FlatOrdering,
+    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    by_view: FloatArray,
+    system: FlatEquations,
+) -> float:
+    """Write the terms of all cells, add them to the sums, and return the sum of squares; inf behind a camera.
 
     ``at`` are positions and landmarks, and those of the linearisation point.
     """
+    frozen = len(problem.frozen_points_m) > 0 or len(problem.frozen_positions_m) > 0
     positions, points, frozen_positions, frozen_points = at
-    for own in range(len(problem.ranged_view)):
-        i, j, sigma = problem.ranged_view[own], problem.ranged_point[own], problem.range_sigma_m[own]
-        x, y, z = line_of_sight(positions, i, points, j)
-        residual = (np.sqrt(x * x + y * y + z * z) - problem.range_m[own]) / sigma
-        x, y, z = line_of_sight(frozen_positions, i, frozen_points, j)
-        length = np.sqrt(x * x + y * y + z * z) * sigma
-        # The derivative of a distance by the landmark is the unit line of sight.
-        x, y, z = x / length, y / length, z / length
-        k = len(problem.seen_view) + own
-        terms[k, 0], terms[k, 1], terms[k, 2] = x * x, x * y, x * z
-        terms[k, 3], terms[k, 4], terms[k, 5] = y * y, y * z, z * z
-        terms[k, 6], terms[k, 7], terms[k, 8] = x * residual, y * residual, z * residual
+    R, pixels, terms, by_point = problem.attitudes, ordering.pixels, system.terms, system.by_point
+    fx, fy, cx, cy = problem.pinhole
+    lanes = pixels.shape[1] // 3
+    here, there = np.empty(3 * LANES), np.empty(3 * LANES)
+    # Rows: x / z, y / z in camera axes; 1 / (z sigma); residuals u, v in sigma; sum of squares, landmarks behind.
+    seen = np.zeros((1, 7 * LANES))
+    for g in range(len(ordering.begin) - 1):
+        _gather(points, ordering.landmark, g, here)
+        _gather(frozen_points, ordering.landmark, g, there)
+        for cell in range(ordering.begin[g], ordering.begin[g + 1]):
+            i = cell + ordering.offset[g]
+            r00, r01, r02, r10, r11, r12 = R[i, 0, 0], R[i, 0, 1], R[i, 0, 2], R[i, 1, 0], R[i, 1, 1], R[i, 1, 2]
+            r20, r21, r22 = R[i, 2, 0], R[i, 2, 1], R[i, 2, 2]
+            ox, oy, oz = positions[i, 0], positions[i, 1], positions[i, 2]
+            for k in range(lanes):
+                x, y, z = here[k] - ox, here[LANES + k] - oy, here[2 * LANES + k] - oz
+                weight = pixels[cell, 2 * LANES + k]
+                # A lane without a pixel has depth 1.
+                depth = r20 * x + r21 * y + r22 * z if weight != 0.0 else 1.0
+                over = 1.0 / depth
+                p, q = (r00 * x + r01 * y + r02 * z) * over, (r10 * x + r11 * y + r12 * z) * over
+                # Predicted minus measured: f(x) of equations (3) and (4), where the paper's equation (2) has y - f(x).
+                u = (fx * p + cx - pixels[cell, k]) * weight
+                v = (fy * q + cy - pixels[cell, LANES + k]) * weight
+                seen[0, k], seen[0, LANES + k], seen[0, 2 * LANES + k] = p, q, over * weight
+                seen[0, 3 * LANES + k], seen[0, 4 * LANES + k] = u, v
+                seen[0, 5 * LANES + k] += u * u + v * v
+                # NaN is not positive.
+                seen[0, 6 * LANES + k] += 0.0 if depth > 0.0 else 1.0
+            if frozen:
+                ox, oy, oz = frozen_positions[i, 0], frozen_positions[i, 1], frozen_positions[i, 2]
+                for k in range(lanes):
+                    x, y, z = there[k] - ox, there[LANES + k] - oy, there[2 * LANES + k] - oz
+                    weight = pixels[cell, 2 * LANES + k]
+                    over = 1.0 / (r20 * x + r21 * y + r22 * z if weight != 0.0 else 1.0)
+                    seen[0, k], seen[0, LANES + k] = (
+                        (r00 * x + r01 * y + r02 * z) * over,
+                        (r10 * x + r11 * y + r12 * z) * over,
+                    )
+                    seen[0, 2 * LANES + k] = over * weight
+            for k in range(lanes):
+                # d(x/z) by the landmark in body axes is (R_0 - (x/z) R_2) / z, since x = R_0 . line and z = R_2 . line.
+                p, q, u, v = seen[0, k], seen[0, LANES + k], seen[0, 3 * LANES + k], seen[0, 4 * LANES + k]
+                du, dv = fx * seen[0, 2 * LANES + k], fy * seen[0, 2 * LANES + k]
+                u0, v0 = du * (r00 - p * r20), dv * (r10 - q * r20)
+                u1, v1 = du * (r01 - p * r21), dv * (r11 - q * r21)
+                u2, v2 = du * (r02 - p * r22), dv * (r12 - q * r22)
+                terms[cell, k], terms[cell, LANES + k] = u0 * u0 + v0 * v0, u0 * u1 + v0 * v1
+                terms[cell, 2 * LANES + k], terms[cell, 3 * LANES + k] = u0 * u2 + v0 * v2, u1 * u1 + v1 * v1
+                terms[cell, 4 * LANES + k], terms[cell, 5 * LANES + k] = u1 * u2 + v1 * v2, u2 * u2 + v2 * v2
+                terms[cell, 6 * LANES + k], terms[cell, 7 * LANES + k] = u0 * u + v0 * v, u1 * u + v1 * v
+                terms[cell, 8 * LANES + k] = u2 * u + v2 * v
+            for k in range(9 * LANES):
+                by_view[i, k] += terms[cell, k]
+                by_point[g, k] += terms[cell, k]
+    total = lane_sum(seen, 0, 5)
+    # A landmark behind its camera may project to its pixel too: an infinite cost makes the solver reject the step.
+    return total if lane_sum(seen, 0, 6) == 0.0 else np.inf
 
 
 @kernel
-def sum_terms(
-    terms: FloatArray, view: IndexArray, point: IndexArray, first: int, by_view: FloatArray, by_point: FloatArray
-) -> None:
-    """Add the terms of measurements, from row ``first`` on, to the sums of their views and landmarks."""
-    # One pass in the order of the measurements: the order of addition, and so the rounding, is fixed.
+def _gather(points: FloatArray, landmark: IndexArray, g: int, lanes: FloatArray) -> None:
+    """Write the coordinates of a group's landmarks to its lanes; zeros to the empty ones."""
+    for lane in range(LANES):
+        j = landmark[g, lane]
+        for axis in range(3):
+            lanes[axis * LANES + lane] = points[j, axis] if j >= 0 else 0.0
+
+
+@kernel
+def lane_sum(values: FloatArray, g: int, row: int) -> float:
+    """Return the sum of the lanes of one number, in a fixed order."""
+    total = 0.0
+    for k in range(row * LANES, (row + 1) * LANES):
+        total += values[g, k]
+    return total
+
+
+@kernel
+def six(values: FloatArray, g: int, lane: int) -> Block:
+    """Return the symmetric block xx, xy, xz, yy, yz, zz of a lane."""
+    return (
+        values[g, lane],
+        values[g, LANES + lane],
+        values[g, 2 * LANES + lane],
+        values[g, 3 * LANES + lane],
+        values[g, 4 * LANES + lane],
+        values[g, 5 * LANES + lane],
+    )
+
+
+@kernel
+def _add_distances(
+    measured: tuple[IndexArray, IndexArray, FloatArray, FloatArray],
+    at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    place: tuple[IndexArray, IndexArray, IndexArray],
+    sums: tuple[FloatArray, FloatArray, FloatArray],
+) -> float:
+    """Add A'A and A'r of all distances to their cells and sums; return the sum of squares: the last row of eq. (5).
+
+    ``measured`` are views, landmarks, distances and sigmas, ``at`` as in `_add_pixels`, ``place`` group, lane and
+    offset of a `FlatOrdering`, ``sums`` by cell, by landmark and by view.
+    """
+    positions, points, frozen_positions, frozen_points = at
+    (view, point, range_m, sigma_m), (group, lane, offset), (terms, by_point, by_view) = measured, place, sums
+    total = 0.0
     for k in range(len(view)):
         i, j = view[k], point[k]
+        x, y, z = _line_of_sight(positions, i, points, j)
+        residual = (np.sqrt(x * x + y * y + z * z) - range_m[k]) / sigma_m[k]
+        total += residual * residual
+        x, y, z = _line_of_sight(frozen_positions, i, frozen_points, j)
+        length = np.sqrt(x * x + y * y + z * z) * sigma_m[k]
+        # The derivative of a distance by the landmark is the unit line of sight.
+        x, y, z = x / length, y / length, z / length
+        added = x * x, x * y, x * z, y * y, y * z, z * z, x * residual, y * residual, z * residual
         for entry in range(9):
-            by_view[i, entry] += terms[first + k, entry]
-            by_point[j, entry] += terms[first + k, entry]
+            own = entry * LANES + lane[j]
+            terms[i - offset[group[j]], own] += added[entry]
+            by_point[group[j], own] += added[entry]
+            by_view[i, own] += added[entry]
+    return total
 
 
 @kernel
-def _scatter(
-    sums: FloatArray, slots: IndexArray, sign: float, shape: Envelope, kept: FloatArray, gradient: FloatArray
-) -> None:
-    """Add the sums of views or landmarks to the kept system; ``sign`` is that of the derivative."""
-    for i in range(len(slots)):
-        slot = slots[i]
+def _line_of_sight(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
+    """Return landmark minus camera position, body axes, m."""
+    return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
+
+
+@kernel
+def _add_sums(ordering: FlatOrdering, by_view: FloatArray, system: FlatEquations) -> None:
+    """Add the sums of the free views and the kept landmarks to the kept system."""
+    # A depends on landmark minus camera position alone: A'A is the same for both ends of a measurement, and the
+    # gradient by the view has the opposite sign.
+    for i in range(len(by_view)):
+        slot = ordering.view_slot[i]
         if slot >= 0:
-            add_symmetric(kept, shape, slot, slot, sums, i, 1.0)
+            for entry in range(9):
+                by_view[i, entry * LANES] = lane_sum(by_view, i, entry)
+            add_symmetric(system.kept, ordering.shape, slot, slot, six(by_view, i, 0), 1.0)
             for axis in range(3):
-                gradient[slot, axis] += sign * sums[i, 6 + axis]
+                system.kept_gradient[slot, axis] -= by_view[i, (6 + axis) * LANES]
+    for j in range(len(ordering.point_slot)):
+        slot = ordering.point_slot[j]
+        if slot >= 0:
+            g, lane = ordering.group[j], ordering.lane[j]
+            add_symmetric(system.kept, ordering.shape, slot, slot, six(system.by_point, g, lane), 1.0)
+            for axis in range(3):
+                system.kept_gradient[slot, axis] += system.by_point[g, (6 + axis) * LANES + lane]
 
 
 @kernel
-def _couple_kept_points(problem: FlatProblem, ordering: FlatOrdering, terms: FloatArray, kept: FloatArray) -> None:
+def _couple_kept_points(ordering: FlatOrdering, system: FlatEquations) -> None:
     """Add the coupling blocks between free views and kept landmarks."""
-    seen = len(problem.seen_view)
-    for k in range(len(terms)):
-        i = problem.seen_view[k] if k < seen else problem.ranged_view[k - seen]
-        j = problem.seen_point[k] if k < seen else problem.ranged_point[k - seen]
-        a, b = ordering.view_slot[i], ordering.point_slot[j]
-        if a >= 0 and b >= 0:
-            # Opposite signs of the two derivatives; a view's slot is before that of any landmark, so a < b.
-            add_symmetric(kept, ordering.shape, a, b, terms, k, -1.0)
+    for g in range(ordering.eliminated, len(ordering.begin) - 1):
+        for cell in range(ordering.begin[g], ordering.begin[g + 1]):
+            a = ordering.view_slot[cell + ordering.offset[g]]
+            for lane in range(LANES):
+                j = ordering.landmark[g, lane]
+                if a >= 0 and j >= 0 and ordering.point_slot[j] >= 0:
+                    # Opposite signs of the two derivatives; a view's slot is before that of any landmark.
+                    block = six(system.terms, cell, lane)
+                    add_symmetric(system.kept, ordering.shape, a, ordering.point_slot[j], block, -1.0)
 
 
 @kernel
 def _add_motions(
     problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, kept: FloatArray, gradient: FloatArray
-) -> None:
-    """Add the predicted motions to the kept system."""
+) -> float:
+    """Add the predicted motions to the kept system; return their part of the sum of squares."""
+    total = 0.0
     for k in range(len(problem.motion_start)):
-        a, b = ordering.view_slot[problem.motion_start[k]], ordering.view_slot[problem.motion_end[k]]
+        start, end = problem.motion_start[k], problem.motion_end[k]
+        a, b = ordering.view_slot[start], ordering.view_slot[end]
+        x = positions[end, 0] - positions[start, 0] - problem.motion_m[k, 0]
+        y = positions[end, 1] - positions[start, 1] - problem.motion_m[k, 1]
+        z = positions[end, 2] - positions[start, 2] - problem.motion_m[k, 2]
+        residual = x, y, z
         for row in range(3):
             pull = 0.0
             for column in range(3):
                 information = problem.motion_information[k, row, column]
                 # Weighted by the information matrix as it is: no square root of it is needed for J' W J and J' W f.
-                pull += information * motion_residual(problem, k, column, positions)
+                pull += information * residual[column]
                 if a >= 0:
                     add_entry(kept, ordering.shape, a, row, a, column, information)
                 if b >= 0:
@@ -211,6 +284,8 @@ def _add_motions(
                 gradient[a, row] -= pull
             if b >= 0:
                 gradient[b, row] += pull
+            total += residual[row] * pull
+    return total
 
 
 @kernel
@@ -221,49 +296,61 @@ def _add_prior(
     points: FloatArray,
     kept: FloatArray,
     gradient: FloatArray,
-) -> None:
-    """Add the prior to the kept system."""
+) -> float:
+    """Add the prior to the kept system; return its cost, which may be negative."""
     slots, shape = prior_slots(problem, ordering.view_slot, ordering.point_slot), ordering.shape
+    present = np.concatenate((positions[problem.prior_views], points[problem.prior_points]))
+    offset = (present - problem.prior_origin_m).ravel()
     # Gradient of (x - x0)' H (x - x0) / 2 + g' (x - x0): H (x - x0) + g.
-    pull = prior_pull(problem.prior_information, prior_offset(problem, positions, points), problem.prior_gradient)
+    pull, total = np.zeros(len(offset)), 0.0
+    for k in range(len(offset)):
+        # H is symmetric: its rows serve as columns, which the compiler can vectorise.
+        information, step = problem.prior_information[k], offset[k]
+        for i in range(len(offset)):
+            pull[i] += information[i] * step
     for i in range(len(slots)):
         a = slots[i]
         for row in range(3):
-            gradient[a, row] += pull[3 * i + row]
-            information = problem.prior_information[3 * i + row]
+            own = 3 * i + row
+            information = problem.prior_information[own]
+            gradient[a, row] += pull[own] + problem.prior_gradient[own]
+            total += offset[own] * (0.5 * pull[own] + problem.prior_gradient[own])
             begin = shape.begin[a] + row * shape.width[a] - 3 * a
             for j in range(len(slots)):
                 if slots[j] >= a:
                     for column in range(3):
                         kept[begin + 3 * slots[j] + column] += information[3 * j + column]
+    return total
 
 
 @kernel
 def residual_squares(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
-    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
-    # Fills all rows, even where the cost is infinite because a landmark is behind its camera.
-    evaluate_residuals(problem, positions, points, residuals)
-    return np.where(residuals[2] > 0.0, residuals[5], np.nan)
+    fx, fy, cx, cy = problem.pinhole
+    squares = np.empty(len(problem.seen_view))
+    for k in range(len(squares)):
+        R = problem.attitudes[problem.seen_view[k]]
+        a, b, c = _line_of_sight(positions, problem.seen_view[k], points, problem.seen_point[k])
+        x, y = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c, R[1, 0] * a + R[1, 1] * b + R[1, 2] * c
+        z = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c
+        u, v = fx * x / z + cx - problem.seen_px[k, 0], fy * y / z + cy - problem.seen_px[k, 1]
+        squares[k] = (u * u + v * v) / problem.seen_sigma_px[k] ** 2 if z > 0.0 else np.nan
+    return squares
 
 
 @kernel
 def landmark_information(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
     """(L, 3, 3) sum of A'A of each landmark over its pixels and distances, 1/m^2."""
-    residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
-    evaluate_residuals(problem, positions, points, residuals)
-    # The sums by view are not needed here.
-    terms = measured_terms(problem, positions, points, residuals)
-    by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
-    sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
-    sum_terms(terms, problem.ranged_view, problem.ranged_point, len(problem.seen_view), by_view, by_point)
+    ordering = make_ordering(problem)
+    by_point = linearise(problem, ordering, positions, points)[1].by_point
     information = np.empty((len(points), 3, 3))
     for j in range(len(points)):
-        for row, entry in ((0, 0), (1, 3), (2, 5)):
-            information[j, row, row] = by_point[j, entry]
-        information[j, 0, 1] = information[j, 1, 0] = by_point[j, 1]
-        information[j, 0, 2] = information[j, 2, 0] = by_point[j, 2]
-        information[j, 1, 2] = information[j, 2, 1] = by_point[j, 4]
+        own = six(by_point, ordering.group[j], ordering.lane[j])
+        for row in range(3):
+            for column in range(3):
+                # xx, xy, xz, yy, yz, zz
+                low, high = min(row, column), max(row, column)
+                information[j, row, column] = own[low + high + int(low > 0)]
     return information
 
 

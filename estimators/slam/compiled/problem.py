@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
+LANES = 8
+"""Landmarks that are computed side by side. Sums over landmarks have this many parts, so that their order is fixed."""
+
 FLOAT, INDEX, BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
 
@@ -62,63 +65,91 @@ def plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar
 
 
 class FlatOrdering(NamedTuple):
-    """Slots of the variables as in `estimators.slam.normal.VariableOrdering`, and the envelope of the reduced matrix.
+    """Slots of the variables, the envelope of the reduced matrix, and the landmarks in groups with their pixels.
+
+    The landmarks of a group are computed side by side, one in each lane. A group has a cell for each view from the
+    first to the last one that sees one of them.
 
     Parameters
     ----------
     view_slot, point_slot
         (V,), (L,): slots of views and kept landmarks; -1 for fixed views, and for fixed and eliminated landmarks.
-    eliminated
-        (e,): the eliminated landmarks.
     views
         Number of free views; the slots of the kept landmarks follow theirs.
     shape
         Envelope of the reduced matrix.
-    link_begin
-        (e + 1,): first link of each eliminated landmark.
-    link
-        (m,): measurements between a free view and an eliminated landmark, sorted by landmark. Pixels have the first
-        numbers, then distances.
-    link_slot
-        (m,): the kept slots of their views.
+    group, lane
+        (L,), (L,): place of each landmark.
+    landmark
+        (G, LANES): the landmarks of each group; -1 for none.
+    eliminated
+        Number of groups of eliminated landmarks, which are the first ones.
+    begin
+        (G + 1,): first cell of each group.
+    offset
+        (G,): what is added to a cell of a group to get its view.
+    pixels
+        (C, 3 LANES): u and v, px, and 1 / sigma of each lane of a cell; 1 / sigma = 0: no pixel.
     """
 
     view_slot: IndexArray
     point_slot: IndexArray
-    eliminated: IndexArray
     views: int
     shape: Envelope
-    link_begin: IndexArray
-    link: IndexArray
-    link_slot: IndexArray
+    group: IndexArray
+    lane: IndexArray
+    landmark: IndexArray
+    eliminated: int
+    begin: IndexArray
+    offset: IndexArray
+    pixels: FloatArray
 
 
 @kernel
 def make_ordering(problem: FlatProblem) -> FlatOrdering:
-    """Assign slots to the variables, list the links of eliminated landmarks, and find the envelope."""
+    """Assign slots to the variables, sort landmarks and pixels into groups, and find the envelope."""
     view_slot, views = _numbered(problem.free_views, 0)
     free, joined = problem.free_points, problem.kept_points.copy()
     # The prior couples its landmarks, so that they cannot be eliminated as 3 x 3 blocks.
     for j in problem.prior_points:
         joined[j] = True
     point_slot, kept = _numbered(free & joined, views)
-    eliminated_slot, eliminated = _numbered(free & ~joined, 0)
-    view, point = _ends(problem)
-    begin, link, slot = _links(view_slot[view], eliminated_slot[point], eliminated)
+    group, lane, landmark, eliminated, begin, offset = _grouped(problem, free & ~joined)
     reach = np.arange(kept)
-    # An eliminated landmark couples all views that see it; the Schur complement fills their blocks.
-    for g in range(eliminated):
-        _couple(reach, slot, begin[g], begin[g + 1])
-    # Kept landmarks are coupled with their views directly.
-    if kept > views:
-        _couple_pairs(reach, view_slot[view], point_slot[point])
-    _couple_pairs(reach, view_slot[problem.motion_start], view_slot[problem.motion_end])
-    # The information matrix of the prior is dense.
+    for g in range(len(offset)):
+        # The slots of the free views, in ascending order; none: from ``kept`` to -1.
+        low, high = kept, -1
+        for cell in range(begin[g], begin[g + 1]):
+            slot = view_slot[cell + offset[g]]
+            if slot >= 0:
+                low, high = min(low, slot), slot
+        # An eliminated landmark couples all views that see it; the Schur complement fills their blocks. Kept landmarks
+        # are coupled with their views directly.
+        if g >= eliminated:
+            for k in range(LANES):
+                j = landmark[g, k]
+                high = max(high, point_slot[j]) if j >= 0 else high
+        if low < kept:
+            reach[low] = max(reach[low], high)
+    for k in range(len(problem.motion_start)):
+        a, b = view_slot[problem.motion_start[k]], view_slot[problem.motion_end[k]]
+        if a >= 0 and b >= 0:
+            reach[min(a, b)] = max(reach[min(a, b)], a, b)
+    # The information matrix of the prior is dense: the first slot reaching the last one is enough, since
+    # `make_envelope` lets all rows between them reach as far.
     slots = prior_slots(problem, view_slot, point_slot)
-    _couple(reach, slots, 0, len(slots))
-    return FlatOrdering(
-        view_slot, point_slot, np.flatnonzero(eliminated_slot >= 0), views, make_envelope(reach), begin, link, slot
-    )
+    if len(slots) > 0:
+        reach[slots.min()] = max(reach[slots.min()], slots.max())
+    pixels = np.zeros((begin[-1], 3 * LANES))
+    for k in range(len(problem.seen_view)):
+        j = problem.seen_point[k]
+        cell, own = problem.seen_view[k] - offset[group[j]], lane[j]
+        if pixels[cell, 2 * LANES + own] != 0.0:
+            raise ValueError("a view has two pixels of one landmark")
+        pixels[cell, own], pixels[cell, LANES + own] = problem.seen_px[k, 0], problem.seen_px[k, 1]
+        pixels[cell, 2 * LANES + own] = 1.0 / problem.seen_sigma_px[k]
+    shape = make_envelope(reach)
+    return FlatOrdering(view_slot, point_slot, views, shape, group, lane, landmark, eliminated, begin, offset, pixels)
 
 
 @kernel
@@ -132,56 +163,53 @@ def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
 
 
 @kernel
-def _ends(problem: FlatProblem) -> tuple[IndexArray, IndexArray]:
-    """View and landmark of each measurement: pixels first, then distances."""
-    return (
-        np.concatenate((problem.seen_view, problem.ranged_view)),
-        np.concatenate((problem.seen_point, problem.ranged_point)),
-    )
+def _grouped(
+    problem: FlatProblem, eliminated: BoolArray
+) -> tuple[IndexArray, IndexArray, IndexArray, int, IndexArray, IndexArray]:
+    """Sort landmarks into groups: first those marked in ``eliminated`` (L,), and those of the same views together.
+
+    Returns ``group``, ``lane``, ``landmark``, ``eliminated``, ``begin`` and ``offset`` of `FlatOrdering`.
+    """
+    n, views = len(eliminated), len(problem.free_views)
+    # Without measurements: from ``views`` to -1, no view at all.
+    opens, closes = np.full(n, views), np.full(n, -1)
+    for view, point in ((problem.seen_view, problem.seen_point), (problem.ranged_view, problem.ranged_point)):
+        for k in range(len(view)):
+            opens[point[k]] = min(opens[point[k]], view[k])
+            closes[point[k]] = max(closes[point[k]], view[k])
+    order = _sorted_by(closes + 1, np.arange(n), views + 1)
+    order = _sorted_by(np.where(eliminated, opens, opens + views + 1), order, 2 * views + 2)
+    # A group has landmarks of one kind only.
+    count = np.count_nonzero(eliminated)
+    full = (count + LANES - 1) // LANES
+    groups = full + (n - count + LANES - 1) // LANES
+    group, lane, landmark = np.empty(n, np.int64), np.empty(n, np.int64), np.full((groups, LANES), -1)
+    begin, offset = np.zeros(groups + 1, np.int64), np.empty(groups, np.int64)
+    for g in range(groups):
+        rank, end = (g * LANES, count) if g < full else (count + (g - full) * LANES, n)
+        first, last = views, -1
+        for k in range(min(LANES, end - rank)):
+            j = order[rank + k]
+            group[j], lane[j], landmark[g, k] = g, k, j
+            first, last = min(first, opens[j]), max(last, closes[j])
+        begin[g + 1] = begin[g] + max(last + 1 - first, 0)
+        offset[g] = first - begin[g]
+    return group, lane, landmark, full, begin, offset
 
 
 @kernel
-def _links(
-    view_slot: IndexArray, eliminated_slot: IndexArray, eliminated: int
-) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Sort the measurements of eliminated landmarks by landmark, given the slots (m,) of their ends."""
-    begin = np.zeros(eliminated + 1, np.int64)
-    for k in range(len(view_slot)):
-        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
-            begin[eliminated_slot[k] + 1] += 1
-    for g in range(eliminated):
-        begin[g + 1] += begin[g]
-    # Counting sort: stable, so that the links of a landmark are in the order of the measurements.
-    place = begin.copy()
-    link, slot = np.empty(begin[eliminated], np.int64), np.empty(begin[eliminated], np.int64)
-    for k in range(len(view_slot)):
-        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
-            at = place[eliminated_slot[k]]
-            link[at], slot[at] = k, view_slot[k]
-            place[eliminated_slot[k]] = at + 1
-    return begin, link, slot
-
-
-@kernel
-def _couple(reach: IndexArray, slots: IndexArray, begin: int, end: int) -> None:
-    """Extend the envelope to hold the coupling of all slots of a run with each other."""
-    if begin == end:
-        return
-    # The first slot reaching the last one is enough: `make_envelope` lets all rows between them reach as far.
-    first = last = slots[begin]
-    for k in range(begin, end):
-        first, last = min(first, slots[k]), max(last, slots[k])
-    reach[first] = max(reach[first], last)
-
-
-@kernel
-def _couple_pairs(reach: IndexArray, one: IndexArray, other: IndexArray) -> None:
-    """Extend the envelope to hold the coupling of pairs of slots."""
-    for k in range(len(one)):
-        first, last = min(one[k], other[k]), max(one[k], other[k])
-        # A slot of -1 at either end: a fixed variable, nothing to couple.
-        if first >= 0:
-            reach[first] = max(reach[first], last)
+def _sorted_by(keys: IndexArray, order: IndexArray, count: int) -> IndexArray:
+    """Sort an order (n,) by ``keys`` (n,) from 0 to ``count`` - 1; equal keys keep their order."""
+    place = np.zeros(count + 1, np.int64)
+    for key in keys:
+        place[key + 1] += 1
+    for key in range(count):
+        place[key + 1] += place[key]
+    result = np.empty_like(order)
+    for j in order:
+        result[place[keys[j]]] = j
+        place[keys[j]] += 1
+    return result
 
 
 @kernel

@@ -59,46 +59,47 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
 
 
 @kernel
-def triangulation_equations(
-    origins_m: FloatArray, rays: FloatArray, begin: IndexArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n, 3, 3) matrices and (n, 3) right-hand sides of the points nearest to their lines of sight, least squares.
+def triangulate(origins_m: FloatArray, rays: FloatArray, begin: IndexArray, depths_m: FloatArray) -> FloatArray:
+    """(n, 3) midpoint triangulation: the points nearest to their lines of sight, least squares.
 
     The lines of point p, from ``origins_m`` (k, 3) along unit ``rays`` (k, 3), are those from ``begin[p]`` to
-    ``begin[p + 1]``. See `scenarios.geometry.triangulation.triangulation_equations`, whose rounding this has.
+    ``begin[p + 1]``. If they are parallel, or a depth is unlike ``depths_m`` (n,), the point is at that depth on its
+    last line.
     """
-    matrix, right = np.zeros((len(begin) - 1, 3, 3)), np.zeros((len(begin) - 1, 3))
-    across = np.empty(3)
+    points_m = np.empty((len(begin) - 1, 3))
     for p in range(len(begin) - 1):
+        # Sums of I - d d' and (I - d d') o; see `scenarios.geometry.triangulation.triangulation_equations`.
+        xx, xy, xz, yy, yz, zz, x, y, z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(begin[p], begin[p + 1]):
-            for i in range(3):
-                for j in range(3):
-                    across[j] = (1.0 if i == j else 0.0) - rays[k, i] * rays[k, j]
-                    matrix[p, i, j] += across[j]
-                right[p, i] += dot(across, origins_m[k])
-    return matrix, right
-
-
-@kernel
-def place_implausible(
-    points_m: FloatArray,
-    parallel: BoolArray,
-    origins_m: FloatArray,
-    rays: FloatArray,
-    begin: IndexArray,
-    depths_m: FloatArray,
-) -> None:
-    """Move points of parallel lines, and those of depths unlike ``depths_m`` (n,), to that on their last line."""
-    for p in range(len(points_m)):
-        good = not parallel[p]
+            a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
+            along = dot(rays[k], origins_m[k])
+            xx += 1.0 - a * a
+            yy += 1.0 - b * b
+            zz += 1.0 - c * c
+            xy, xz, yz = xy - a * b, xz - a * c, yz - b * c
+            x += origins_m[k, 0] - a * along
+            y += origins_m[k, 1] - b * along
+            z += origins_m[k, 2] - c * along
+        # The inverse is the adjugate over the determinant. The least eigenvalue is about the determinant over the sum
+        # of the principal minors; of two lines at an angle a it is 1 - cos a, about a^2 / 2: 1e-12 is a parallax of
+        # 1.4e-6 rad, far below the noise of any pixel.
+        i, j, o = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        m, n, q = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        determinant = xx * i + xy * j + xz * o
+        good = determinant >= 1e-12 * (i + m + q)
+        if good:
+            points_m[p, 0] = (i * x + j * y + o * z) / determinant
+            points_m[p, 1] = (j * x + m * y + n * z) / determinant
+            points_m[p, 2] = (o * x + n * y + q * z) / determinant
         # With a small parallax the noise of the pixels may put the point anywhere along the line, also behind the
         # camera.
         for k in range(begin[p], begin[p + 1]):
-            depth = dot(points_m[p] - origins_m[k], rays[k])
+            depth = dot(points_m[p] - origins_m[k], rays[k]) if good else 0.0
             good &= 0.3 * depths_m[p] < depth < 3.0 * depths_m[p]
         if not good:
             last = begin[p + 1] - 1
             points_m[p] = origins_m[last] + depths_m[p] * rays[last]
+    return points_m
 
 
 @kernel
