@@ -9,9 +9,11 @@ import argparse
 import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
+from ruamel.yaml import YAML
 from sphinx.application import Sphinx
 from sphinx.domains.std import ConfigurationValue
 
@@ -22,7 +24,8 @@ from boresight.estimators.pages import COSTS, FAMILIES, EstimatorPage, page_of
 from boresight.reports.schema import common
 from boresight.reports.schema.column import Column, unit_by_suffix
 from boresight.reports.schema.tables import TABLES, kind_schema
-from boresight.scenarios.load.keys import Key, keys_of, words_of
+from boresight.scenarios import catalog
+from boresight.scenarios.load.keys import Key, as_yaml, keys_of, words_of
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -151,15 +154,42 @@ def _anchor(kind: str, prefix: str, path: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", f"{kind}-section-{prefix}{path}".lower()).strip("-")
 
 
+@cache
+def _examples() -> Mapping[str, tuple[object, str]]:
+    """Return for each dotted key of scenarios a value, with the scenario of the catalogue that it is from."""
+    found: dict[str, tuple[object, str]] = {}
+
+    def collect(content: Mapping[str, object], path: str, file: str) -> None:
+        for key, value in content.items():
+            if value is not None:
+                found.setdefault(f"{path}{key}", (value, file))
+            if isinstance(value, Mapping):
+                collect(value, f"{path}{key}.", file)
+
+    for file in sorted(Path(catalog.__file__).parent.glob("*.yaml")):
+        collect(YAML(typ="safe").load(file), "", file.stem)
+    return found
+
+
+def _example(key: Key, dotted: str) -> str:
+    """Write an example of a key whose default is no value."""
+    if key.sections or key.default not in (None, "left out") or dotted not in _examples():
+        return ""
+    value, file = _examples()[dotted]
+    return f"Example: `{key.name}: {as_yaml(value)}` (`{file}`)."
+
+
 def _key(key: Key, path: str, kind: str, prefix: str, suffix: str) -> str:
-    """Write one key: its name, type, unit and default, and its meaning."""
+    """Write one key: its name, type, unit and default, its meaning and, of scenarios, an example."""
     name = f"{prefix}{path}{key.name}" + (f" ({suffix})" if suffix else "")
     default = "required" if key.default is None else f"default `{key.default}`"
     if key.default in ("left out", "the name of the file", "the defaults of its keys"):
         default = f"default: {key.default}"
     facts = ", ".join(filter(None, (_escaped(key.type), key.unit)))
     head = f"```{{{kind}}} {name}\n:no-contents-entry:\n"
-    return f"{head}\n{{.key-facts}}\n{facts} · {default}\n\n{key.meaning}{'.' if key.meaning else ''}\n```"
+    example = _example(key, f"{path}{key.name}") if kind == "scenario-key" and not suffix else ""
+    told = f"{key.meaning}. {example}".strip()
+    return f"{head}\n{{.key-facts}}\n{facts} · {default}\n\n{told}\n```"
 
 
 def _escaped(text: str) -> str:

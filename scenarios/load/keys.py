@@ -165,17 +165,17 @@ def _default(field: FieldInfo) -> str | None:
         fields = type(value).model_fields
         changed = {key for key in fields if getattr(value, key) != fields[key].get_default(call_default_factory=True)}
         shown = value.model_dump(mode="json", include=changed | ({"kind"} & set(fields)))
-        return _yaml(shown) if shown else "the defaults of its keys"
-    return "left out" if value is None else _yaml(TypeAdapter(object).dump_python(value, mode="json"))
+        return as_yaml(shown) if shown else "the defaults of its keys"
+    return "left out" if value is None else as_yaml(TypeAdapter(object).dump_python(value, mode="json"))
 
 
-def _yaml(value: object) -> str:
+def as_yaml(value: object) -> str:
     """Write a plain value as YAML in one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {_yaml(one)}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {as_yaml(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_yaml, value)) + "]"
+        return "[" + ", ".join(map(as_yaml, value)) + "]"
     if isinstance(value, float):
         whole = value.is_integer() and abs(value) < 1e9
-        return f"{value:.0f}" if whole else f"{value:.4g}"
+        return f"{value:.0f}" if whole else f"{value:.6g}"
     return value or "''" if isinstance(value, str) else json.dumps(value)
