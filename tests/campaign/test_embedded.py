@@ -66,8 +66,8 @@ def test_the_body_on_board_is_replaced_too():
 
 
 def test_real_images_keep_their_shape():
-    campaign = resolve("navcam67p-real", embedded=True)
-    assert campaign.scenarios[0].spec.body.shape == "67p-16k.obj"
+    campaign = resolve("rowell2015-real", embedded=True)
+    assert campaign.scenarios[0].spec.body.shape == "itokawa_gaskell_q64.ply"
     assert campaign.embedded == ()
 
 
