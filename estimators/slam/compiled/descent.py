@@ -137,7 +137,8 @@ def _invert(sums: FloatArray, landmark: IndexArray, g: int, damping: float, inve
         inverse[g, 4 * LANES + k], inverse[g, 5 * LANES + k] = -y, over2
         # NaN is not positive.
         sound[k] = 1.0 if (a > 0.0) & (d1 > 0.0) & (d2 > 0.0) else 0.0
-    return sound.sum() == LANES
+    determined: bool = sound.sum() == LANES
+    return determined
 
 
 @kernel
@@ -299,7 +300,7 @@ def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     for g in range(ordering.eliminated):
         for row in (0, 3, 5):
             total += lane_sum(system.by_point, g, row)
-        count += np.count_nonzero(ordering.landmark[g] >= 0)
+        count += int(np.count_nonzero(ordering.landmark[g] >= 0))
     # Nothing is free: any damping will do.
     return 1e-6 * total / (3 * count) if count > 0 else 1.0
 

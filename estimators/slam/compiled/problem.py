@@ -180,7 +180,7 @@ def _grouped(
     order = _sorted_by(closes + 1, np.arange(n), views + 1)
     order = _sorted_by(np.where(eliminated, opens, opens + views + 1), order, 2 * views + 2)
     # A group has landmarks of one kind only.
-    count = np.count_nonzero(eliminated)
+    count = int(np.count_nonzero(eliminated))
     full = (count + LANES - 1) // LANES
     groups = full + (n - count + LANES - 1) // LANES
     group, lane, landmark = np.empty(n, np.int64), np.empty(n, np.int64), np.full((groups, LANES), -1)
