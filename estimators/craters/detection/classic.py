@@ -111,8 +111,8 @@ class CraterClassic:
     It fails when
     -------------
     Less than 2 % of the image is lit ground, a quarter of the pixels is saturated, or the Sun is along the boresight:
-    the image is refused. In 500 images of ``cheng2003-detection`` it finds 41.0 % of 11,572 detectable craters, where
-    ``crater-learned`` finds 92.1 %.
+    the image is refused. In 500 images of ``cheng2003-detection`` it finds 40.9 % of 11,572 detectable craters, where
+    ``crater-learned`` finds 92.0 %.
 
     Cost
     ----

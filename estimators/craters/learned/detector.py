@@ -149,7 +149,7 @@ class CraterLearned:
     It fails when
     -------------
     The image is refused as by ``crater-classic``. Large craters are missed: in 500 images of ``cheng2003-detection`` it
-    finds 92.1 % of 11,572 detectable craters, but 75.6 % of those over 60 pixels across. All training and test images
+    finds 92.0 % of 11,572 detectable craters, but 75.3 % of those over 60 pixels across. All training and test images
     are rendered: how it does on real images is not known.
 
     Cost
