@@ -324,7 +324,7 @@ def test_standard_output_on_a_full_disk():
 
 
 def test_a_reader_that_stops_reading_is_no_fault():
-    code = f"{sys.executable} -m boresight.campaign.cli schema | head -c 5; exit ${{PIPESTATUS[0]}}"
+    code = f"{sys.executable} -m boresight schema | head -c 5; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, '{\n "$', "")
 

@@ -106,8 +106,9 @@ def test_the_report_takes_the_data_base_for_what_is_independent(several, tmp_pat
     assert any("drawn 3 times" in note for note in content.notes)
     found = write_report(several[DATABASES]).html.read_text()
     assert "of one data base" not in found
-    alone = write_report(several[1]).html.read_text()
-    assert "Pose error, scene, of one data base" in alone
+    alone = write_report(several[1])
+    assert alone.html.read_text().count("of one data base") == 1, "a page says it once, at its top"
+    assert "Pose error, scene, of one data base" in alone.markdown.read_text()
 
 
 def test_the_knowledge_of_a_data_base_is_its_own(cache, tmp_path):

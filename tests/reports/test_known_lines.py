@@ -39,8 +39,11 @@ def blurred(builder):
 def test_a_report_says_it_in_full_before_and_shortly_beside_the_headline(blurred):
     files = write_report(blurred)
     full = "camera (focal length wrong by 1 %), pose, blur (0.8 px), noise."
-    for text in (files.markdown.read_text(), files.html.read_text()):
-        assert text.index(full) < text.index("Pose error, ") < text.index(SHORT)
+    text, page = files.markdown.read_text(), files.html.read_text()
+    assert text.index(full) < text.index("Pose error, ") < text.index(SHORT)
+    assert page.index(full) < page.index("Pose error, "), "a page says it once, at its top"
+    assert page.count(full) == 1
+    assert SHORT not in page
     assert SHORT in " ".join(" ".join(terminal_lines(files.content)).split())
     assert SHORT in report_grids(files.content)[0].latex()
     assert any(full in line for line in summary(blurred).attrs["known"])
