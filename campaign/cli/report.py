@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 
 from boresight.campaign.cli.printed import Printed, PrintedGrid, digests, keep, print_report, source_of
-from boresight.campaign.inspection.build import typical_figure, worst_figures
+from boresight.campaign.inspection.build import case_figures
 from boresight.campaign.inspection.show import show_of
 from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.resolve import reload
@@ -62,8 +62,7 @@ def _trial_figures(folder: RunFolder, worst: int, missing: list[str]) -> Iterato
         if campaign is not None:
             show = show_of(campaign.spec.experiment)
             typical = () if show is None else show.examples(campaign, folder)
-            lead = typical_figure(campaign, folder) if worst else ()
-            yield from [*lead, *typical, *worst_figures(campaign, folder, worst)]
+            yield from [*typical, *case_figures(campaign, folder, worst)]
             return
     except BoresightError as error:
         why = str(error)

@@ -33,32 +33,24 @@ _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables with few rows per case, shown on its page; longer ones are only written as Parquet."""
 
 
-def typical_figure(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
-    """Draw the first figure of the trial in the middle, from the worst to the best, of the first method that measures.
+def case_figures(campaign: ResolvedCampaign, folder: RunFolder, worst: int) -> Iterator[NamedFigure]:
+    """Draw the first figure of the trial in the middle, and of each of the ``worst`` trials.
 
-    None if recomputing a trial takes minutes, or there is nothing to draw.
+    The former is of the first scenario and its first method that measures. None if recomputing a trial takes minutes.
     """
     show = show_of(campaign.spec.experiment)
-    label = next((label for label in campaign.labels if label not in CONTROLS), campaign.labels[0])
-    if show is None or show.long(campaign):
+    if worst == 0 or show is None or show.long(campaign):
         return
     run = read_run(folder.path)
+    label = next((label for label in campaign.labels if label not in CONTROLS), campaign.labels[0])
     cases, ranked_by = worst_cases(run, len(run.rows), Choice(campaign.scenarios[0].spec.name, label), None)
-    again = recompute(campaign, folder, cases[len(cases) // 2])
-    for figure in islice(draw_case(again, show, campaign.spec.experiment).figures, 1):
+    for figure in _first_figure(recompute(campaign, folder, cases[len(cases) // 2]), show, campaign):
         words = f"The trial in the middle of {len(cases)}, from the worst to the best by {ranked_by}. {figure.caption}"
         yield replace(figure, stem=LEAD, caption=words)
-
-
-def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:
-    """Draw the first figure of each of the worst cases; none if recomputing a case takes minutes."""
-    show = show_of(campaign.spec.experiment)
-    if count == 0 or (show is not None and show.long(campaign)):
-        return
-    cases, ranked_by = worst_cases(read_run(folder.path), count, Choice(), None)
+    cases, ranked_by = worst_cases(run, worst, Choice(), None)
     for place, case in enumerate(cases, start=1):
         again = recompute(campaign, folder, case)
-        for figure in islice(draw_case(again, show, campaign.spec.experiment).figures, 1):
+        for figure in _first_figure(again, show, campaign):
             reason = f" ({again.row['reason']})" if again.row["reason"] else ""
             words = (
                 f"Worst {place} of {len(cases)} by {ORDER} {ranked_by}: {again.row['status']}{reason}. {figure.caption}"
@@ -66,6 +58,10 @@ def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> 
                 f" --trial {case.trial}"
             )
             yield replace(figure, stem=f"worst_{place}", caption=words)
+
+
+def _first_figure(again: Recomputed, show: Show, campaign: ResolvedCampaign) -> Iterator[NamedFigure]:
+    return islice(draw_case(again, show, campaign.spec.experiment).figures, 1)
 
 
 def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
