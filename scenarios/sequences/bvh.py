@@ -130,17 +130,16 @@ class FacetTree:
 
 def _halved(middles: FloatArray, levels: int) -> IndexArray:
     """(2^levels, K) indices of the centres in each group; smaller groups repeat a facet."""
-    groups = [np.arange(len(middles))]
+    order, sizes = np.arange(len(middles)), np.array([len(middles)])
     for _ in range(levels):
-        halves = []
-        for group in groups:
-            # Stable order: the tree is the same on every machine.
-            axis = int(np.ptp(middles[group], axis=0).argmax())
-            order = group[np.argsort(middles[group, axis], kind="stable")]
-            halves += np.array_split(order, 2)
-        groups = halves
-    size = max(map(len, groups))
-    return np.array([np.resize(group, size) for group in groups])
+        group, begins = np.repeat(np.arange(len(sizes)), sizes), np.cumsum(sizes) - sizes
+        placed = middles[order]
+        axis = (np.maximum.reduceat(placed, begins) - np.minimum.reduceat(placed, begins)).argmax(axis=1)
+        # lexsort is stable: the tree is the same on every machine.
+        order = order[np.lexsort((placed[np.arange(len(placed)), axis[group]], group))]
+        sizes = np.stack([sizes - sizes // 2, sizes // 2], axis=1).ravel()
+    begins = np.cumsum(sizes) - sizes
+    return order[begins[:, None] + np.arange(sizes.max()) % sizes[:, None]]
 
 
 def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> FloatArray:
