@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -280,5 +281,6 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
     return centre_m
 
 
-_MAKERS = (contact_binary, sphere, apophis_sphere, eros_like, itokawa_like, apophis_like)
+# Made once in a process: most bodies with detail start from one of them.
+_MAKERS = map(cache, (contact_binary, sphere, apophis_sphere, eros_like, itokawa_like, apophis_like))
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(dict(zip(EMBEDDED_NAMES, _MAKERS, strict=True)))

@@ -73,7 +73,7 @@ body: {shape: egg.obj}
 camera: {width_px: 512, height_px: 400, fov_deg: 5}
 orbit:
   arc: {semi_major_axis_m: 3000, days: 1, predicted_days: 0.5}
-  asteroid: {gm_m3_s2: 5}
+  asteroid: {gm_m3_s2: 5, gravity_degree: 3}
   light: {noise_share: 0.1}
   sightings: {images: 20, craters: 120, wrong_share: 0.2, merged_share: 0.1}
   pointing: {focal_error: 0.001}
