@@ -139,7 +139,8 @@ def _halved(middles: FloatArray, levels: int) -> IndexArray:
         order = order[np.lexsort((placed[np.arange(len(placed)), axis[group]], group))]
         sizes = np.stack([sizes - sizes // 2, sizes // 2], axis=1).ravel()
     begins = np.cumsum(sizes) - sizes
-    return order[begins[:, None] + np.arange(sizes.max()) % sizes[:, None]]
+    found: IndexArray = order[begins[:, None] + np.arange(sizes.max()) % sizes[:, None]]
+    return found
 
 
 def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> FloatArray:
