@@ -30,6 +30,11 @@ if os.environ.get("BORESIGHT_DATA") != NO_DATA:
     os.environ[GIVEN] = os.environ.get("BORESIGHT_DATA", "")
     os.environ["BORESIGHT_DATA"] = NO_DATA
 
+# Threads of two processes on two cores mostly wait for each other: each worker of xdist keeps to a core of its own.
+if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and hasattr(os, "sched_setaffinity"):
+    theirs = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {theirs[int(worker.removeprefix("gw")) % len(theirs)]})
+
 TIMES = os.environ.get("BORESIGHT_TEST_TIMES", "")
 """Folder for the processor times of the tests, one file for each process (see ``tests/folder_times.py``)."""
 

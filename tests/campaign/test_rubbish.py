@@ -113,14 +113,17 @@ def install(folder: Path, group: str, module: str, patch: pytest.MonkeyPatch) ->
     return names
 
 
-@pytest.mark.parametrize("group", KINDS)
-def test_rubbish_ends_no_command(group, cache, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("group", "worst"),
+    [("estimators", 0), ("sequence_estimators", 0), *(pytest.param(name, 1, marks=pytest.mark.long) for name in KINDS)],
+)
+def test_rubbish_ends_no_command(group, worst, cache, tmp_path, monkeypatch, capsys):
     module, scene, control = KINDS[group]
     names = install(tmp_path, group, module, monkeypatch)
     kind = "experiment: sequence\n" if group.startswith("sequence") else ""
     text = f"title: R\n{kind}scenarios: [scene]\nestimators: [{control}, {', '.join(names)}]\ntrials: 1\nseed: 5\n"
     file, out = write_campaign(tmp_path / "campaign", text, scene), str(tmp_path / "run")
-    assert run(file, out, "--worst", 1) == 3
+    assert run(file, out, "--worst", worst) == 3
     rows = pd.read_parquet(f"{out}/rows").set_index("estimator")
     assert rows.loc[names, "status"].eq("error").all()
     assert rows.loc[names, "reason"].str.startswith("the estimator returned rubbish: ").all()

@@ -83,9 +83,13 @@ def test_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
     assert_same_results(tiny_run.folder, out)
 
 
-def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
+ONCE, AGAIN = (2, True), (3, False)
+
+
+@pytest.mark.parametrize("interruptions", [(ONCE,), pytest.param((ONCE, AGAIN), marks=pytest.mark.long)], ids=len)
+def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path, interruptions):
     out = tmp_path / "run"
-    for blocks_seen, workers_too in ((1, True), (3, False)):
+    for blocks_seen, workers_too in interruptions:
         with started(*asked(tiny_run, out)) as process:
             wait_for_blocks(process, out, blocks_seen)
             assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"

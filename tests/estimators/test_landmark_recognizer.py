@@ -31,7 +31,7 @@ DATABASE = {
     "corners": {"count": 100},
 }
 TRIALS = 12
-MANY = 40  # of eight trials the medians of some seeds are no better than the prior's
+MANY = 20  # of eight trials the medians of some seeds are no better than the prior's
 
 
 class World:

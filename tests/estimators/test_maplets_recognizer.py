@@ -40,8 +40,8 @@ class World:
     brdf = LambertSpec()
 
     def __init__(self):
-        self.renderer = MitsubaRenderer(load_body(spec(300_000), ()).mesh, self.brdf)
-        self.onboard = load_body(spec(70_000), ()).mesh
+        self.renderer = MitsubaRenderer(load_body(spec(240_000), ()).mesh, self.brdf)
+        self.onboard = load_body(spec(60_000), ()).mesh
         self.database = build_maplets(self.onboard, MapletsOptions.model_validate(OPTIONS).maplets)
         self.asked = []
 

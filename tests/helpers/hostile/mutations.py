@@ -68,10 +68,10 @@ def _edit(content: bytes, kind: str, where: int, what: int, words: Sequence[byte
     at = where % (len(content) + 1)
     if kind in ("number", "word"):
         pattern, choice = (_NUMBER, NUMBERS) if kind == "number" else (_WORD, (*words, *NUMBERS))
-        found = list(pattern.finditer(content))
+        found = pattern.search(content, at) or pattern.search(content)
         if not found:
             return content
-        start, end = found[where % len(found)].span()
+        start, end = found.span()
         return content[:start] + choice[what % len(choice)] + content[end:]
     if kind == "insert":
         return content[:at] + words[what % len(words)] + content[at:]
