@@ -7,7 +7,8 @@ import argparse
 from boresight.campaign.cli.arguments import COMPARISONS
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.runs.newest import find_run
-from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.compare import compare_runs
+from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.pages.rich_tables import rich_parts
 from boresight.scenarios.errors import BoresightError
 
@@ -30,5 +31,5 @@ def compare_command(arguments: argparse.Namespace) -> int:
     printer = console()
     for grid in files.grids:
         printer.print(*rich_parts(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
-    printer.print(f"comparison: {files.markdown}")
+    printer.print(f"comparison: {files.html}")
     return 0

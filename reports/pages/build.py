@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import tempfile
 from collections import Counter
@@ -18,6 +17,7 @@ from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids
 from boresight.reports.pages.content import read_content
 from boresight.reports.pages.distributions import distributions
+from boresight.reports.pages.document import plain_line
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
@@ -245,7 +245,7 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures beside it."""
     manifest = content.run.manifest
-    parts = [f"# {_plain_line(manifest.title or manifest.name)}", "\n".join(f"- {note}" for note in content.notes)]
+    parts = [f"# {plain_line(manifest.title or manifest.name)}", "\n".join(f"- {note}" for note in content.notes)]
     drawn = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
     lead = [text for figure, text in zip(figures, drawn, strict=True) if figure.stem == LEAD]
     parts += [
@@ -255,8 +255,3 @@ def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     ]
     parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
     return "\n\n".join(parts) + "\n"
-
-
-def _plain_line(text: str) -> str:
-    """Return a text as one line of Markdown without markup."""
-    return re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(text.split()))

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from boresight.reports.figures import save_figure
 from boresight.reports.kinds import Content
 from boresight.reports.pages.content import beside_published
-from boresight.reports.pages.templates import embed_figures, fill_template
+from boresight.reports.pages.document import Document, write_document
 from boresight.reports.published import Comparison
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
 from boresight.reports.schema.labels import stage_label
@@ -259,37 +258,25 @@ def write_paper(page: PaperPage, folder: Path) -> Path:
 
     Drawings of the paper that an earlier call left there and that this one cannot draw are removed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    grids = (paper_grid(page.lines), *page.grids)
+    document = Document(
+        product="boresight figures",
+        title=page.title,
+        facts=[("Paper", page.source), ("Verdicts", verdict_tally(page.lines)), *page.runs],
+        lists=[
+            ("Not read", page.refused),
+            ("Not there", page.missing),
+            ("What is compared, and by which bounds", page.conditions),
+        ],
+        grids=grids,
+        figures=page.figures,
+        credits=page.credits,
+    )
+    path = write_document(document, folder, "index.html", "table.md")
     stems = {figure.stem for figure in page.figures}
     patterns = [f"{kind}_[0-9]*.{end}" for kind in ("figure", "table") for end in ("png", "pdf")]
     for old in [path for pattern in patterns for path in folder.glob(pattern)]:
         if old.stem not in stems:
             old.unlink()
-    for figure in page.figures:
-        save_figure(figure.figure, folder / figure.stem)
     paper_table(page.lines).to_csv(folder / "table.csv", index=False, lineterminator="\n")
-    (folder / "table.md").write_text(_markdown(page), encoding="utf-8")
-    (folder / "index.html").write_text(_html(page, folder), encoding="utf-8")
-    return folder / "index.html"
-
-
-def _markdown(page: PaperPage) -> str:
-    parts = [f"# {page.title}", page.source, "\n".join(f"- {name}: {how}" for name, how in page.runs)]
-    parts += [
-        "\n".join(f"- {line}" for line in (*page.refused, *page.missing)),
-        "\n".join(f"- {line}" for line in page.conditions),
-        f"Verdicts: {verdict_tally(page.lines)}.",
-    ]
-    parts += [grid.markdown() for grid in (paper_grid(page.lines), *page.grids)]
-    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in page.figures]
-    return "\n\n".join(part for part in (*parts, *page.credits) if part) + "\n"
-
-
-def _html(page: PaperPage, folder: Path) -> str:
-    return fill_template(
-        "paper.html",
-        page=page,
-        tally=verdict_tally(page.lines),
-        grids=[paper_grid(page.lines), *page.grids],
-        figures=embed_figures((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
-    )
+    return path

@@ -38,6 +38,9 @@ def test_a_key_that_changes_nothing_is_told(tmp_path, capsys):
     bound = samples["pose_error.attitude.angle_deg.max"][0]
     ratio = first["prior_attitude_error_deg"].to_numpy() / base["prior_attitude_error_deg"].to_numpy()
     assert ratio == pytest.approx(bound / 2.0)
+    page = (out / "sensitivity" / "sensitivity.html").read_text(encoding="utf-8")
+    assert "sensors.altimeter.sigma_m changes no result of landmark-harris" in page
+    assert page.count('src="data:image/png;base64,') == 1
     for name in ("sensitivity.md", "sensitivity.png", "sensitivity.pdf", "indices.csv"):
         assert (out / "sensitivity" / name).stat().st_size > 100
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import binom, binomtest, bootstrap, mannwhitneyu, t
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
-from boresight.reports.compare import compare_runs, write_comparison
-from boresight.reports.compare.build import notes
+from boresight.reports.compare import compare_runs
 from boresight.reports.compare.pairs import holm, independent_contrast
+from boresight.reports.pages.comparison import facts, write_comparison
 from boresight.reports.statistics.measured import MEDIAN, P75, P99, RMS
 from boresight.scenarios.errors import BoresightError
 
@@ -112,12 +112,12 @@ def test_the_prior_is_no_estimator_where_estimators_are_pooled(tmp_path):
     ]
     found = compare_runs(runs, factors=["brdf"])
     assert [(subject.n, subject.solved[0].value) for subject in found.subjects] == [(3, 20.0), (3, 24.0)]
-    assert sum("the prior, which is no estimator" in note for note in notes(found)) == 1
+    assert sum("the prior, which is no estimator" in note for _, note in facts(found)) == 1
     assert [one.names for one in compare_runs(runs[:1]).subjects] == [("prior", SCENARIO), ("one", SCENARIO)]
     alone = store(tmp_path / "alone", {"prior": [5, 6, 7]}, scenarios={SCENARIO: spec(brdf={"kind": "lambert"})})
     (subject,) = compare_runs([alone], factors=["brdf"]).subjects
     assert subject.n == 3
-    assert not any("no estimator" in note for note in notes(compare_runs([alone], factors=["brdf"])))
+    assert not any("no estimator" in note for _, note in facts(compare_runs([alone], factors=["brdf"])))
 
 
 @pytest.mark.parametrize(

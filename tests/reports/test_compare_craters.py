@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
-from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.compare import compare_runs
 from boresight.reports.compare.metrics import metric_names
+from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.tables import kind_schema
 
@@ -91,7 +92,7 @@ def test_what_is_left_out_is_said_and_the_missed_share_comes_first(detectors, tm
         "common_centre_error_px",
     ]
     text = write_comparison(found, tmp_path / "out").markdown.read_text()
-    assert "Left out: trials without a crater to go by, 1 of 6." in text
+    assert "Left out: trials without a crater to go by, 1 of 6" in text
     assert "negative is better" in text
     assert "failures worst" in text
 

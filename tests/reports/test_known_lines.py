@@ -7,9 +7,10 @@ from stored_runs import SCENARIO
 from terminal_text import terminal_lines
 
 from boresight import summary
-from boresight.reports.compare import compare_runs, write_comparison
+from boresight.reports.compare import compare_runs
 from boresight.reports.kinds import brief_grids, report_grids
 from boresight.reports.pages.build import write_report
+from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line, single_draws

@@ -1,4 +1,4 @@
-"""The page of a run in a real browser: it opens from its file, sorts, answers the pointer and prints."""
+"""Pages in a real browser: they open from their files, sort, answer the pointer, print and fit a phone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 from browser import needs_chromium, opened
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
+from boresight.reports.compare import compare_runs
 from boresight.reports.pages.build import write_report
+from boresight.reports.pages.comparison import write_comparison
 
 pytestmark = needs_chromium
 
@@ -92,3 +94,27 @@ def test_all_of_it_is_there_without_its_script(report):
     assert bare.count('<svg class="distribution"') == 1
     assert "nothing was found" in bare
     assert not re.search(r"""(src|href)=["'](https?:)?//""", text), "nothing comes from elsewhere"
+
+
+NARROW, WIDE = 390, 1280
+STAYS = """table => {
+  const region = table.closest(".scroll"), cell = table.querySelector("tbody td");
+  const before = cell.getBoundingClientRect().left;
+  region.scrollLeft = 10000;
+  return [region.scrollLeft, cell.getBoundingClientRect().left - before];
+}"""
+"""Scrolls a table to its right end; returns how far it went, and how far its first cell moved."""
+
+
+def test_every_page_fits_its_window_and_wide_tables_keep_their_first_column(page, report, tmp_path):
+    compared = write_comparison(compare_runs([report.folder.parent]), tmp_path / "compared")
+    before = page.viewport_size
+    for path in (compared.html, report.html):
+        page.goto(path.resolve().as_uri())
+        for width in (WIDE, NARROW):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert page.evaluate("document.documentElement.scrollWidth") == width, (path.name, width)
+        moves = [table.evaluate(STAYS) for table in page.locator("table").all()]
+        assert max(far for far, _ in moves) > 100.0, "some table is wider than a phone"
+        assert [moved for far, moved in moves if far and moved] == []
+    page.set_viewport_size(before)

@@ -1,0 +1,91 @@
+"""A page of facts, tables and figures, as HTML and as Markdown: a comparison, a sensitivity analysis, a paper."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from boresight.reports.figures.style import save_figure
+from boresight.reports.pages.templates import embed_figures, fill_template, template_text
+from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.named_figure import NamedFigure
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Document:
+    """Content of a page.
+
+    Parameters
+    ----------
+    product
+        Command that writes the page.
+    title
+        Heading.
+    facts
+        Names and values of the card below the heading.
+    lists
+        Titles and lines of the lists before the tables.
+    grids
+        Tables.
+    figures
+        Figures after the tables.
+    lead
+        Figure after the first table.
+    command
+        Command line that makes the page again.
+    credits
+        Credit lines of real images.
+    """
+
+    product: str
+    title: str
+    facts: Sequence[tuple[str, str]]
+    grids: Sequence[Grid]
+    lists: Sequence[tuple[str, Sequence[str]]] = ()
+    figures: Sequence[NamedFigure] = ()
+    lead: NamedFigure | None = None
+    command: str = ""
+    credits: Sequence[str] = ()
+
+    def drawn(self) -> list[NamedFigure]:
+        """List all figures, the lead first."""
+        return [*([self.lead] if self.lead else []), *self.figures]
+
+    def markdown(self) -> str:
+        """Write the page as Markdown, with its figures beside it."""
+        tables = [grid.markdown() for grid in self.grids]
+        figures = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in self.drawn()]
+        led = len(figures) - len(self.figures)
+        parts = [f"# {plain_line(self.title)}", _bullets(f"{name}: {value}" for name, value in self.facts)]
+        parts += [f"## {title}\n\n{_bullets(lines)}" for title, lines in self.lists if lines]
+        parts += [*tables[:1], *figures[:led], *tables[1:], *figures[led:]]
+        parts += [f"To make this again: `{self.command}`"] if self.command else []
+        return "\n\n".join(part for part in (*parts, *self.credits) if part) + "\n"
+
+
+def write_document(document: Document, folder: Path, page: str, markdown: str = "") -> Path:
+    """Write the figures (PNG and PDF), the page and, if it is named, the Markdown into a folder; return the page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = [(one, save_figure(one.figure, folder / one.stem)[0].read_bytes()) for one in document.drawn()]
+    if markdown:
+        (folder / markdown).write_text(document.markdown(), encoding="utf-8")
+    text = fill_template("document.html", document=document, figures=embed_figures(drawn), js=template_text("page.js"))
+    (folder / page).write_text(text, encoding="utf-8")
+    return folder / page
+
+
+def plain_line(text: str) -> str:
+    """Return a text as one line of Markdown without markup."""
+    return re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(text.split()))
+
+
+def _bullets(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
