@@ -26,7 +26,7 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
-from boresight.reports.pages.rich_tables import rich_table
+from boresight.reports.pages.rich_tables import FittedTable
 from boresight.reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
 from boresight.reports.schema.labels import count_of
 from boresight.scenarios.atomic import explain_write_error
@@ -169,7 +169,7 @@ def _told(written: _Written) -> int:
     """Print what a page came to; return the exit code."""
     out = console()
     shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
-    out.print(rich_table(paper_grid(written.lines).keep(*shown)))
+    out.print(FittedTable(paper_grid(written.lines).keep(*shown)))
     for line in (*written.refused, *written.missing):
         out.print(line)
     out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdict_tally(written.lines)}")

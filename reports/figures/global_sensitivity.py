@@ -75,7 +75,7 @@ def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:
             values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
         )
     axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_wrapped(key)) for key in keys], fontsize=7)
-    axes.set_ylim(len(keys) - 0.1, -0.3)
+    axes.set_ylim(len(keys) - 0.1 - 0.5 * height, -0.1 - 0.5 * height)
     left, right = axes.get_xlim()
     axes.set_xlim(max(left, _SHOWN[0]), min(right, _SHOWN[1]))
     axes.axvline(0.0, color=GREY, linewidth=0.8)

@@ -142,7 +142,7 @@ class ReportFiles:
     figures
         PNG of each figure, and PDF on request.
     content
-        For `reports.pages.console.console_table`.
+        What was written, for the tables of the terminal.
     """
 
     folder: Path

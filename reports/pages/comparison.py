@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from boresight.reports.compare.figures import comparison_figures
@@ -18,7 +18,7 @@ from boresight.reports.compare.tables import (
 )
 from boresight.reports.compare.trials import is_pooled_control
 from boresight.reports.figures.provenance import add_provenance
-from boresight.reports.pages.document import Document, write_document
+from boresight.reports.pages.document import ON_BOARD, Document, write_document
 from boresight.reports.run.limits import known_lines
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.labels import as_title
@@ -58,7 +58,7 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         product="boresight compare",
         title=f"{as_title(found.metric.label)} compared",
         facts=list(facts(found)),
-        grids=[replace(grid, known="") for grid in grids],
+        grids=grids,
         lead=lead,
         figures=figures,
         command=command,
@@ -99,7 +99,7 @@ def facts(found: RunComparison) -> Iterator[tuple[str, str]]:
         done, total = run.progress()
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"
         yield "Run", f"{run.folder}: {made}" + (", not finished" if done < total else "")
-    yield from (("On board", line) for line in dict.fromkeys(line for run in found.runs for line in known_lines(run)))
+    yield from ((ON_BOARD, line) for line in dict.fromkeys(line for run in found.runs for line in known_lines(run)))
     n = sum(len(run.rows) for run in found.runs)
     pooled = sum(int(is_pooled_control(run, found.factors).sum()) for run in found.runs)
     if pooled:

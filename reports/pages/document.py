@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from boresight.reports.figures.style import save_figure
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
+
+ON_BOARD = "On board"
+"""Name of the fact that says what was known on board."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -52,6 +55,11 @@ class Document:
     def drawn(self) -> list[NamedFigure]:
         """List all figures, the lead first."""
         return [*([self.lead] if self.lead else []), *self.figures]
+
+    def on_page(self) -> list[Grid]:
+        """List the tables without their lines on the onboard knowledge where the card says it in full."""
+        said = ON_BOARD in dict(self.facts)
+        return [replace(grid, known="") if said else grid for grid in self.grids]
 
     def markdown(self) -> str:
         """Write the page as Markdown, with its figures beside it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -12,10 +11,10 @@ from boresight.reports.compare.global_sensitivity import Sensitivity, VariedKey
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
 from boresight.reports.figures.provenance import add_provenance
-from boresight.reports.pages.document import Document, write_document
+from boresight.reports.pages.document import ON_BOARD, Document, write_document
 from boresight.reports.run.data import RunData
-from boresight.reports.run.limits import known_lines
 from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.statistics.intervals import FloatArray
 
@@ -51,15 +50,15 @@ def write_sensitivity(
         title=f"Sensitivity of the {metric.label}, {manifest.name}",
         facts=[
             *(("Varied", f"{one.key} from {one.low:g} to {one.high:g}") for one in varied),
-            ("Samples", f"{len(samples)} of {manifest.trials} trials, seed {manifest.seed}"),
-            *(("On board", line) for line in known_lines(run)),
+            ("Samples", f"{len(samples)}, of {count_of(manifest.trials, 'trial')} each, seed {manifest.seed}"),
+            (ON_BOARD, grid.known),
             *(
                 ("No effect", f"{key} changes no result of {one.estimator}, bit for bit.")
                 for one in found
                 for key in one.unmoved
             ),
         ],
-        grids=[replace(grid, known="")],
+        grids=[grid],
         lead=NamedFigure(
             "sensitivity",
             figure,

@@ -39,10 +39,13 @@ class Grid:
 
     def keep(self, *columns: str) -> Grid:
         """Keep only the named columns."""
-        chosen = [self.columns.index(name) for name in columns]
-        rows = tuple(tuple(row[i] for i in chosen) for row in self.rows)
+        return self.at([self.columns.index(name) for name in columns])
+
+    def at(self, chosen: Sequence[int]) -> Grid:
+        """Keep only the columns of these numbers."""
+        columns, *rows = (tuple(row[i] for i in chosen) for row in (self.columns, *self.rows))
         text = frozenset(new for new, old in enumerate(chosen) if old in self.text)
-        return Grid(self.title, columns, rows, text, self.note, self.known)
+        return Grid(self.title, columns, tuple(rows), text, self.note, self.known)
 
     def markdown(self) -> str:
         """Write as a Markdown table under its heading."""

@@ -10,7 +10,6 @@ from boresight.reports.kinds.sequence.contrasts import ratio_records
 from boresight.reports.kinds.sequence.tables import revolution_figure, revolution_series
 from boresight.reports.kinds.sequence.vision import vision_records
 from boresight.reports.pages.build import write_report
-from boresight.reports.pages.console import console_table
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
@@ -255,7 +254,7 @@ def test_the_report_states_sets_and_starts(builder):
     assert f"## Sign tests, {POOL.format(4)}" in text
     assert "mean error of / over" in text
     assert "Position error after 1 revolution, sphere-0" not in text
-    assert console_table(files.content).renderables
+    assert terminal_lines(files.content)
 
 
 def test_bars_of_one_set_are_not_drawn(builder):

@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from scipy.stats import binom, binomtest, bootstrap, mannwhitneyu, t
 from stored_runs import SCENARIO, RunBuilder, pose_error
+from terminal_text import printed_lines
 
 from boresight.reports.compare import compare_runs
 from boresight.reports.compare.pairs import holm, independent_contrast
-from boresight.reports.pages.comparison import facts, write_comparison
+from boresight.reports.pages.comparison import comparison_grids, facts, write_comparison
 from boresight.reports.statistics.measured import MEDIAN, P75, P99, RMS
 from boresight.scenarios.errors import BoresightError
 
@@ -257,6 +258,21 @@ def test_the_files_hold_every_number(tmp_path):
     first = [path.read_bytes() for path in (*files.figures, *files.tables, files.markdown)]
     again = write_comparison(compare_runs([run]), tmp_path / "again", "boresight compare run")
     assert [path.read_bytes() for path in (*again.figures, *again.tables, again.markdown)] == first
+
+
+def test_in_80_columns_names_stay_whole_and_no_column_is_lost(tmp_path):
+    errors = {"landmark-registration": [10, 20, None, 30], "landmark-ransac": [5, 6, 7, 8]}
+    grids = list(comparison_grids(compare_runs([store(tmp_path / "run", errors)])))
+    lines = printed_lines(grids)
+    assert max(map(len, lines)) <= 80
+    narrow = " ".join(" ".join(lines).split())
+    for grid in grids:
+        for column, *cells in zip(grid.columns, *grid.rows, strict=True):
+            assert column in narrow
+            assert [cell for cell in cells if cell in errors and cell not in narrow] == []
+    rows = [line.split()[0] for line in lines if line.startswith("landmark-")]
+    assert set(rows) == set(errors)
+    assert len(rows) > sum(len(grid.rows) for grid in grids), "each part of a wide table begins with the names"
 
 
 def test_a_run_of_an_older_version_is_told(tmp_path):
