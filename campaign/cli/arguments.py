@@ -104,6 +104,9 @@ def _runs(commands: Commands) -> None:
     report.add_argument("run", help="a run folder, or a campaign's name")
     _add_report(report)
     report.set_defaults(handler="report:report_command")
+    board = commands.add_parser("board", help="write an index page of all runs in a folder")
+    board.add_argument("folder", type=Path, nargs="?", default=RUNS, help=f"where the runs are (default: {RUNS})")
+    board.set_defaults(handler="board:board_command")
 
 
 def _inspect(commands: Commands) -> None:

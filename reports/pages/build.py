@@ -80,10 +80,14 @@ def _card(content: Content) -> Iterator[tuple[str, str]]:
     yield from (("On board", line) for line in known_lines(run))
     yield "Trials", trials
     yield from [("Intervals", database_line(run))] if database_line(run) else []
-    values = [one.verdict for one in content.compared]
-    verdicts = Counter(filter(None, (*values, *(one.verdict for one in content.claims))))
-    if verdicts:
-        yield "Published values", ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
+    verdicts = verdict_counts(content)
+    yield from [("Published values", verdicts)] if verdicts else []
+
+
+def verdict_counts(content: Content) -> str:
+    """Count the verdicts on published values and claims, in words; '' if there are none."""
+    verdicts = Counter([one.verdict for one in content.compared] + [one.verdict for one in content.claims])
+    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
 
 
 def _on_page(grid: Grid, run: RunData) -> Grid:

@@ -11,6 +11,7 @@ from browser import needs_chromium, opened
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
 from boresight.reports.compare import compare_runs
+from boresight.reports.pages.board import write_board
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.comparison import write_comparison
 
@@ -108,8 +109,10 @@ STAYS = """table => {
 
 def test_every_page_fits_its_window_and_wide_tables_keep_their_first_column(page, report, tmp_path):
     compared = write_comparison(compare_runs([report.folder.parent]), tmp_path / "compared")
+    board, refused = write_board([report.folder.parent], tmp_path / "board", "boresight board")
+    assert refused == ()
     before = page.viewport_size
-    for path in (compared.html, report.html):
+    for path in (compared.html, board, report.html):
         page.goto(path.resolve().as_uri())
         for width in (WIDE, NARROW):
             page.set_viewport_size({"width": width, "height": 900})
@@ -118,3 +121,6 @@ def test_every_page_fits_its_window_and_wide_tables_keep_their_first_column(page
         assert max(far for far, _ in moves) > 100.0, "some table is wider than a phone"
         assert [moved for far, moved in moves if far and moved] == []
     page.set_viewport_size(before)
+    page.goto(board.as_uri())
+    page.locator("td a").click()
+    assert page.title() == report.content.run.manifest.title
