@@ -43,24 +43,26 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     run, manifest = content.run, content.run.manifest
     card = list(_card(content))
     said = {text for _, text in card}
-    brief = [replace(_on_page(grid, run), note="") for grid in brief_grids(content)]
+    grids = [_on_page(grid, run) for grid in report_grids(content)]
+    top = [replace(_on_page(grid, run), note="") for grid in brief_grids(content)]
+    same = {(grid.columns, grid.rows): grid for grid in grids}
+    brief = [same.get((grid.columns, grid.rows), grid) for grid in top]
     short = {grid.title for grid in brief}
-    grids = [(_on_page(grid, run), row_links(run, grid)) for grid in report_grids(content)]
+    full = [grid for grid in grids if grid not in brief]
+    full = [replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid for grid in full]
+    shown = [(grid, row_links(run, grid) if grid not in top else []) for grid in _noted_once([*brief, *full])]
     embedded = embed_figures(figures)
     return fill_template(
         "page.html",
         manifest=manifest,
         progress=run.progress(),
         card=card,
-        brief=brief,
+        brief=shown[: len(brief)],
         lead=next((one for one in embedded if one[0].stem == LEAD), None),
         facts=_facts(content),
         notes=[note for note in content.notes if note not in said],
         js=template_text("page.js"),
-        grids=[
-            (replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid, links)
-            for grid, links in grids
-        ],
+        grids=shown[len(brief) :],
         distributions=list(distributions(run)),
         figures=[one for one in embedded if one[0].stem != LEAD],
         resolved={
@@ -88,6 +90,14 @@ def verdict_counts(content: Content) -> str:
     """Count the verdicts on published values and claims, in words; '' if there are none."""
     verdicts = Counter([one.verdict for one in content.compared] + [one.verdict for one in content.claims])
     return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
+
+
+def _noted_once(grids: Iterable[Grid]) -> Iterator[Grid]:
+    """Leave out notes that an earlier table has."""
+    said: set[str] = set()
+    for grid in grids:
+        yield replace(grid, note="") if grid.note in said else grid
+        said.add(grid.note)
 
 
 def _on_page(grid: Grid, run: RunData) -> Grid:

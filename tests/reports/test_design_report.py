@@ -11,7 +11,7 @@ from boresight.reports.figures.scenario_grids import CurvePanel, HeatMap, Points
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.designs.figures import design_figures
 from boresight.reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
-from boresight.reports.pages.build import write_report
+from boresight.reports.pages.build import html_page, write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
 from boresight.reports.tables import failure_grid
@@ -67,13 +67,44 @@ def test_changes_are_the_factors_whatever_the_spread(square):
 
 
 def test_a_square_of_levels_is_compared_with_its_diagonal(square):
-    [grid] = design_grids(square.run)
-    assert grid.columns[:2] == ("the truth", "the onboard")
-    assert [row[:2] for row in grid.rows] == [("b", "b"), ("b", "a"), ("a", "b"), ("a", "a")]
-    changes = [row[grid.columns.index("change")] for row in grid.rows]
-    assert changes == ["-", "3.00 [3.00, 3.00]", "2.00 [2.00, 2.00]", "-"]
-    solved = grid.columns.index("solved")
-    assert [row[solved] for row in grid.rows] == [f"{TRIALS - 1}/{TRIALS}", *[f"{TRIALS}/{TRIALS}"] * 3]
+    position, attitude, trials = design_grids(square.run)
+    assert position.columns == (
+        "the truth", "the onboard", "prior, m", "landmark-harris", "landmark-harris, change",
+    )  # fmt: skip
+    assert attitude.columns == tuple(name for name in position.columns if name != "prior, m")
+    for grid in (position, attitude, trials):
+        assert [row[:2] for row in grid.rows] == [("b", "b"), ("b", "a"), ("a", "b"), ("a", "a")]
+    for grid in (position, attitude):
+        assert [row[-1] for row in grid.rows] == ["-", "3.00 [3.00, 3.00]", "2.00 [2.00, 2.00]", "-"]
+    assert trials.columns[2:] == ("landmark-harris, solved", "landmark-harris, success")
+    assert [row[2] for row in trials.rows] == [f"{TRIALS - 1}/{TRIALS}", *[f"{TRIALS}/{TRIALS}"] * 3]
+    assert [bool(grid.note) for grid in (position, attitude, trials)] == [True, False, True], "each note stands once"
+
+
+def test_estimators_stand_beside_each_other(builder):
+    """A second method with twice the errors of the first: a column of each matrix, not a table of its own."""
+    axes = [axis("world", "a", "b")]
+    store(builder, "full", axes, {("a",): 1.0, ("b",): 4.0})
+    for row in [one for one in builder.tables["rows"] if one["estimator"] == "landmark-harris"]:
+        builder.tables["rows"].append({**row, "estimator": "other", "position_error_m": 2.0 * row["position_error_m"]})
+    grid = {
+        "design": "full",
+        "axes": axes,
+        "scenarios": [{"name": f"rock-{i}", "base": "rock", "levels": {"world": x}} for i, x in enumerate("ab")],
+    }
+    builder.write(grid=grid, scenarios={"rock-0": {}, "rock-1": {}}, report=None)
+    run = read_run(builder.folder)
+    position, _, trials = design_grids(run)
+    assert position.columns == ("the world", "prior, m", "landmark-harris", "other")
+    data = DesignData(run, run.manifest.grid)
+    medians = [[float(cell.split()[0]) for cell in row[2:]] for row in position.rows]
+    known = [data.median(name, POSITION).value for name in ("rock-0", "rock-1")]
+    assert medians == [pytest.approx([value, 2.0 * value], rel=5e-3) for value in known]
+    heads = ("solved", "success")
+    assert trials.columns[1:] == tuple(f"{name}, {head}" for name in ("landmark-harris", "other") for head in heads)
+    assert [one.title for one in design_grids(run, brief=True)] == [position.title, trials.title]
+    page = html_page(read_content(run.folder), [])
+    assert page.count(position.title) == 1, "a table that the top of the page shows is not shown again"
 
 
 def test_the_median_is_that_of_the_trials_with_an_estimate(square):
@@ -91,9 +122,11 @@ def test_main_effects_multiply(builder):
         for levels in itertools.product("01", repeat=3)
     }
     data = store(builder, "two-level", axes, factors)
-    [grid] = design_grids(data.run)
-    column = grid.columns.index("position error")
-    assert [row[column].split()[0] for row in grid.rows] == ["1.50", "1.00", "0.500"]
+    position, attitude, trials = design_grids(data.run)
+    for grid in (position, attitude):
+        assert [row[3].split()[0] for row in grid.rows] == ["1.50", "1.00", "0.500"]
+    solved = [trials.columns.index(f"landmark-harris, solved {end}") for end in ("from", "to")]
+    assert [trials.rows[0][i] for i in solved] == [f"{4 * TRIALS - 1}/{4 * TRIALS}", f"{4 * TRIALS}/{4 * TRIALS}"]
     assert write_report(builder.folder).figures
 
 
@@ -101,7 +134,7 @@ def test_each_axis_is_compared_with_the_reference(builder):
     axes = [axis("focal", "0", "1", "2", values=[0, 1, 2]), axis("law", "a", "b")]
     factors = {("0", "a"): 1.0, ("1", "a"): 1.5, ("2", "a"): 2.5, ("0", "b"): 0.25}
     data = store(builder, "one-at-a-time", axes, factors)
-    [grid] = design_grids(data.run)
+    grid = design_grids(data.run)[0]
     assert [row[:2] for row in grid.rows] == [
         ("reference", ""), ("the focal", "1"), ("the focal", "2"), ("the law", "b"),
     ]  # fmt: skip
@@ -203,7 +236,9 @@ def test_centroiding_alone_has_an_offset_and_no_attitude(builder):
 def test_a_report_tells_of_the_grid_and_not_of_each_scenario(square):
     content = read_content(square.run.folder)
     assert [grid.title for grid in report_grids(content)] == [
-        "truth against onboard, rock, landmark-harris",
+        "Position error, m: truth against onboard, rock",
+        "Attitude error, deg: truth against onboard, rock",
+        "Trials: truth against onboard, rock",
         "Failures by reason",
     ]
     assert not any("Scenario rock" in note for note in content.notes)
@@ -235,10 +270,11 @@ def test_sequences_are_compared_by_their_errors_after_whole_revolutions(builder)
     builder.write(grid=grid, scenarios={one["name"]: {} for one in scenarios}, report=None)
     run = read_run(builder.folder)
     assert outcomes(run) == [Outcome("ba-slam", "sequence", "error_after_1_m")]
-    (grid,) = design_grids(run)
-    assert grid.columns == ("axis", "level", "position error after 1 revolution, m", "change", "ok")
-    line = grid.rows[1]
-    assert (line[-1], line[3].split()[0]) == (f"{TRIALS - 4}/{TRIALS}", "3.00")
+    errors, trials = design_grids(run)
+    assert errors.title == "Position error after 1 revolution, m: one at a time, rock"
+    assert errors.columns == ("axis", "level", "ba-slam", "ba-slam, change")
+    assert errors.rows[1][3].split()[0] == "3.00"
+    assert (trials.columns[-1], trials.rows[1][-1]) == ("ba-slam, ok", f"{TRIALS - 4}/{TRIALS}")
     assert sorted(failure_grid(run).rows) == [
         (n, "ba-slam", "failed", "n of n lost", "8") for n in ("rock", "rock-noise-2")
     ]

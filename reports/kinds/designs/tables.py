@@ -7,7 +7,7 @@ multiply.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from boresight.reports.run.data import RunData, ScenarioGrid, select
 from boresight.reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
 from boresight.reports.schema.grid import NO_VALUE, Grid, of_ended
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from boresight.reports.schema.labels import stage_label
+from boresight.reports.schema.labels import as_title, stage_label
 from boresight.reports.schema.records import CONTROL, SEQUENCE
 from boresight.reports.schema.tables import measure_label, unit_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure
@@ -196,27 +196,57 @@ class DesignData:
         return [Measured(one.value) for one in found] if seen or self.run.databases > 1 else found
 
 
+_CHANGE = "change"
 _CHANGE_NOTE = (
     "Change: the ratio of geometric means of the error over the same trials, with its 95 % interval; above 1"
     " it got worse."
+)
+_EFFECT_NOTE = (
+    "Main effect: the factor by which the error changes from the first to the last level of an axis, by least"
+    " squares on its logarithm over all scenarios with a constant for each trial, with its 95 % bootstrap interval."
+    " Trials are counted at either level."
 )
 _COUNTED = ("ok",), "ok: trials behind the median, of all."
 _POSED = ("solved", "success"), MEANING
 """Headings of `DesignData.counts`, and what they mean."""
 
 
-def design_grids(run: RunData) -> list[Grid]:
-    """Tabulate a grid of scenarios; nothing for other runs."""
-    design = run.manifest.grid
-    if design is None:
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A row of the matrices: its levels, the scenarios of which trials are counted, and its reference, '' if none."""
+
+    levels: tuple[str, ...]
+    sides: tuple[list[str], ...]
+    reference: str = ""
+
+
+def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
+    """Tabulate a grid of scenarios, nothing for other runs: a matrix of levels and estimators for each measure.
+
+    ``brief``: the final position error alone, without changes.
+    """
+    design, groups = run.manifest.grid, _by_measure(run)
+    if design is None or not groups:
         return []
-    tabulate: dict[str, Callable[[DesignData, str, list[str]], Iterator[Grid]]] = {
-        "full": _cell_grids,
-        "one-at-a-time": _axis_grids,
-        "two-level": _effect_grids,
-    }
     data = DesignData(run, design)
-    return [grid for base, names in data.bases().items() for grid in tabulate[design.design](data, base, names)]
+    if brief:
+        final = [group for group in groups if group[0].measure in (POSITION, *REVOLUTION_ERRORS)]
+        groups = (final or groups)[-1:]
+    tabulate = _effect_grids if design.design == "two-level" else _level_grids
+    found = [grid for base, names in data.bases().items() for grid in tabulate(data, base, names, groups)]
+    return [_without_changes(grid) for grid in found] if brief else found
+
+
+def _without_changes(grid: Grid) -> Grid:
+    return grid.keep(*(head for head in grid.columns if not head.endswith(f", {_CHANGE}")))
+
+
+def _by_measure(run: RunData) -> list[list[Outcome]]:
+    """Group the outcomes of estimators that are of the same measure and stage; the prior is no estimator."""
+    groups: dict[str, list[Outcome]] = {}
+    for one in outcomes(run):
+        groups.setdefault(one.label, []).append(one)
+    return list(groups.values())
 
 
 def matching(design: ScenarioGrid, levels: dict[str, str]) -> dict[str, str] | None:
@@ -227,82 +257,74 @@ def matching(design: ScenarioGrid, levels: dict[str, str]) -> dict[str, str] | N
     return {first.name: levels[first.name], last.name: levels[first.name]}
 
 
-def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
-    """Tabulate each combination, beside the one at which both axes agree."""
-    design = data.design
-    square = matching(design, data.levels(names[0])) is not None
-    note = _CHANGE_NOTE
-    for estimator, group in _by_estimator(data):
-        heads = [axis.label for axis in design.axes]
-        prior = data.priors(names, estimator)
-        ends, meaning = _POSED if prior else _COUNTED
-        heads += [outcome.label for outcome in prior]
-        for outcome in group:
-            heads += [outcome.label, *(["change"] if square else [])]
+def _level_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:
+    """Tabulate the median errors at the levels, and their changes from the reference."""
+    if data.design.design == "full":
+        what, heads, lines = _combinations(data, names)
+    else:
+        what, heads, lines = "one at a time", ("axis", "level"), _alone(data, names)
+    compared = any(line.reference for line in lines)
+    note = _CHANGE_NOTE if compared else ""
+    if compared and data.design.design == "full":
+        note += " The reference of a line is the combination whose levels agree."
+    for group in groups:
+        prior = data.priors(names, group[0].estimator) if group[0].measure == POSITION else []
+        columns = [*heads, *(one.label for one in prior)]
+        for one in group:
+            columns += [one.estimator, *([f"{one.estimator}, {_CHANGE}"] if compared else [])]
         rows = []
-        for name in names:
-            levels = data.levels(name)
-            cells = [*levels.values(), *(interval(data.median(name, outcome)) for outcome in prior)]
-            for outcome in group:
-                cells.append(data.printed_median(name, outcome))
-                if square:
-                    reference = [n for n in data.scenarios(**(matching(design, levels) or {})) if n in names]
-                    cells.append(
-                        NO_VALUE if reference in ([], [name]) else interval(data.change(name, reference[0], outcome))
-                    )
-            rows.append((*cells, *data.counts([name], group[-1])))
-        what = " against ".join(axis.name for axis in design.axes)
-        text = frozenset(range(len(design.axes)))
-        said = [note, "The reference of a line is the combination whose levels agree."] if square else []
-        yield Grid(f"{what}, {base}, {estimator}", (*heads, *ends), tuple(rows), text, " ".join([*said, meaning]))
+        for line in lines:
+            (name,) = line.sides[0]
+            cells = [*line.levels, *(interval(data.median(name, one)) for one in prior)]
+            for one in group:
+                change = interval(data.change(name, line.reference, one)) if line.reference else NO_VALUE
+                cells += [data.printed_median(name, one), *([change] if compared else [])]
+            rows.append(tuple(cells))
+        title = f"{as_title(group[0].label)}: {what}, {base}"
+        yield Grid(title, tuple(columns), tuple(rows), frozenset(range(len(heads))), note)
+        note = ""
+    yield _count_grid(data, f"Trials: {what}, {base}", heads, lines, groups)
 
 
-def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
-    """Tabulate each level of each axis beside the reference."""
-    for estimator, group in _by_estimator(data):
-        prior = data.priors(names, estimator)
-        ends, meaning = _POSED if prior else _COUNTED
-        heads = ["axis", "level", *(outcome.label for outcome in prior)]
-        for outcome in group:
-            heads += [outcome.label, "change"]
-        reference = names[0]
-        rows = [("reference", "", *_axis_cells(data, reference, "", group))]
-        for axis in data.design.axes:
-            for level in axis.levels[1:]:
-                for name in (n for n in names if n != reference and data.levels(n)[axis.name] == level):
-                    rows.append((axis.label, level, *_axis_cells(data, name, reference, group)))
-        said = f"{_CHANGE_NOTE} {meaning}"
-        yield Grid(f"One at a time, {base}, {estimator}", (*heads, *ends), tuple(rows), frozenset({0}), said)
+def _combinations(data: DesignData, names: list[str]) -> tuple[str, tuple[str, ...], list[_Line]]:
+    """List each combination of levels, its reference the one at which both axes agree."""
+    lines = []
+    for name in names:
+        agreeing = matching(data.design, data.levels(name))
+        reference = [] if agreeing is None else [one for one in data.scenarios(**agreeing) if one in names]
+        against = "" if reference in ([], [name]) else reference[0]
+        lines.append(_Line(tuple(data.levels(name).values()), ([name],), against))
+    axes = data.design.axes
+    return " against ".join(axis.name for axis in axes), tuple(axis.label for axis in axes), lines
 
 
-def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome]) -> tuple[str, ...]:
-    cells = [interval(data.median(name, prior)) for prior in data.priors([name], group[0].estimator)]
-    for outcome in group:
-        change = interval(data.change(name, reference, outcome)) if reference else NO_VALUE
-        cells += [data.printed_median(name, outcome), change]
-    return (*cells, *data.counts([name], group[-1]))
+def _alone(data: DesignData, names: list[str]) -> list[_Line]:
+    """List the reference, and each other level of each axis by itself."""
+    reference, *others = names
+    lines = [_Line(("reference", ""), ([reference],))]
+    for axis in data.design.axes:
+        for level in axis.levels[1:]:
+            at = [name for name in others if data.levels(name)[axis.name] == level]
+            lines += [_Line((axis.label, level), ([name],), reference) for name in at]
+    return lines
 
 
-def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+def _effect_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:
     """Tabulate main effects: the scenarios with an axis at its last level against those with it at its first."""
-    note = (
-        "Main effect: the factor by which the error changes from the first to the last level of an axis, by least"
-        " squares on its logarithm over all scenarios with a constant for each trial, with its 95 % bootstrap interval."
-        " Trials are counted at either level."
-    )
-    for estimator, group in _by_estimator(data):
-        ends, meaning = _POSED if data.priors(names, estimator) else _COUNTED
-        at_ends = (f"{head} {end}" for end in ("from", "to") for head in ends)
-        heads = ("axis", "from", "to", *(outcome.label.split(",")[0] for outcome in group), *at_ends)
-        effects = [data.effects(names, outcome) for outcome in group]
-        rows = []
-        for k, axis in enumerate(data.design.axes):
-            levels = (axis.levels[0], axis.levels[-1])
-            sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in levels]
-            cells = [interval(found[k]) for found in effects]
-            rows.append((axis.label, *levels, *cells, *(n for side in sides for n in data.counts(side, group[-1]))))
-        said = f"{note} {meaning}{_prior_note(data, names, estimator)}"
-        yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), said)
+    heads, lines = ("axis", "from", "to"), []
+    for axis in data.design.axes:
+        levels = (axis.levels[0], axis.levels[-1])
+        sides = [[name for name in names if data.levels(name)[axis.name] == level] for level in levels]
+        lines.append(_Line((axis.label, *levels), tuple(sides)))
+    note = _EFFECT_NOTE + _prior_note(data, names, groups[0][0].estimator)
+    for group in groups:
+        effects = [data.effects(names, one) for one in group]
+        rows = tuple((*line.levels, *(interval(found[k]) for found in effects)) for k, line in enumerate(lines))
+        columns = (*heads, *(one.estimator for one in group))
+        title = f"Main effects on the {group[0].label.split(',')[0]}, {base}"
+        yield Grid(title, columns, rows, frozenset(range(len(heads))), note)
+        note = ""
+    yield _count_grid(data, f"Trials: main effects, {base}", heads, lines, groups)
 
 
 def _prior_note(data: DesignData, names: list[str], estimator: str) -> str:
@@ -311,6 +333,18 @@ def _prior_note(data: DesignData, names: list[str], estimator: str) -> str:
     return "".join(f" Median position error of the prior at the first levels: {error} m." for error in found)
 
 
-def _by_estimator(data: DesignData) -> list[tuple[str, list[Outcome]]]:
-    found = outcomes(data.run)
-    return [(name, [o for o in found if o.estimator == name]) for name in dict.fromkeys(o.estimator for o in found)]
+def _count_grid(
+    data: DesignData, title: str, heads: tuple[str, ...], lines: list[_Line], groups: list[list[Outcome]]
+) -> Grid:
+    """Tabulate the trials of each line that an estimator solved, and those that succeeded where there are priors."""
+    last = {one.estimator: one for group in groups for one in group}
+    names = [name for line in lines for side in line.sides for name in side]
+    ends = {label: _POSED if data.priors(names, label) else _COUNTED for label in last}
+    sides = ("",) if len(lines[0].sides) == 1 else (" from", " to")
+    columns = [f"{label}, {head}{side}" for label, (own, _) in ends.items() for side in sides for head in own]
+    rows = tuple(
+        (*line.levels, *(n for one in last.values() for side in line.sides for n in data.counts(side, one)))
+        for line in lines
+    )
+    meanings = " ".join(dict.fromkeys(meaning for _, meaning in ends.values()))
+    return Grid(title, (*heads, *columns), rows, frozenset(range(len(heads))), meanings)
