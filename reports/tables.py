@@ -159,6 +159,15 @@ def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
     return Grid("Diagnostics", heads, rows, frozenset({0, 1, 2, 7})) if rows else None
 
 
+def diagnostic_brief(records: Sequence[Record]) -> list[Grid]:
+    """List the medians of what estimators report, for the terminal."""
+    found = diagnostic_grid(records)
+    if found is None:
+        return []
+    scenario = ("scenario",) if len({row[0] for row in found.rows}) > 1 else ()
+    return [found.keep(*scenario, "estimator", "number", "median [95 %]", "trials")]
+
+
 def timing_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate wall time by stage; None if no times were stored."""
     lines = [r for r in records if r.measure == "seconds" and r.statistic == MEDIAN.name]

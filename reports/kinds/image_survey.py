@@ -13,7 +13,7 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import DIAGNOSTICS, Record
-from boresight.reports.tables import diagnostic_grid
+from boresight.reports.tables import diagnostic_brief, diagnostic_grid
 from boresight.reports.verdicts import ComparedValue, comparison_grid
 
 _MEAN, _FEW = ("detections_an_image", "mean"), ("few_craters_share", 7.0)
@@ -22,12 +22,6 @@ _MEAN, _FEW = ("detections_an_image", "mean"), ("few_craters_share", 7.0)
 def survey_grids(records: Sequence[Record], compared: Sequence[ComparedValue]) -> list[Grid]:
     """List the tables of a run that surveys images."""
     return [grid for grid in (comparison_grid(compared), diagnostic_grid(records)) if grid is not None]
-
-
-def survey_brief(records: Sequence[Record]) -> list[Grid]:
-    """Tabulate what fits a terminal."""
-    found = diagnostic_grid(records)
-    return [] if found is None else [found.keep("estimator", "number", "median [95 %]", "trials")]
 
 
 def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[NamedFigure]:
@@ -86,6 +80,6 @@ def _published(comparison: Comparison | None) -> dict[str, float]:
 
 REPORT = ReportKind(
     tables=lambda content: survey_grids(content.records, content.compared),
-    brief=lambda content: survey_brief(content.records),
+    brief=lambda content: diagnostic_brief(content.records),
     figures=lambda content: survey_figures(content.run, content.comparison),
 )

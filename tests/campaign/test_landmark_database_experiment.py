@@ -9,7 +9,7 @@ from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.renderers.mitsuba3 import choose_variant
-from boresight.reports.kinds import report_grids
+from boresight.reports.kinds import brief_grids, report_grids
 from boresight.reports.pages.content import read_content
 
 DATABASES = """\
@@ -98,3 +98,11 @@ def test_another_method_is_refused(tmp_path, capsys):
     bad = write_campaign(tmp_path, DATABASES.replace("landmark-database: {label: base,", "prior: {label: base,"), SCENE)
     assert run(bad, tmp_path / "run") == 2
     assert "the only method is landmark-database" in capsys.readouterr().err
+
+
+def test_the_terminal_shows_the_counts(stored):
+    (grid,) = brief_grids(read_content(stored.path))
+    landmarks = numbers(stored)["landmarks"].groupby("estimator").median()
+    shown = {row[0]: float(row[2].split()[0]) for row in grid.rows if row[1] == "landmarks"}
+    assert shown == pytest.approx({name: landmarks[name] for name in shown}, rel=5e-3)
+    assert {"base", "strict"} <= set(shown)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from stored_runs import RunBuilder, pose_error, seal
+from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 
 from boresight.reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
 from boresight.reports.kinds import report_grids
@@ -81,27 +81,42 @@ def test_a_square_of_levels_is_compared_with_its_diagonal(square):
     assert [bool(grid.note) for grid in (position, attitude, trials)] == [True, False, True], "each note stands once"
 
 
+def test_the_terminal_shows_the_final_error_alone(full_run):
+    grid = {
+        "design": "full",
+        "axes": [axis("world", "a")],
+        "scenarios": [{"name": SCENARIO, "base": "rock", "levels": {"world": "a"}}],
+    }
+    run = read_run(full_run(grid=grid))
+    stages = [one.title.split(":")[0] for one in design_grids(run)]
+    assert stages == ["Position error after centroiding, m", "Position error, m", "Attitude error, deg", "Trials"]
+    assert [one.title.split(":")[0] for one in design_grids(run, brief=True)] == ["Position error, m", "Trials"]
+
+
 def test_estimators_stand_beside_each_other(builder):
     """A second method with twice the errors of the first: a column of each matrix, not a table of its own."""
     axes = [axis("world", "a", "b")]
     store(builder, "full", axes, {("a",): 1.0, ("b",): 4.0})
     for row in [one for one in builder.tables["rows"] if one["estimator"] == "landmark-harris"]:
-        builder.tables["rows"].append({**row, "estimator": "other", "position_error_m": 2.0 * row["position_error_m"]})
+        builder.tables["rows"].append(
+            {**row, "estimator": "another", "position_error_m": 2.0 * row["position_error_m"]}
+        )
     grid = {
         "design": "full",
         "axes": axes,
         "scenarios": [{"name": f"rock-{i}", "base": "rock", "levels": {"world": x}} for i, x in enumerate("ab")],
     }
-    builder.write(grid=grid, scenarios={"rock-0": {}, "rock-1": {}}, report=None)
+    estimators = ["prior", "landmark-harris", "another"]
+    builder.write(grid=grid, scenarios={"rock-0": {}, "rock-1": {}}, report=None, estimators=estimators)
     run = read_run(builder.folder)
     position, _, trials = design_grids(run)
-    assert position.columns == ("the world", "prior, m", "landmark-harris", "other")
+    assert position.columns == ("the world", "prior, m", "landmark-harris", "another")
     data = DesignData(run, run.manifest.grid)
     medians = [[float(cell.split()[0]) for cell in row[2:]] for row in position.rows]
     known = [data.median(name, POSITION).value for name in ("rock-0", "rock-1")]
     assert medians == [pytest.approx([value, 2.0 * value], rel=5e-3) for value in known]
     heads = ("solved", "success")
-    assert trials.columns[1:] == tuple(f"{name}, {head}" for name in ("landmark-harris", "other") for head in heads)
+    assert trials.columns[1:] == tuple(f"{name}, {head}" for name in ("landmark-harris", "another") for head in heads)
     assert [one.title for one in design_grids(run, brief=True)] == [position.title, trials.title]
     page = html_page(read_content(run.folder), [])
     assert page.count(position.title) == 1, "a table that the top of the page shows is not shown again"

@@ -230,7 +230,8 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
         return []
     data = DesignData(run, design)
     if brief:
-        final = [group for group in groups if group[0].measure in (POSITION, *REVOLUTION_ERRORS)]
+        measures = (POSITION, *REVOLUTION_ERRORS)
+        final = [group for group in groups if group[0].stage in ("", SEQUENCE) and group[0].measure in measures]
         groups = (final or groups)[-1:]
     tabulate = _effect_grids if design.design == "two-level" else _level_grids
     found = [grid for base, names in data.bases().items() for grid in tabulate(data, base, names, groups)]
@@ -242,9 +243,10 @@ def _without_changes(grid: Grid) -> Grid:
 
 
 def _by_measure(run: RunData) -> list[list[Outcome]]:
-    """Group the outcomes of estimators that are of the same measure and stage; the prior is no estimator."""
+    """Group the outcomes of the same measure and stage, the estimators in the order of the campaign."""
+    order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
     groups: dict[str, list[Outcome]] = {}
-    for one in outcomes(run):
+    for one in sorted(outcomes(run), key=lambda one: order.get(one.estimator, len(order))):
         groups.setdefault(one.label, []).append(one)
     return list(groups.values())
 

@@ -21,7 +21,14 @@ from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.consistency import consistency_grid
 from boresight.reports.statistics.paired import paired_grid
 from boresight.reports.statistics.roc import outlier_grid
-from boresight.reports.tables import detail_grid, diagnostic_grid, pose_grids, reference_grid, timing_grid
+from boresight.reports.tables import (
+    detail_grid,
+    diagnostic_brief,
+    diagnostic_grid,
+    pose_grids,
+    reference_grid,
+    timing_grid,
+)
 from boresight.reports.verdicts import comparison_grid
 from boresight.scenarios.spec.camera import CameraSpec
 
@@ -92,8 +99,10 @@ def pose_brief(content: Content) -> list[Grid]:
 
 
 def brief(content: Content) -> Tables:
-    """List what the terminal shows."""
-    return pose_brief(content) if content.run.manifest.grid is None else DESIGN_REPORT.brief(content)
+    """List what the terminal shows: errors of poses, of other trials the numbers that they report."""
+    if content.run.manifest.grid is not None:
+        return DESIGN_REPORT.brief(content)
+    return pose_brief(content) or diagnostic_brief(content.records)
 
 
 def figures(content: Content) -> Iterable[NamedFigure]:
