@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -21,7 +21,9 @@ from boresight.campaign.papers.page import gather, paper_called, paper_campaigns
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign, check_shapes
+from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.request import RUNS, RunRequest
+from boresight.campaign.runs.requirements import needs
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.threads import workers
@@ -31,6 +33,7 @@ from boresight.reports.papers.page import PaperLine, paper_grid, verdict_tally, 
 from boresight.reports.schema.labels import count_of
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
+from boresight.scenarios.load import load_campaign
 
 _IN_PART = 3
 """Exit code: done, without the runs that could not be read."""
@@ -129,7 +132,7 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
     jobs = arguments.jobs if among == 1 else 1
     how = (arguments.runs, jobs, arguments.trials_scale, arguments.embedded, among)
     calls = ((name, folder, *how) for name, folder in folders.items())
-    return max(_told(written) for written in in_order(among, _written, calls))
+    return max(_told(written, arguments) for written in in_order(among, _written, calls))
 
 
 def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
@@ -143,9 +146,11 @@ def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """What is told of the page of a paper that has been written."""
+    """What is told of the page of a paper that has been written; ``runs`` is the number of runs behind it."""
 
+    paper: str
     page: Path
+    runs: int
     lines: Sequence[PaperLine]
     figures: int
     refused: Sequence[str]
@@ -162,16 +167,36 @@ def _written(
         place = write_paper(page, folder)
     except OSError as error:
         raise BoresightError(explain_write_error(error.filename or folder, error)) from error
-    return _Written(place, page.lines, len(page.figures), page.refused, page.missing)
+    return _Written(name, place, len(page.runs), page.lines, len(page.figures), page.refused, page.missing)
 
 
-def _told(written: _Written) -> int:
+def _told(written: _Written, arguments: argparse.Namespace) -> int:
     """Print what a page came to; return the exit code."""
     out = console()
-    shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
-    out.print(FittedTable(paper_grid(written.lines).keep(*shown)))
-    for line in (*written.refused, *written.missing):
+    if written.runs:
+        shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
+        out.print(FittedTable(paper_grid(written.lines).keep(*shown)))
+    for line in (*written.refused, *(written.missing if written.runs else _needed(written.paper, arguments))):
         out.print(line)
     out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdict_tally(written.lines)}")
     out.print(f"page: {written.page}")
     return _IN_PART if written.refused else 0
+
+
+def _needed(paper: str, arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield what would run for a paper without any finished run, and which data it lacks here."""
+    campaigns = [load_campaign(name, CATALOG) for name in paper_campaigns(paper_called(paper))]
+    trials = sum(one.spec.trials * len(sources(one.spec)) for one in campaigns)
+    yield f"{paper}: no finished run; to run: {count_of(len(campaigns), 'campaign')}, {trials:,} trials in all"
+    lacking: dict[str, list[str]] = {}
+    for one in campaigns:
+        missing = {need.word for need in needs(one) if not need.found}
+        # Built-in bodies replace the shapes, but not where images are real.
+        for word in sorted(missing if not arguments.embedded or "images" in missing else missing - {"data"}):
+            lacking.setdefault(word, []).append(one.spec.name)
+    for word, names in lacking.items():
+        yield f"{word} missing for {count_of(len(names), 'campaign')}: {', '.join(names)}"
+    if lacking.keys() & {"data", "images"}:
+        yield f"boresight fetch {paper} brings data, or says where they are; --embedded does without shapes"
+    if not arguments.run and arguments.trials_scale == 1.0:
+        yield f"to run them: {arguments.command} --run; for a draft: {arguments.command} --trials-scale 0.05"

@@ -21,6 +21,7 @@ from boresight.campaign.imaging.world import open_world
 from boresight.campaign.papers.gather import newest_finished, run_folders
 from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
 from boresight.campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.build import DatabaseOptions
@@ -29,6 +30,7 @@ from boresight.reports.published import load_published
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.tables import FORMAT_VERSION
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_campaign
 
 PAPER = paper_called("rowell2015")
 BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}"
@@ -133,8 +135,13 @@ def test_a_second_call_without_runs_leaves_no_old_figures(page, runs, tmp_path, 
         (out / name).write_bytes(b"old")
     assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["index.html", "mine.png", "table.csv", "table.md"]
-    said = capsys.readouterr().out
-    assert said.count("no finished run without --set") == len(paper_campaigns(PAPER))
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"rowell2015: no finished run; to run: {len(paper_campaigns(PAPER))} campaigns, ")
+    specs = [load_campaign(name, CATALOG).spec for name in paper_campaigns(PAPER)]
+    trials = sum(spec.trials * len(sources(spec)) for spec in specs)
+    assert said[0].endswith(f", {trials:,} trials in all")
+    assert any(line.startswith("images missing for 2 campaigns: rowell2015-real, ") for line in said)
+    assert len(said) <= 10
     assert set(pd.read_csv(out / "table.csv")["verdict"]) == {"not measured", "needs real images"}
 
 

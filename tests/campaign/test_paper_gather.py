@@ -91,7 +91,7 @@ def test_a_page_without_a_sound_run_says_so(runs: Path, tmp_path: Path, capsys: 
     shutil.rmtree(runs / f"{NAME}-sound")
     assert main(["figures", "delpech2015", "--runs", str(runs), "--out", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().out
-    assert f"{NAME}: no finished run" in said
+    assert "delpech2015: no finished run; to run: " in said
     assert said.count("left out: ") == 6
 
 
