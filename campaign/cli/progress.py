@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
+from boresight.campaign.products.database_images import counted_images
 from boresight.campaign.trial.kind import Records
 
 _SILENCE_S = 30.0
@@ -41,24 +51,28 @@ class ProgressListener:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._bar = Progress(
-            TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(), TextColumn("{task.fields[median]}"), console=console,
             disable=not console.is_terminal,
         )  # fmt: skip
         self._task: TaskID | None = None
+        self._images: tuple[TaskID, float] | None = None
+        self._open = ExitStack()
         self._errors: dict[tuple[str, str], list[float]] = {}
         self._done = self._total = self._fresh = 0
         self._resumed = False
         self._began = self._last_line = time.monotonic()
 
     def __enter__(self) -> Self:
-        self._bar.start()
+        self._open.enter_context(self._bar)
+        self._open.enter_context(counted_images(self._image))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        self._open.close()
 
     def message(self, text: str) -> None:
         """Print a step."""
@@ -70,7 +84,7 @@ class ProgressListener:
         self._resumed = done > 0
         if done:
             self._console.print(f"{done} of {total} trials are stored already; continuing")
-        self._task = self._bar.add_task("", total=total, completed=done, rate="", median="")
+        self._task = self._bar.add_task("trials", total=total, completed=done, rate="", median="")
 
     def block(self, records: Records, trials: int) -> None:
         """Count a stored block."""
@@ -84,7 +98,19 @@ class ProgressListener:
         median = self._median(str(records["rows"][-1]["scenario"])) if records["rows"] else ""
         if self._task is not None:
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=median)
-        self._line(rate, median)
+        self._line(self._done, self._total, "trials", rate, median)
+
+    def _image(self, done: int, total: int) -> None:
+        """Count the images of a data base that is being built."""
+        if self._images is None:
+            self._images = self._bar.add_task("images", total=total, rate="", median=""), time.monotonic()
+        task, began = self._images
+        self._bar.update(task, completed=done)
+        if done == total:
+            self._bar.remove_task(task)
+            self._images = None
+        else:
+            self._line(done, total, "images", done / max(time.monotonic() - began, 1e-9))
 
     def _median(self, scenario: str) -> str:
         """Tell the median errors of a scenario as its table has them, over the trials that this start has run.
@@ -100,10 +126,11 @@ class ProgressListener:
         new = " of new trials" if self._resumed else ""
         return f"median{of}{new} {'  '.join(known)}" if known else ""
 
-    def _line(self, rate: float, median: str) -> None:
-        due = time.monotonic() - self._last_line > _SILENCE_S or self._done == self._total
+    def _line(self, done: int, total: int, what: str, rate: float, median: str = "") -> None:
+        """Print a line where there is no bar, now and then and at the end."""
+        due = time.monotonic() - self._last_line > _SILENCE_S or done == total
         if self._bar.disable and due:
             self._last_line = time.monotonic()
-            left = (self._total - self._done) / max(rate, 1e-9)
-            told = (f"{self._done}/{self._total} trials", f"{rate:.1f}/s", f"{left:.0f} s left", median)
+            left = (total - done) / max(rate, 1e-9)
+            told = (f"{done}/{total} {what}", f"{rate:.1f}/s", f"{left:.0f} s left", median)
             self._console.print(", ".join(filter(None, told)))

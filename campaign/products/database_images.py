@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -29,6 +31,18 @@ IN_THIS_PROCESS = 0
 
 _CHUNK_IMAGES = 10
 
+_COUNT: ContextVar[Callable[[int, int], None] | None] = ContextVar("count", default=None)
+
+
+@contextmanager
+def counted_images(count: Callable[[int, int], None]) -> Iterator[None]:
+    """Make builds of data bases call a function with the numbers of images that are done, and of all."""
+    token = _COUNT.set(count)
+    try:
+        yield
+    finally:
+        _COUNT.reset(token)
+
 
 def map_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
     """Apply ``function(*arguments, numbers)`` to chunks of image numbers in workers; return all results in order.
@@ -48,7 +62,13 @@ def map_images(jobs: int, images: int, function: Callable[..., list[T]], *argume
     if jobs == IN_THIS_PROCESS:
         return [result for chunk in chunks for result in function(*arguments, chunk)]
     calls = ((jobs, function, arguments, chunk) for chunk in chunks)
-    return [result for chunk in in_order(jobs, _in_worker, calls) for result in chunk]
+    found: list[T] = []
+    count = _COUNT.get()
+    for results in in_order(jobs, _in_worker, calls):
+        found += results
+        if count is not None:
+            count(len(found), images)
+    return found
 
 
 def _in_worker(

@@ -19,8 +19,9 @@ from rich.console import Console
 from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
-from boresight.campaign.cli import main
+from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.products.database_images import map_images
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.requirements import needs
@@ -320,3 +321,19 @@ def test_progress_tells_a_median_where_there_are_position_errors(error_m, told):
         listener.started(0, 1)
         listener.block({"rows": [{"position_error_m": error_m, "scenario": "scene", "estimator": "mine"}]}, 1)
     assert out.getvalue().endswith(told)
+
+
+def doubled(numbers):
+    return [2 * number for number in numbers]
+
+
+def test_progress_counts_the_images_of_a_data_base(monkeypatch):
+    monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
+    out = io.StringIO()
+    with ProgressListener(Console(file=out)):
+        assert map_images(1, 25, doubled) == [2 * number for number in range(25)]
+    lines = out.getvalue().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["10/25 images", "20/25 images"]
+    assert all(line.endswith(" s left") for line in lines)
+    map_images(1, 25, doubled)
+    assert out.getvalue().splitlines() == lines, "no longer counted"
