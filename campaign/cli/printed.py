@@ -6,9 +6,8 @@ import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Self
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict
 from rich.console import Group
 
 from boresight import campaign
@@ -25,25 +24,6 @@ MADE = "made.json"
 _PACKAGES = ("scenarios", "renderers", "estimators", "reports", "campaign")
 _OF_A_START = frozenset({"start", "finished", "updated"})
 """Entries of a manifest that each start changes, and no report shows."""
-
-
-class PrintedGrid(BaseModel):
-    """The fields of a `reports.schema.grid.Grid`."""
-
-    model_config = ConfigDict(frozen=True)
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    text: frozenset[int]
-    note: str
-    known: str
-
-    @model_validator(mode="after")
-    def _rows_have_all_columns(self) -> Self:
-        if any(len(row) != len(self.columns) for row in self.rows):
-            raise ValueError("a row has not as many cells as there are columns")
-        return self
 
 
 class Printed(BaseModel):
@@ -63,7 +43,7 @@ class Printed(BaseModel):
 
     source: str
     files: dict[str, str]
-    grids: tuple[PrintedGrid, ...]
+    grids: tuple[Grid, ...]
     lines: tuple[str, ...]
 
 
@@ -117,7 +97,7 @@ def printed_before(folder: RunFolder, source: str) -> Printed | None:
 def print_report(printed: Printed, folder: RunFolder) -> None:
     """Print the tables of a report, the lines below them, and where it is."""
     out = console()
-    out.print(Group(*(part for grid in printed.grids for part in rich_parts(Grid(**dict(grid))))))
+    out.print(Group(*(part for grid in printed.grids for part in rich_parts(grid))))
     for line in printed.lines:
         out.print(line)
     out.print(f"report: {display(folder.path / 'report' / 'report.html')}")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict
 
-from boresight.campaign.cli.printed import Printed, PrintedGrid, digests, keep, print_report, source_of
+from boresight.campaign.cli.printed import Printed, digests, keep, print_report, source_of
 from boresight.campaign.inspection.build import case_figures
 from boresight.campaign.inspection.show import show_of
 from boresight.campaign.runs.newest import find_run
@@ -42,9 +41,10 @@ def write(folder: RunFolder, worst: int, pdf: bool, source: str) -> Printed:
         lines.append(
             f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it"
         )
-    grids = tuple(PrintedGrid(**asdict(grid)) for grid in brief_grids(files.content))
     written = (files.html, files.markdown, *files.tables, *files.rows, *files.figures)
-    printed = Printed(source=source, files=digests(files.folder, written), grids=grids, lines=tuple(lines))
+    printed = Printed(
+        source=source, files=digests(files.folder, written), grids=tuple(brief_grids(files.content)), lines=tuple(lines)
+    )
     if not missing:
         keep(files.folder, printed)
     return printed

@@ -17,7 +17,7 @@ from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids
 from boresight.reports.pages.content import read_content
 from boresight.reports.pages.distributions import distributions
-from boresight.reports.pages.document import plain_line
+from boresight.reports.pages.document import Document
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
@@ -259,13 +259,14 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures beside it."""
     manifest = content.run.manifest
-    parts = [f"# {plain_line(manifest.title or manifest.name)}", "\n".join(f"- {note}" for note in content.notes)]
-    drawn = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
-    lead = [text for figure, text in zip(figures, drawn, strict=True) if figure.stem == LEAD]
-    parts += [
-        *lead,
-        *(grid.markdown() for grid in report_grids(content)),
-        *(text for text in drawn if text not in lead),
-    ]
-    parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
-    return "\n\n".join(parts) + "\n"
+    return Document(
+        product="boresight report",
+        title=manifest.title or manifest.name,
+        facts=(),
+        lists=[("How the numbers are made", content.notes)],
+        grids=report_grids(content),
+        lead=next((figure for figure in figures if figure.stem == LEAD), None),
+        figures=[figure for figure in figures if figure.stem != LEAD],
+        command=reproduce_command(content),
+        credits=manifest.credits,
+    ).markdown()

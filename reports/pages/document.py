@@ -66,7 +66,8 @@ class Document:
         tables = [grid.markdown() for grid in self.grids]
         figures = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in self.drawn()]
         led = len(figures) - len(self.figures)
-        parts = [f"# {plain_line(self.title)}", _bullets(f"{name}: {value}" for name, value in self.facts)]
+        title = re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(self.title.split()))
+        parts = [f"# {title}", _bullets(f"{name}: {value}" for name, value in self.facts)]
         parts += [f"## {title}\n\n{_bullets(lines)}" for title, lines in self.lists if lines]
         parts += [*tables[:1], *figures[:led], *tables[1:], *figures[led:]]
         parts += [f"To make this again: `{self.command}`"] if self.command else []
@@ -88,11 +89,6 @@ def write_document(document: Document, folder: Path, page: str, markdown: str = 
     text = fill_template("document.html", document=document, figures=embed_figures(drawn), js=template_text("page.js"))
     (folder / page).write_text(text, encoding="utf-8")
     return folder / page
-
-
-def plain_line(text: str) -> str:
-    """Return a text as one line of Markdown without markup."""
-    return re.sub(r"([\\`*_\[\]<>])", r"\\\1", " ".join(text.split()))
 
 
 def _bullets(lines: Iterable[str]) -> str:

@@ -37,7 +37,7 @@ class FittedTable:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
         """Yield the tables that fit the width of the console."""
         grid, least = self.grid, [_least_width(self.grid, i) for i in range(len(self.grid.columns))]
-        leading = next((i for i in range(1, len(least)) if i not in grid.text), 1)
+        leading = next((i for i in range(1, len(least)) if i not in grid.text), min(1, len(least)))
         chosen = list(range(leading))
         for i in range(leading, len(least)):
             if len(chosen) > leading and sum(least[k] + 1 for k in (*chosen, i)) > options.max_width + 1:

@@ -37,6 +37,10 @@ class Grid:
     note: str = ""
     known: str = ""
 
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.columns) for row in self.rows):
+            raise ValueError(f"{self.title}: a row has not as many cells as there are columns")
+
     def keep(self, *columns: str) -> Grid:
         """Keep only the named columns."""
         return self.at([self.columns.index(name) for name in columns])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from boresight.campaign.cli.printed import MADE, Printed, PrintedGrid, print_report, printed_before
+from boresight.campaign.cli.printed import MADE, Printed, print_report, printed_before
 from boresight.campaign.cli.status import status_command
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.papers.gather import newest_finished
@@ -25,6 +25,7 @@ from boresight.campaign.store.folder import Block, RunFolder
 from boresight.reports.run.clusters import clusters_of, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import known_lines
+from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.tables import schema
 from boresight.scenarios.checksums import checksum_text
 from boresight.scenarios.errors import BoresightError
@@ -104,7 +105,7 @@ def _manifest(content: bytes, folder: Path) -> object:
 
 
 def _record() -> bytes:
-    grid = PrintedGrid(title="x", columns=("a", "b"), rows=(("c", "1"),), text=frozenset({0}), note="", known="y")
+    grid = Grid(title="x", columns=("a", "b"), rows=(("c", "1"),), text=frozenset({0}), note="", known="y")
     files = {"report.md": hashlib.sha256(b"x").hexdigest()}
     return Printed(source=_SOURCE, files=files, grids=(grid,), lines=("z",)).model_dump_json().encode()
 
