@@ -89,7 +89,7 @@ def test_the_terminal_shows_the_final_error_alone(full_run):
     }
     run = read_run(full_run(grid=grid))
     stages = [one.title.split(":")[0] for one in design_grids(run)]
-    assert stages == ["Position error after centroiding, m", "Position error, m", "Attitude error, deg", "Trials"]
+    assert stages == ["Position error, m", "Position error after centroiding, m", "Attitude error, deg", "Trials"]
     assert [one.title.split(":")[0] for one in design_grids(run, brief=True)] == ["Position error, m", "Trials"]
 
 

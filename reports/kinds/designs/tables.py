@@ -243,12 +243,12 @@ def _without_changes(grid: Grid) -> Grid:
 
 
 def _by_measure(run: RunData) -> list[list[Outcome]]:
-    """Group the outcomes of the same measure and stage, the estimators in the order of the campaign."""
+    """Group the outcomes of the same measure and stage, final positions first, estimators as the campaign has them."""
     order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
     groups: dict[str, list[Outcome]] = {}
     for one in sorted(outcomes(run), key=lambda one: order.get(one.estimator, len(order))):
         groups.setdefault(one.label, []).append(one)
-    return list(groups.values())
+    return sorted(groups.values(), key=lambda group: (group[0].stage, group[0].measure) != ("", POSITION))
 
 
 def matching(design: ScenarioGrid, levels: dict[str, str]) -> dict[str, str] | None:
