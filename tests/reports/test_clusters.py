@@ -292,3 +292,16 @@ def test_the_terminal_shows_the_errors_of_sequences(builder):
     assert cells["one"][:2] == [f"{STARTS}/{STARTS}", "4.00"]
     assert cells["two"][0] == f"{STARTS}/{STARTS}"
     assert "14.0" in cells["two"]
+
+
+def test_the_terminal_shows_where_sequences_of_less_than_a_revolution_end(builder):
+    errors = {"one": 4.0, "two": 7.0}
+    written(builder, {name: np.full((1, STARTS), error) for name, error in errors.items()}, grid=None)
+    short = {"error_after_1_m": np.nan, "error_after_2_m": np.nan}
+    for row in builder.tables["rows"]:
+        row |= short | {"position_error_m": errors[row["estimator"]]}
+    lines = terminal_lines(builder.write(scenarios={"sphere-0": spec(0)}, estimators=list(errors), grid=None))
+    assert lines[0].rstrip() == "Position error, sphere-0"
+    assert [line.split()[:3] for line in lines[3:5]] == [
+        ["one", f"{STARTS}/{STARTS}", "4.00"], ["two", f"{STARTS}/{STARTS}", "7.00"],
+    ]  # fmt: skip
