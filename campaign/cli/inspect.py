@@ -67,7 +67,7 @@ def _cases(arguments: argparse.Namespace) -> int:
     with store_switched(False):
         for case in order_of(cases):
             try:
-                found = inspect_case(campaign, folder, case, out)
+                found = inspect_case(campaign, folder, case, out, arguments.pdf)
             except OSError as error:
                 raise BoresightError(explain_write_error(error.filename or out, error)) from error
             same = same and not found.comparison.differences

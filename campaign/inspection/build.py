@@ -94,7 +94,7 @@ class Inspected:
     page: Path
 
 
-def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path) -> Inspected:
+def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path, pdf: bool) -> Inspected:
     """Recompute one case, write its data to a folder below ``out``, and draw its stages.
 
     Raises
@@ -118,7 +118,7 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         said=again.said,
         credits=drawn.credits,
     )
-    path = write_case(page, drawn.figures, place)
+    path = write_case(page, drawn.figures, place, pdf)
     return Inspected(case, again.row, comparison, path)
 
 

@@ -47,15 +47,16 @@ class CasePage:
     credits: Sequence[str] = ()
 
 
-def write_case(page: CasePage, figures: Iterable[NamedFigure], folder: Path) -> Path:
-    """Write the figures of a case and its page into ``folder``; return the page's path.
+def write_case(page: CasePage, figures: Iterable[NamedFigure], folder: Path, pdf: bool) -> Path:
+    """Write the figures of a case, as PDF too if asked, and its page into ``folder``; return the page's path.
 
     Raises
     ------
     BoresightError
         If the page cannot be written.
     """
-    drawn = [(figure, save_figure(figure.figure, folder / figure.stem)[0].read_bytes()) for figure in figures]
+    kinds = ("png", "pdf") if pdf else ("png",)
+    drawn = [(figure, save_figure(figure.figure, folder / figure.stem, kinds)[0].read_bytes()) for figure in figures]
     path = folder / "index.html"
     write_text(path, fill_template("case.html", case=page, figures=embed_figures(drawn)))
     return path
