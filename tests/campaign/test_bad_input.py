@@ -285,8 +285,8 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
     [
         (1_000, 1, (), "products/landmark-database"),
         (8_000, 1, (), "scene-0000001.parquet"),
-        (40_000, 2, ("--keep-images",), "images/scene/00000"),
-        (40_000, 1, ("--worst", "0"), "report"),
+        pytest.param(40_000, 2, ("--keep-images",), "images/scene/00000", marks=pytest.mark.long),
+        pytest.param(40_000, 1, ("--worst", "0"), "report", marks=pytest.mark.long),
     ],
     ids=["product", "table", "image in a worker", "report"],
 )

@@ -23,7 +23,7 @@ class Moves:
 """
 
 
-@pytest.mark.parametrize(("jobs", "out"), [(1, "here"), (2, "runs/here")])
+@pytest.mark.parametrize(("jobs", "out"), [(1, "here"), pytest.param(2, "runs/here", marks=pytest.mark.long)])
 def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, jobs, out):
     site, here = tmp_path / "site", tmp_path / "campaign"
     info = site / "moves-1.0.dist-info"

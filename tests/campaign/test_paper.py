@@ -176,6 +176,7 @@ run_missing(sys.argv[3:], Wanted(Path(sys.argv[1]), 0.6, None, "boresight figure
 """
 
 
+@pytest.mark.long
 def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data_stops_none(cache, tmp_path):
     files = [
         write_campaign(tmp_path / "files" / name, f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)

@@ -41,7 +41,7 @@ def test_rows_of_a_gpu_agree_with_those_of_the_processor(tiny_run, llvm_rows, tm
     assert_within_the_tolerance(llvm_rows, rows)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
 def test_rounding_of_rays_moves_rows_within_the_tolerance(tiny_run, llvm_rows, tmp_path, monkeypatch, sign):
     round_rays_otherwise(monkeypatch, sign)
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))  # images and landmarks of its own

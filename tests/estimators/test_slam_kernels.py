@@ -239,6 +239,7 @@ def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_nump
         np.testing.assert_array_equal(one.tracks, other.tracks)
 
 
+@pytest.mark.long
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
     """The envelope's kernels in a separate process: none is cached in the source folder."""
     code = (
