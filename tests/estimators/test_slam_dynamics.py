@@ -12,11 +12,13 @@ from scipy.stats import chi2
 from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
+from boresight.estimators.slam.dynamics import smoother
 from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
 from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
 from boresight.estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
 from boresight.estimators.slam.dynamics.solver import (
     DynamicOrdering,
+    DynamicSolution,
     covariance_of,
     dynamic_equations,
     marginalise_dynamic,
@@ -313,6 +315,26 @@ def test_first_estimates_change_little_where_the_parameters_are_well_known() -> 
     assert kept.covariance_m2 is not None
     apart = kept.position_m - moved.position_m
     assert 0.0 < apart @ np.linalg.solve(kept.covariance_m2, apart) < 0.1
+
+
+def test_first_estimates_are_adjusted_to_where_their_gradient_is_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cost may rise by a little on the way, as they are not its derivatives: that is no reason to stop before."""
+    left, ours = [], smoother.minimise_dynamic
+
+    def watched(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
+        solution = ours(problem, state, rule)
+        if not np.isnan(problem.frozen_parameters_m).all():
+            system = dynamic_equations(problem, solution.state, DynamicOrdering.of(problem))
+            matrix, right, inverse = system.reduced(0.0)
+            _, step = system.stepped(solution.state, np.linalg.solve(matrix, right), inverse)
+            left.append(step / rule.step_m)
+        return solution
+
+    monkeypatch.setattr(smoother, "minimise_dynamic", watched)
+    sequence, _ = make_orbit_sequence(np.random.default_rng(1), Recipe(frames=40))
+    DynamicSmoother.from_options({}).follow(sequence)
+    assert len(left) > 20
+    assert max(left) < 1.0
 
 
 def test_without_forces_it_ends_with_a_reason() -> None:

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from boresight.estimators.slam import marginal, solver
+from boresight.estimators.slam import marginal, slam_map, solver
 from boresight.estimators.slam.bundle import BundleSlam
 from boresight.estimators.slam.compiled import descent, equations, tracks
 from boresight.estimators.slam.compiled import envelope as packed
@@ -23,7 +23,13 @@ from boresight.estimators.slam.normal import VariableOrdering, cost, normal_equa
 from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from boresight.estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from boresight.estimators.slam.solver import (
+    AdjustmentSolution,
+    StoppingRule,
+    minimise,
+    reduced_rank_deficiency,
+    view_covariance,
+)
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 RULE = StoppingRule(1e-6)
@@ -237,6 +243,24 @@ def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_nump
     for one, other in zip(found.frames, expected.frames, strict=True):
         np.testing.assert_allclose(one.position_m, other.position_m, atol=1e-7)
         np.testing.assert_array_equal(one.tracks, other.tracks)
+
+
+def test_first_estimates_are_adjusted_to_where_their_gradient_is_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cost may rise by a little on the way, as they are not its derivatives: that is no reason to stop before."""
+    left, ours = [], slam_map.minimise
+
+    def watched(problem: Adjustment, state: State, rule: StoppingRule) -> AdjustmentSolution:
+        solution = ours(problem, state, rule)
+        if problem.frozen is not None:
+            kept, eliminated = numpy_adjustment.undamped_step(problem, solution.state)
+            left.append(max(np.abs(kept).max(), np.abs(eliminated).max(initial=0.0)) / rule.step_m)
+        return solution
+
+    monkeypatch.setattr(slam_map, "minimise", watched)
+    sequence, _ = make_sequence(np.random.default_rng(12), Recipe(frames=40))
+    FixedLagSmoother.from_options({"lag": 5}).follow(sequence)
+    assert len(left) > 20
+    assert max(left) < 1.0
 
 
 @pytest.mark.long

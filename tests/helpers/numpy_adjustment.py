@@ -127,6 +127,11 @@ def pixel_squares(camera, frame, rows, lines_m, own_m2):
     return mahalanobis_squares(frame.uv_px[rows] - camera.project(in_camera), spread)
 
 
+def undamped_step(problem, state):
+    """Steps (n, 3) of the kept and (e, 3) of the eliminated variables that would set the gradient to zero."""
+    return _solve(normal_equations(problem, state, VariableOrdering.of(problem)), 0.0)
+
+
 def _first_damping(system):
     """Return a millionth of the mean diagonal."""
     diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.eliminated, axis1=1, axis2=2).ravel()])

@@ -256,7 +256,7 @@ class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
     """
 
     name: ClassVar[str] = "dynamic-smoother"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     options_model = DynamicOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -214,6 +214,9 @@ def _descend(
     Returns the new state, the largest step of an unknown (m), and the next initial damping. Near the minimum rounding
     may increase the cost by some parts in 1e10, since the arcs have small covariances.
     """
+    # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
+    # their gradient is zero; damping would only delay that.
+    slack = 1e-10 if np.isnan(problem.frozen_parameters_m).all() else 1e-6
     step = 0.0
     for _ in range(25):
         try:
@@ -224,7 +227,7 @@ def _descend(
             damping *= 10.0
             continue
         trial, step = system.stepped(state, solved, inverse)
-        if dynamic_cost(problem, trial) <= value + 1e-10 * abs(value) + 1e-12:
+        if dynamic_cost(problem, trial) <= value + slack * abs(value) + 1e-12:
             return trial, step, 0.1 * damping
         damping *= 10.0
     return None, step, damping
