@@ -125,7 +125,6 @@ def _inspect(commands: Commands) -> None:
         help="in place of cases, a page in three dimensions: the body, its landmarks by how often and how well they are"
         " recognised, and the cameras of good and bad trials",
     )  # fmt: skip
-    inspect.add_argument("--rerun", type=Path, metavar="FILE.rrd", help="the same as a recording for the viewer rerun")
     inspect.add_argument("--out", type=Path, help="folder of the pages (default: RUN/inspect)")
     inspect.add_argument("--pdf", action="store_true", help="write the figures as PDF too")
     inspect.set_defaults(handler="inspect:inspect_command")

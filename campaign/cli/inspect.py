@@ -12,7 +12,7 @@ from boresight.campaign.inspection.case import ORDER, Choice, chosen_rows, named
 from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.runs.newest import find_run
-from boresight.reports.pages.view3d import write_recording, write_view3d
+from boresight.reports.pages.view3d import write_view3d
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.atomic import explain_write_error
@@ -21,28 +21,19 @@ from boresight.scenarios.errors import BoresightError, display
 
 def inspect_command(arguments: argparse.Namespace) -> int:
     """Recompute and draw single trials, or draw all trials in three dimensions."""
-    return _look(arguments) if arguments.look or arguments.rerun is not None else _cases(arguments)
+    return _look(arguments) if arguments.look else _cases(arguments)
 
 
 def _look(arguments: argparse.Namespace) -> int:
     for name in ("trial", "worst", "metric"):
         if getattr(arguments, name) is not None:
-            raise BoresightError(f"--{name}: a look is at all trials: leave it out, or --look and --rerun")
+            raise BoresightError(f"--{name}: a look is at all trials: leave it out, or --look")
     folder = find_run(arguments.run)
     run = read_run(folder.path)
     look = look_of(reopened(folder), folder, run, Choice(arguments.scenario, arguments.estimator))
-    written = []
-    if arguments.look:
-        written.append((arguments.out or folder.path / "inspect") / f"{file_stem('look', look.title)}.html")
-        write_view3d(look, written[-1])
-    if arguments.rerun is not None:
-        try:
-            write_recording(look, arguments.rerun)
-        except OSError as error:
-            raise BoresightError(explain_write_error(error.filename or arguments.rerun, error)) from error
-        written.append(arguments.rerun)
-    for path in written:
-        console().print(f"look: {display(path)}")
+    page = (arguments.out or folder.path / "inspect") / f"{file_stem('look', look.title)}.html"
+    write_view3d(look, page)
+    console().print(f"look: {display(page)}")
     return 0
 
 

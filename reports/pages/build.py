@@ -16,12 +16,10 @@ from boresight.reports.figures.provenance import add_provenance, with_trial_coun
 from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids
 from boresight.reports.pages.content import read_content
-from boresight.reports.pages.distributions import distributions
 from boresight.reports.pages.document import Document
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
-from boresight.reports.run.row_files import row_links, write_row_files
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
@@ -50,7 +48,7 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     short = {grid.title for grid in brief}
     full = [grid for grid in grids if grid not in brief]
     full = [replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid for grid in full]
-    shown = [(grid, row_links(run, grid) if grid not in top else []) for grid in _noted_once([*brief, *full])]
+    shown = list(_noted_once([*brief, *full]))
     embedded = embed_figures(figures)
     return fill_template(
         "page.html",
@@ -63,7 +61,6 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
         notes=[note for note in content.notes if note not in said],
         js=template_text("page.js"),
         grids=shown[len(brief) :],
-        distributions=list(distributions(run)),
         figures=[one for one in embedded if one[0].stem != LEAD],
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
@@ -253,7 +250,7 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
     }
     for name, frame in frames.items():
         frame.to_csv(folder / name, index=False, lineterminator="\n")
-    return [*frames, *write_row_files(content.run, folder)]
+    return list(frames)
 
 
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:

@@ -1,5 +1,5 @@
 "use strict";
-// Tables sort by the column whose heading is clicked; distributions tell the share of trials at the pointer.
+// Tables sort by the column whose heading is clicked.
 
 const numberIn = (text) => {
   const found = text.replace("−", "-").match(/-?\d+(\.\d+)?(e[+-]?\d+)?/i);
@@ -42,36 +42,5 @@ for (const heading of document.querySelectorAll("table.sortable thead th")) {
       event.preventDefault();
       sortBy(heading);
     }
-  });
-}
-
-const shareBelow = (curve, value) => {
-  // The curve holds values at equal steps of the share of the solved trials.
-  let below = 0;
-  while (below < curve.values.length && curve.values[below] <= value) below += 1;
-  return (100 * curve.solved * below) / (curve.values.length * curve.trials);
-};
-
-const three = (value) => Number(value.toPrecision(3)).toString();
-
-for (const drawing of document.querySelectorAll("svg.distribution")) {
-  const told = JSON.parse(drawing.querySelector("desc").textContent);
-  const guide = drawing.querySelector(".guide");
-  const readout = drawing.parentElement.querySelector(".readout");
-  const [left, right] = told.across;
-  const [low, high] = told.range;
-  drawing.addEventListener("pointermove", (event) => {
-    const place = new DOMPoint(event.clientX, event.clientY).matrixTransform(drawing.getScreenCTM().inverse());
-    const x = Math.min(Math.max(place.x, left), right);
-    const value = low * (high / low) ** ((x - left) / (right - left));
-    guide.setAttribute("x1", x);
-    guide.setAttribute("x2", x);
-    guide.setAttribute("visibility", "visible");
-    const shares = told.curves.map((curve) => `${curve.label} ${shareBelow(curve, value).toFixed(1)} %`);
-    readout.textContent = `at most ${three(value)} ${told.unit}: ${shares.join(", ")} of all trials`;
-  });
-  drawing.addEventListener("pointerleave", () => {
-    guide.setAttribute("visibility", "hidden");
-    readout.textContent = "";
   });
 }

@@ -19,7 +19,6 @@ COMMANDS = {
     "inspect a trial": ("inspect", "RUN", "--trial", "0", "--out", "OUT"),
     "inspect the worst": ("inspect", "RUN", "--worst", "1", "--out", "OUT"),
     "look": ("inspect", "RUN", "--look", "--out", "OUT"),
-    "rerun": ("inspect", "RUN", "--rerun", "OUT/look.rrd"),
     "report": ("report", "RUN"),
     **{f"export {kind}": ("export", "RUN", "--to", kind, "--out", "OUT") for kind in ("tum", "colmap", "csv", "latex")},
 }

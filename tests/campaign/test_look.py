@@ -1,13 +1,8 @@
-"""`boresight inspect --look`: what is counted by hand, a page in a real browser, a recording that rerun verifies."""
+"""`boresight inspect --look`: what is counted by hand, and a page in a real browser."""
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -82,22 +77,6 @@ def test_the_page_draws_in_a_browser_without_a_network(tiny_run, tmp_path):
         names = shown.locator(".legendtext").all_text_contents()
         assert names[:3] == ["body", "recognised when in view", "median landmark error"]
         assert shown.title() == "scene / landmark-harris"
-
-
-def test_a_recording_is_verified_by_rerun(tiny_run, tmp_path):
-    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    viewer = shutil.which("rerun", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    if viewer is None:
-        pytest.skip("the program rerun is neither beside this Python nor on the PATH")
-    target = tmp_path / "out.rrd"
-    assert main(["inspect", str(tiny_run.folder), "--rerun", str(target)]) == 0
-    own = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
-    for command in ("verify", "stats"):
-        done = subprocess.run(
-            [viewer, "rrd", command, str(target)], env=own, capture_output=True, text=True, check=True, timeout=120
-        )
-    for entity in ("/body", "/landmarks/median_landmark_error", "/cameras/good_trials"):
-        assert entity in done.stdout
 
 
 def test_a_look_at_sequences_and_what_has_none(cache, tmp_path, capsys):

@@ -142,5 +142,5 @@ def test_hints_name_extras_as_a_checkout_installs_them() -> None:
     hints = [(path.name, hint) for path in texts for hint in re.findall(r"pip install ([^`\n]*)", path.read_text())]
     assert [where for where, hint in hints if "boresight" in hint] == []
     named = {extra for _, hint in hints for found in re.findall(r"\.\[([\w,]+)\]", hint) for extra in found.split(",")}
-    assert named >= {"dask", "gtsam", "rerun", "fuzz"}
+    assert named >= {"dask", "gtsam", "fuzz"}
     assert named <= set(extras)

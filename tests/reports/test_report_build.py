@@ -1,5 +1,3 @@
-import html
-import json
 import re
 import shutil
 from html.parser import HTMLParser
@@ -111,8 +109,7 @@ def test_page_is_self_contained_and_accessible(report):
     page = _page(files)
     assert [script.get("src") for script in page.all("script")] == [None]
     assert not page.all("link")
-    assert page.all("a")
-    assert all((files.folder / link["href"]).is_file() for link in page.all("a"))
+    assert not page.all("a"), "nor does it lead to a file that may be left behind"
     images = page.all("img")
     assert len(images) == len(files.figures)
     assert all(i["src"].startswith("data:image/png;base64,") and len(i["alt"]) > 20 for i in images)
@@ -120,18 +117,6 @@ def test_page_is_self_contained_and_accessible(report):
     assert not re.search(r"url\(|@import|https?:", css)
     assert page.all("html")[0]["lang"] == "en"
     assert all(th["scope"] == "col" for th in page.all("th"))
-
-
-def test_the_legend_of_a_distribution_shows_colours_and_dashes_of_its_curves(report):
-    drawing = report.html.read_text(encoding="utf-8").split('<svg class="distribution"')[1].split("</p>")[0]
-    curves, legend = drawing.split('<p class="legend">')
-    labels = [
-        one["label"] for one in json.loads(html.unescape(curves.split("<desc>")[1].split("</desc>")[0]))["curves"]
-    ]
-    look = re.compile(r'<path d="[^"]*" fill="none" (stroke="#\w{6}" stroke-width="2" stroke-dasharray="[^"]*")/>')
-    assert len(set(look.findall(curves))) == len(labels) == 2
-    assert look.findall(legend) == look.findall(curves)
-    assert re.findall(r"</svg>([^<]+)</span>", legend) == labels
 
 
 def test_page_says_what_was_run_and_escapes_it(full_run):
