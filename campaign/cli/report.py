@@ -55,7 +55,8 @@ def _trial_figures(folder: RunFolder, worst: int, missing: list[str]) -> Iterato
     manifest = folder.read_manifest() or {}
     why = (
         "the run was made by another version of boresight or of its data:"
-        f" run it again to have one: boresight run {manifest.get('name', '')}".rstrip()
+        f" run it again to have one: boresight run {manifest.get('name', '')}"
+        f"{' --embedded' if manifest.get('embedded') else ''}".rstrip()
     )
     try:
         campaign = reload(manifest)

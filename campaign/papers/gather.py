@@ -62,9 +62,12 @@ class FinishedRun:
         """
         campaign = reload(self.manifest)
         if campaign is None:
+            option = " --embedded" if self.manifest.get("embedded") else ""
+            again = f"run `boresight run {self.manifest['name']}{option}` again"
+            if float(self.manifest.get("draft", 1.0)) < 1.0:
+                again = "remove this draft and give the same command again"
             raise BoresightError(
-                f"{self.folder.path}: was made by another version of boresight or of its data: "
-                f"to draw this, run `boresight run {self.manifest['name']}` again"
+                f"{self.folder.path}: was made by another version of boresight or of its data: to draw this, {again}"
             )
         return campaign
 

@@ -25,6 +25,7 @@ from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.verdicts import Verdict
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
+from boresight.scenarios.spec.body import STAND_INS
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
@@ -109,7 +110,7 @@ def paper_page(
     gathered = gather(paper, runs, draft, embedded=embedded)
     found = gathered.found
     missing = [
-        f"{name}: no finished run without --set under {runs}/; to run it: {_command(name, runs)}"
+        f"{name}: no finished run without --set under {runs}/; to run it: {_command(name, runs, embedded=embedded)}"
         for name in paper_campaigns(paper)
         if name not in found
     ]
@@ -168,9 +169,17 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     return named
 
 
-def _command(name: str, runs: Path) -> str:
-    """Return the command that runs a campaign into the searched folder."""
-    return shlex.join(["boresight", "run", name, *([] if runs == RUNS else ["--out", str(runs / name)])])
+def _command(name: str, runs: Path, *, embedded: bool) -> str:
+    """Return the command that runs a campaign into the searched folder, and before it the one that fetches its data.
+
+    With ``embedded``, built-in bodies replace the shape files that they stand for, which need not be fetched then.
+    """
+    files = [need for need in needs(load_campaign(name, CATALOG)) if need.kind]
+    replaced = embedded and bool(files) and all(need.name in STAND_INS for need in files)
+    absent = not replaced and not all(need.found for need in files)
+    out = [] if runs == RUNS else ["--out", str(runs / name)]
+    run = shlex.join(["boresight", "run", name, *(["--embedded"] if replaced else []), *out])
+    return f"boresight fetch {name} && {run}" if absent else run
 
 
 def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:

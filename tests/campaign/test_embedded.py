@@ -98,6 +98,29 @@ def test_figures_says_both_commands_too(capsys):
     assert "needs real images" in said
 
 
+@pytest.mark.parametrize(
+    ("paper", "words", "commands"),
+    [
+        (
+            "rowell2015",
+            ["--embedded"],
+            ["run rowell2015-database --embedded", "fetch rowell2015-real && boresight"],
+        ),
+        ("rowell2015", [], ["fetch rowell2015-database && boresight run rowell2015-database\n"]),
+        (
+            "cheng2003",
+            ["--embedded"],
+            ["run cheng2003-detection\n", "run cheng2003-orbit --embedded"],
+        ),
+    ],
+)
+def test_the_command_to_run_a_campaign_is_one_that_runs_it(paper, words, commands):
+    """With shape files that a built-in body stands for, without any, and with real images."""
+    assert main(["figures", paper, *words]) == 0
+    page = (Path("figures") / paper / "table.md").read_text(encoding="utf-8")
+    assert [one for one in commands if f"to run it: boresight {one}" not in page] == []
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """One run, without data."""

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tiny_campaign import compute
@@ -22,9 +23,17 @@ NAME = "delpech2015-ekf-trace"
 CAMPAIGN = f"name: {NAME}\nexperiment: sequence\nscenarios: [orbit.yaml]\nestimators: [ekf-slam]\ntrials: 2\nseed: 5\n"
 
 
-def test_a_run_of_another_version_names_the_command_that_makes_it_again(tmp_path: Path) -> None:
-    run = FinishedRun(RunFolder(tmp_path), {"name": "rowell2015-database"})
-    with pytest.raises(BoresightError, match=r"another version.*`boresight run rowell2015-database` again"):
+@pytest.mark.parametrize(
+    ("kept", "again"),
+    [
+        ({}, "run `boresight run rowell2015-database` again"),
+        ({"embedded": ["a in place of b"]}, "run `boresight run rowell2015-database --embedded` again"),
+        ({"draft": 0.05}, "remove this draft and give the same command again"),
+    ],
+)
+def test_a_run_of_another_version_says_how_to_make_it_again(tmp_path: Path, kept: dict[str, Any], again: str) -> None:
+    run = FinishedRun(RunFolder(tmp_path), {"name": "rowell2015-database", **kept})
+    with pytest.raises(BoresightError, match=rf"another version.*: to draw this, {again}$"):
         run.campaign()
 
 
