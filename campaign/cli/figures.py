@@ -29,7 +29,7 @@ from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.rich_tables import FittedTable
-from boresight.reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
+from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, verdict_tally, write_paper
 from boresight.reports.schema.labels import count_of
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
@@ -115,15 +115,17 @@ def figures_command(arguments: argparse.Namespace) -> int:
         )
     parent = Path("figures") if scale == 1.0 else Path("figures") / f"draft-{scale:g}"
     if arguments.paper != ALL_PAPERS:
-        return _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
-    folders = {name: (arguments.out or parent) / name for name in PAPERS}
-    if scale < 1.0:
-        return _of_papers(folders, arguments)
-    return max(_of_papers({name: folder}, arguments) for name, folder in folders.items())
+        written = _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
+    else:
+        folders = {name: (arguments.out or parent) / name for name in PAPERS}
+        among = [folders] if scale < 1.0 else [{name: folder} for name, folder in folders.items()]
+        written = [one for papers in among for one in _of_papers(papers, arguments)]
+        console().print(f"all papers: {value_tally([line for one in written for line in one.lines])}")
+    return _IN_PART if any(one.refused for one in written) else 0
 
 
-def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> int:
-    """Run what papers are missing, where that is asked for, and write their pages; return the exit code."""
+def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> list[_Written]:
+    """Run what papers are missing, where that is asked for, and write and print their pages."""
     bring_missing([name for paper in folders for name in paper_campaigns(paper_called(paper))], arguments)
     if arguments.run or arguments.trials_scale < 1.0:
         wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command, arguments.embedded)
@@ -132,7 +134,11 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
     jobs = arguments.jobs if among == 1 else 1
     how = (arguments.runs, jobs, arguments.trials_scale, arguments.embedded, among)
     calls = ((name, folder, *how) for name, folder in folders.items())
-    return max(_told(written, arguments) for written in in_order(among, _written, calls))
+    pages = []
+    for written in in_order(among, _written, calls):
+        _print(written, arguments)
+        pages.append(written)
+    return pages
 
 
 def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
@@ -146,7 +152,7 @@ def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """What is told of the page of a paper that has been written; ``runs`` is the number of runs behind it."""
+    """What is printed of the page of a paper that has been written; ``runs`` is the number of runs behind it."""
 
     paper: str
     page: Path
@@ -170,8 +176,8 @@ def _written(
     return _Written(name, place, len(page.runs), page.lines, len(page.figures), page.refused, page.missing)
 
 
-def _told(written: _Written, arguments: argparse.Namespace) -> int:
-    """Print what a page came to; return the exit code."""
+def _print(written: _Written, arguments: argparse.Namespace) -> None:
+    """Print the table of a page, and what is not on it."""
     out = console()
     if written.runs:
         shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
@@ -179,8 +185,8 @@ def _told(written: _Written, arguments: argparse.Namespace) -> int:
     for line in (*written.refused, *(written.missing if written.runs else _needed(written.paper, arguments))):
         out.print(line)
     out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdict_tally(written.lines)}")
+    out.print(value_tally(written.lines))
     out.print(f"page: {written.page}")
-    return _IN_PART if written.refused else 0
 
 
 def _needed(paper: str, arguments: argparse.Namespace) -> Iterator[str]:

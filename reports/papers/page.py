@@ -55,6 +55,8 @@ class PaperLine:
         The verdict as it is printed, with what it leaves out.
     remark
         Why no verdict is due, though our numbers are known.
+    in_words
+        Whether it is a statement that no number of ours can be compared with.
     """
 
     campaign: str
@@ -70,6 +72,12 @@ class PaperLine:
     names: tuple[str, ...] = ()
     said: str = ""
     remark: str = ""
+    in_words: bool = False
+
+    @property
+    def has_value(self) -> bool:
+        """Whether all of our numbers have a value."""
+        return bool(self.ours) and all(record is not None and record.value is not None for record in self.ours)
 
 
 def paper_lines(
@@ -139,7 +147,7 @@ def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
     names = tuple(term.label for term in claim.order)
     return PaperLine(
         campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names,
-        verdict_of_claim(item), claim.unjudged,
+        verdict_of_claim(item), claim.unjudged, bool(claim.unmeasured),
     )  # fmt: skip
 
 
@@ -186,6 +194,20 @@ def verdict_tally(lines: Sequence[PaperLine]) -> str:
     """Count the verdicts in words."""
     tally = Counter(line.verdict for line in lines)
     return ", ".join(f"{count} {verdict}" for verdict, count in tally.most_common())
+
+
+def value_tally(lines: Sequence[PaperLine]) -> str:
+    """Count in words how many of the paper's numbers and statements have a value of ours, and why others have none."""
+    without = [line for line in lines if not line.has_value]
+    words = [line for line in without if line.in_words]
+    real = [line for line in without if line.verdict == "needs real images" and not line.in_words]
+    parts = [f"{len(lines) - len(without)} of {len(lines)} published numbers and statements have a value"]
+    others = (
+        (len(real), "need real images"),
+        (len(words), "are in words, without a number of ours"),
+        (len(without) - len(real) - len(words), "have none"),
+    )
+    return "; ".join([*parts, *(f"{number} {why}" for number, why in others if number)])
 
 
 def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
@@ -262,7 +284,12 @@ def write_paper(page: PaperPage, folder: Path) -> Path:
     document = Document(
         product="boresight figures",
         title=page.title,
-        facts=[("Paper", page.source), ("Verdicts", verdict_tally(page.lines)), *page.runs],
+        facts=[
+            ("Paper", page.source),
+            ("Values", value_tally(page.lines)),
+            ("Verdicts", verdict_tally(page.lines)),
+            *page.runs,
+        ],
         lists=[
             ("Not read", page.refused),
             ("Not there", page.missing),

@@ -26,8 +26,10 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.papers.page import PaperLine, value_tally
 from boresight.reports.published import load_published
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import FORMAT_VERSION
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
@@ -116,6 +118,34 @@ def test_every_published_number_has_its_line(page):
     assert html.count("<img ") == len(list(page.glob("*.png")))
     assert (page / "table_01.pdf").exists()
     assert "http" not in html.replace("http://www.w3.org", "")
+
+
+def test_values_are_counted_by_line_and_page(page, runs):
+    text = (page / "table.md").read_text(encoding="utf-8")
+    real, words, none = re.search(
+        r"^- Values: \d+ of \d+ published numbers and statements have a value; (\d+) need real images;"
+        r" (\d+) are in words, without a number of ours; (\d+) have none$", text, re.M,
+    ).groups()  # fmt: skip
+    table = pd.read_csv(page / "table.csv")
+    without = table[table["ours"].isna()].drop_duplicates(["campaign", "scenario", "place", "published", "quantity"])
+    assert int(real) == 40
+    assert int(words) == (without["quantity"] == "in words").sum() > 0
+    assert int(none) > 0, "of campaigns that were not run"
+
+
+def test_statements_in_words_and_of_real_images_are_not_counted_as_lost():
+    value = Record("s", "e", "prior", "", "position_error_m", "median", "m", 1.0, 0.9, 1.1, 3, 3)
+    line = PaperLine("c", "s", "e", "p", "q", "median", "1", (value,), None, "context")
+    lines = [
+        line, replace(line, ours=(value, value)), replace(line, ours=(value, None)),
+        replace(line, ours=(None,), verdict="needs real images"), replace(line, ours=(), in_words=True),
+        replace(line, ours=(), in_words=True, verdict="needs real images"),
+        replace(line, ours=(replace(value, value=None),)),
+    ]  # fmt: skip
+    assert value_tally(lines) == (
+        "2 of 7 published numbers and statements have a value; 1 need real images;"
+        " 2 are in words, without a number of ours; 2 have none"
+    )
 
 
 def test_numbers_are_those_of_the_rows(page, runs):
