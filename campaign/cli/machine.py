@@ -8,9 +8,12 @@ import os
 from rich.table import Table
 
 from boresight.campaign.cli.terminal import console
+from boresight.campaign.data.fetch import state
 from boresight.campaign.machine import cores, describe, memory_gib, package_versions
 from boresight.renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
 from boresight.scenarios.cache import default_cache
+from boresight.scenarios.data import DATA_VARIABLE, data_folder
+from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.errors import BoresightError
 
 _COMFORTABLE_GIB = 8.0
@@ -31,26 +34,31 @@ def doctor_command(_: argparse.Namespace) -> int:
     facts.add_row("libLLVM", f"{search.found.version}, {search.found.path}" if search.found else "none that is usable")
     for rejected in search.rejected:
         facts.add_row("", f"not taken: {rejected.path}: {rejected.reason}")
-    facts.add_row("BORESIGHT_DATA", os.environ.get("BORESIGHT_DATA", "not set"))
+    states = [state(one, data_folder()) for one in datasets().values() if one.files]
+    unset = "" if DATA_VARIABLE in os.environ else f" ({DATA_VARIABLE} is not set)"
+    facts.add_row("data folder", f"{data_folder()}{unset}, {states.count('there')} of {len(states)} data sets")
     facts.add_row("cache", str(default_cache().root))
     for name, version in package_versions().items():
         facts.add_row(name, version)
     out = console()
     out.print(facts)
-    advice = _advice(variant.advice)
+    advice = _advice(variant.advice, "there" in states)
     out.print("\n".join(["", "What to do:", *(f"- {line}" for line in advice)]) if advice else "\nNothing is missing.")
     return 0
 
 
-def _advice(about_variant: str) -> list[str]:
+def _advice(about_variant: str, any_data: bool) -> list[str]:
     missing = [name for name, version in package_versions().items() if version == "missing"]
     lines = [about_variant] if about_variant else []
     if missing:
         lines.append(f"install {', '.join(missing)}: pip install -c constraints.txt {' '.join(missing)}")
     if memory_gib() / cores() < _COMFORTABLE_GIB / 2:
         lines.append("a worker with a 3.1 M facet body takes up to 4 GiB: use fewer --jobs on such bodies")
-    if "BORESIGHT_DATA" not in os.environ:
-        lines.append("set BORESIGHT_DATA to the folder of your shapes and images to run the campaigns that need them")
+    if not any_data:
+        lines.append(
+            "for campaigns that need data of missions: boresight fetch all, or fetch NAME, or set"
+            f" {DATA_VARIABLE} to the folder that has them; or run those campaigns with --embedded"
+        )
     return lines
 
 

@@ -32,6 +32,7 @@ from boresight.estimators.registry import estimator_names
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.published import load_published
 from boresight.scenarios.data import DATA_VARIABLE
+from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.load import load_campaign, load_scenario, scenario_names
 from boresight.scenarios.load.files import CATALOG as SCENARIOS
 
@@ -209,12 +210,22 @@ def test_cache_shows_and_clears_its_own_folder_alone(tiny_file, tmp_path, monkey
 
 def test_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "here"))
-    monkeypatch.setenv(DATA_VARIABLE, "/somewhere")
+    monkeypatch.setenv(DATA_VARIABLE, str(tmp_path / "data"))
     text = said(capsys, "doctor")
-    for part in (sys.version.split()[0], version("mitsuba"), version("numpy"), str(tmp_path / "here"), "/somewhere"):
+    for part in (sys.version.split()[0], version("mitsuba"), version("numpy"), str(tmp_path / "here")):
         assert part in text
+    known = sum(bool(one.files) for one in datasets().values())
+    advice = "- for campaigns that need data of missions: boresight fetch all"
+    assert f"{tmp_path / 'data'}, 0 of {known} data sets" in text
+    assert advice in text
+    radar = datasets()["bennu-radar"]
+    (tmp_path / "data" / radar.folder).mkdir(parents=True)
+    (tmp_path / "data" / radar.folder / radar.files[0].name).touch()
+    text = said(capsys, "doctor")
+    assert f"{tmp_path / 'data'}, 1 of {known} data sets" in text
+    assert advice not in text
     monkeypatch.delenv(DATA_VARIABLE)
-    assert f"- set {DATA_VARIABLE} to the folder of your shapes and images" in said(capsys, "doctor")
+    assert f"({DATA_VARIABLE} is not set)" in said(capsys, "doctor")
 
 
 def test_doctor_without_llvm_says_what_to_do():
