@@ -183,9 +183,9 @@ class BuiltAssets:
         self._database = database
         self._scenario = believed(with_database_knowledge(with_database_craters(scenario, database), database))
         self._folder = folder
-        self._jobs = jobs
+        self.jobs = jobs
         self._variant = variant
-        self._report = report
+        self.report = report
         self._draft = draft
         self._used: list[tuple[str, str]] = []
         self._uses_shape = False
@@ -197,7 +197,7 @@ class BuiltAssets:
     def for_database(self, database: int = 0) -> BuiltAssets:
         """Return the same assets for a data base, with no product used yet."""
         return BuiltAssets(
-            self._true_scenario, self._folder, self._jobs, self._variant, self._report, self._draft, database
+            self._true_scenario, self._folder, self.jobs, self._variant, self.report, self._draft, database
         )
 
     @property
@@ -263,26 +263,26 @@ class BuiltAssets:
         return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._used]
 
     def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
-        if self._jobs == 0:
+        if self.jobs == 0:
             raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
         product, start_s = product_kind(kind), time.perf_counter()
 
         def build(place: Path) -> None:
-            if self._report is not None:
+            if self.report is not None:
                 name = self._scenario.spec.name
                 number = f", number {self._database}" if self._database else ""
-                self._report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
+                self.report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
             try:
                 # With one job it is built in this process, with more partly here and partly in workers.
                 with one_blas_thread():
-                    facts = product.build(self._scenario, options, place, self._jobs, self._variant) or {}
+                    facts = product.build(self._scenario, options, place, self.jobs, self._variant) or {}
             except NoProductError as error:
                 (place / _FAILURE).write_text(str(error), encoding="utf-8")
                 return
             seconds = {"seconds": time.perf_counter() - start_s}
             (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
-            if self._report is not None and facts:
-                self._report("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
+            if self.report is not None and facts:
+                self.report("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
 
         try:
             cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -143,9 +143,15 @@ def cratered_surface(
 
 
 def build_surfaces(
-    body: BodySpec, populations: Sequence[CratersSpec], search_dirs: Sequence[Path], threads: int
+    body: BodySpec,
+    populations: Sequence[CratersSpec],
+    search_dirs: Sequence[Path],
+    threads: int,
+    report: Callable[[str], None] | None = None,
 ) -> None:
     """Build cratered surfaces of one body into the cache, as many at once as threads and half of the memory allow.
+
+    ``report`` is called with a message if some of them are not in the cache.
 
     Raises
     ------
@@ -154,6 +160,10 @@ def build_surfaces(
     """
     mesh = load_body(body, search_dirs).mesh
     most = max(sum(expected_bytes(mesh, craters)) for craters in populations)
+    digests = {surface_digest(body, craters, search_dirs) for craters in populations}
+    absent = sum(default_cache().find("craters", sha256) is None for sha256 in digests)
+    if report is not None and absent:
+        report(f"building {absent} cratered surface(s) of about {most / 2**30:.1f} GiB each")
     # A thread drops its surface when it has built it.
     with ThreadPoolExecutor(max(1, min(threads, installed_memory_bytes() // (2 * most)))) as pool:
         list(pool.map(lambda craters: cratered_surface(body, craters, search_dirs).sha256, populations))

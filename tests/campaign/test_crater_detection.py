@@ -18,6 +18,7 @@ from boresight.campaign.inspection.case import Choice
 from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.kinds.crater_detection import trial as crater_detection
+from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.runner import run_campaign
@@ -118,6 +119,18 @@ def _own_detectors() -> object:
 def done(folder: Path) -> Path:
     assert run(folder / "tiny.yaml", folder / "run", "--worst", 0) == 3  # one of the detectors raises
     return folder / "run"
+
+
+def test_surfaces_are_built_by_as_many_threads_as_jobs_and_announced(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[object, ...]] = []
+    monkeypatch.setattr(crater_detection, "build_surfaces", lambda *given: asked.append(given[3:]))
+    campaign = resolve(str(folder / "tiny.yaml"), variant=choose_variant().name)
+    for jobs in (1, 3):
+        assets = BuiltAssets(campaign.scenarios[0], tmp_path, jobs, campaign.variant, print)
+        crater_detection.CraterDetection.prepare(campaign, campaign.scenarios[0], assets)
+    assert asked == [(1, print), (3, print)]
 
 
 def test_all_trials_are_stored_whatever_a_detector_does(done: Path) -> None:

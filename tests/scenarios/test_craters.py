@@ -264,8 +264,14 @@ def test_surfaces_built_at_once_are_those_built_one_by_one(monkeypatch: pytest.M
 
     monkeypatch.setattr(surface, "draw_craters", noted)
     specs = [craters_spec(seed=seed, roughness=ROUGHNESS) for seed in (5, 6, 7)]
-    build_surfaces(BODY, specs, (), 3)
+    said: list[str] = []
+    cratered_surface(BODY, specs[0])
+    at_work.clear()
+    build_surfaces(BODY, specs, (), 3, said.append)
     assert max(most) > 1
+    assert [line.partition(" of ")[0] for line in said] == ["building 2 cratered surface(s)"], "one is there"
+    build_surfaces(BODY, specs, (), 3, said.append)
+    assert len(said) == 1, "all are there"
     monkeypatch.setattr("boresight.scenarios.craters.surface.installed_memory_bytes", lambda: 1)
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "another"))
     at_work.clear()

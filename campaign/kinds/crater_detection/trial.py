@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import TrialImage, World, open_world
-from boresight.campaign.machine import cores
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.products.databases import with_database_craters
@@ -100,10 +99,9 @@ class CraterDetection:
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the surfaces, which workers then only read."""
-        del assets
         worlds = (with_database_craters(scenario, number).spec for number in range(campaign.spec.databases))
         populations = [spec.craters for spec in worlds if spec.craters is not None]
-        build_surfaces(scenario.spec.body, populations, scenario.search_dirs, cores())
+        build_surfaces(scenario.spec.body, populations, scenario.search_dirs, assets.jobs, assets.report)
         return []
 
     @classmethod
