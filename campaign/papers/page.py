@@ -126,7 +126,8 @@ def paper_page(
     comparisons = {name: load_published(report) for name, report in reports.items()}
     sources = {one.source for one in comparisons.values()}
     bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
-    built_in = any(run.manifest.get("embedded") for run in found.values())
+    built_in = [name for name, run in found.items() if run.manifest.get("embedded")]
+    replaced = f"on embedded bodies in place of shape files, so without verdicts: {', '.join(built_in)}"
     return PaperPage(
         title=f"{paper.title}{' (embedded bodies)' if built_in else ''}",
         source="; ".join(sorted(sources)),
@@ -134,7 +135,11 @@ def paper_page(
         grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
         figures=(*figures, *tables),
         runs=tuple((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
-        conditions=(*bounds, *(f"{name}: {one.conditions}" for name, one in comparisons.items())),
+        conditions=(
+            *([replaced] if built_in else []),
+            *bounds,
+            *(f"{name}: {one.conditions}" for name, one in comparisons.items()),
+        ),
         missing=(*missing, *without),
         refused=gathered.refused,
         credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),

@@ -16,10 +16,12 @@ _FEW = 6
 
 
 def run_label(manifest: Manifest) -> str:
-    """Describe a run on one line: campaign, trials, seed and commit."""
+    """Describe a run on one line: campaign, trials, seed, commit, draft and embedded bodies."""
     commit = f", commit {manifest.commit}" if manifest.commit else ""
     embedded = f", {', '.join(manifest.embedded)}" if manifest.embedded else ""
-    return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}{embedded}"
+    draft = f", a draft of scale {manifest.draft:g}" if manifest.draft < 1.0 else ""
+    trials = count_of(manifest.trials, "trial")
+    return f"boresight {manifest.name}, {trials}, seed {manifest.seed}{commit}{draft}{embedded}"
 
 
 def add_provenance(figure: Figure, runs: Sequence[RunData]) -> None:

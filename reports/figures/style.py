@@ -234,7 +234,9 @@ def add_footer(figure: Figure, lines: Sequence[str]) -> None:
     if before is not None:
         before.remove()
     words = "\n".join([*earlier, *lines])
-    text = figure.text(0.995, 0.01 / figure.get_figheight(), words, fontsize=_FOOTER_SIZE, color=GREY, ha="right")
+    text = figure.text(
+        0.995, 0.01 / figure.get_figheight(), words, fontsize=_FOOTER_SIZE, color=GREY, ha="right", va="bottom"
+    )
     text.set_gid(_FOOTER)
 
 

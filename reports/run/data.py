@@ -105,6 +105,7 @@ class Manifest(BaseModel):
     command: str = ""
     notes: tuple[str, ...] = ()
     embedded: tuple[str, ...] = ()
+    draft: float = 1.0
     products: tuple[StoredProduct, ...] = ()
     grid: ScenarioGrid | None = None
     campaign: Mapping[str, Any] = {}

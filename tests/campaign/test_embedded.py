@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from boresight.campaign.cli import main
 from boresight.campaign.papers.gather import finished_runs, gather_runs
+from boresight.campaign.papers.page import paper_called, paper_page
 from boresight.campaign.runs.read import campaign_names, read_campaign
 from boresight.campaign.runs.resolve import reload, resolve
+from boresight.reports.figures.provenance import run_label
 from boresight.reports.pages.content import read_content
 from boresight.reports.papers.page import paper_lines
 from boresight.reports.published import load_published
@@ -161,6 +164,22 @@ def test_a_run_is_found_only_where_embedded_bodies_are_wanted(run_folder):
     assert found["tiny"].folder.path == run_folder
     lines = list(paper_lines("tiny", load_published("rowell2015-simulated"), found["tiny"].content, ["photometric"]))
     assert {line.verdict for line in lines} <= {"embedded body", "context", "not measured"}
+
+
+def test_the_footer_of_a_figure_names_draft_and_embedded_bodies(run_folder):
+    manifest = read_content(run_folder).run.manifest
+    drafted = run_label(manifest.model_copy(update={"draft": 0.05, "commit": ""}))
+    assert drafted.endswith("seed 1, a draft of scale 0.05, itokawa-like in place of itokawa_gaskell_q64.ply")
+
+
+def test_a_page_names_the_campaigns_on_embedded_bodies(run_folder, tmp_path):
+    paper = replace(paper_called("rowell2015"), campaigns=("rowell2015-simulated",), figures=())
+    manifest = json.loads((run_folder / "manifest.json").read_text())
+    shutil.copytree(run_folder, tmp_path / "runs" / "one")
+    (tmp_path / "runs" / "one" / "manifest.json").write_text(json.dumps({**manifest, "name": paper.campaigns[0]}))
+    page = paper_page(paper, tmp_path / "runs", 1, embedded=True)
+    assert page.title.endswith(" (embedded bodies)")
+    assert page.conditions[0].endswith("so without verdicts: rowell2015-simulated")
 
 
 def test_a_run_on_the_real_body_comes_first(run_folder, tmp_path):

@@ -89,7 +89,7 @@ def test_a_footer_tells_the_run_and_moves_nothing_else():
     figure.legend(loc="outside lower center")
     figure.draw_without_rendering()
     (before, height) = (axes.get_position().bounds, figure.get_figheight())
-    add_footer(figure, ["boresight x, seed 7", "boresight y, seed 8"])
+    add_footer(figure, ["boresight x, seed 7", "boresight y, seed 8, p_q"])
     grown = figure.get_figheight()
     assert grown > height
     left, bottom, width, tall = axes.get_position().bounds
@@ -97,6 +97,7 @@ def test_a_footer_tells_the_run_and_moves_nothing_else():
     assert (grown * tall, grown * (1.0 - bottom)) == pytest.approx((height * before[3], height * (1.0 - before[1])))
     figure.draw_without_rendering()
     footer = next(text for text in figure.texts if "seed 7" in text.get_text()).get_window_extent()
+    assert footer.y0 > 0, "descenders are not cut off"
     assert not footer.overlaps(figure.legends[0].get_window_extent())
     assert not footer.overlaps(axes.get_tightbbox())
 
