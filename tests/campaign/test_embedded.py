@@ -124,6 +124,14 @@ def test_the_command_to_run_a_campaign_is_one_that_runs_it(paper, words, command
     assert [one for one in commands if f"to run it: boresight {one}" not in page] == []
 
 
+def test_the_values_of_all_papers_are_counted_together(capsys):
+    assert main(["figures", "all", "--embedded"]) == 0
+    counted = r"(all papers: )?0 of (\d+) published numbers and statements have a value"
+    *papers, last = re.findall(counted, capsys.readouterr().out)
+    assert [whose for whose, _ in (*papers, last)] == ["", "", "", "all papers: "]
+    assert int(last[1]) == sum(int(number) for _, number in papers) > 200
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """One run, without data."""
