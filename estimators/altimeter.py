@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, JsonValue
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.options import OptionsError, parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose, TriangleMesh
 from boresight.scenarios.observation import Observation, RangeReading
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 10
 _SETTLED_M = 1e-3

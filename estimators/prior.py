@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.contract import Assets, Estimate
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 # 1e-9 rad and 1e-6 m: far below what an image resolves, far above the rounding of a pose in double precision.
 _LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)

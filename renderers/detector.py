@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.special import ive
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.camera import DetectorSpec
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

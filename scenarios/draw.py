@@ -7,18 +7,16 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.spec.distribution import Vector3
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
-FloatArray = NDArray[np.float64]
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
 
-BoolArray = NDArray[np.bool_]
 
 _LIMB_EMISSION_DEG = (50.0, 70.0)
 _TERMINATOR_INCIDENCE_DEG = (55.0, 75.0)

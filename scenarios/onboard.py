@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import draw_direction
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.body import BodySpec
@@ -12,7 +12,6 @@ from boresight.scenarios.spec.camera import CameraSpec, DistortionSpec
 from boresight.scenarios.spec.distribution import Scalar
 from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 
-FloatArray = NDArray[np.float64]
 _EQUATOR_RAD = (0.0, 0.0)
 
 

@@ -16,6 +16,7 @@ from boresight.estimators.craters.contract import CraterDetections, CraterDetect
 from boresight.estimators.craters.detection.classic import CraterClassic, DetectionStages
 from boresight.reports.figures.craters import draw_detections, draw_stages
 from boresight.reports.figures.style import save_figure
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data import find_data_file
@@ -24,9 +25,6 @@ from boresight.scenarios.geometry import Ellipses, TriangleMesh, View, project_c
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.body import BodySpec
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 GAZETTEER = "craters/eros_named_craters_iau.csv"
 _FAR = 3.0  # body radii from which rays are cast down onto a crater

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.inspection.case import Case
@@ -24,12 +23,10 @@ from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, sh
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.pose_score import pose_of
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _CAMERA = 1
 _NO_POINT = -1

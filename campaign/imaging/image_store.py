@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from boresight.campaign.machine import package_versions, processor
 from boresight.renderers.detector import Detector
@@ -30,6 +29,7 @@ from boresight.renderers.mitsuba3 import (
     code_generator,
     renderer_version,
 )
+from boresight.scenarios.arrays import Image
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.craters import cratered_surface, shape_digest
@@ -48,7 +48,6 @@ _FILE = "images.parquet"
 _CHUNK_IMAGES = 10
 _CHUNK_PIXELS = 1 << 25
 
-Image = NDArray[np.float32]
 
 _SCHEMA = pa.schema(
     {

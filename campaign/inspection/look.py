@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
 from boresight.campaign.inspection.show import EstimatorRun, show_of
@@ -14,17 +13,15 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
 from boresight.reports.run.data import RunData, select
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 
 _FINER = 1.25
 
-FloatArray = NDArray[np.float64]
 
 MOST_FACES = 40_000
 _NEAR = 1.8
-
-IndexArray = NDArray[np.int64]
 
 
 def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> View3D:

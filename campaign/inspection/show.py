@@ -20,12 +20,10 @@ from boresight.campaign.trial.kind import module_of
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
 
 T = TypeVar("T")
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,8 @@ from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabas
 from boresight.estimators.landmark.clustering import PointCluster
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.reports.figures import ClusterView, SurfaceView
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import TriangleMesh, View, look_at
-
-FloatArray = NDArray[np.float64]
 
 _PHASE_DEG = 35.0
 # A candidate is on the near side if the visible surface at its pixel is within this distance.

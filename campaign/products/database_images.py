@@ -15,14 +15,13 @@ from boresight.campaign.imaging.image_store import ImageStore
 from boresight.campaign.imaging.world import open_world, typical_range_m
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, draw_aimed_view, draw_lit_view, generator
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.distribution import Uniform
 from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
-
-FloatArray = NDArray[np.float64]
 
 T = TypeVar("T")
 

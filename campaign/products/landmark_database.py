@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.products.database_images import database_images, map_images
 from boresight.campaign.products.databases import checked_options, content_key
@@ -19,6 +18,7 @@ from boresight.estimators.landmark.build import (
     extract_candidates,
 )
 from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
@@ -28,8 +28,6 @@ VERSION = 1
 
 CANDIDATES_KIND = "landmark-candidates"
 CANDIDATES_VERSION = 1
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from SALib.sample import sobol
 from scipy.stats import qmc
 
@@ -25,11 +24,11 @@ from boresight.reports.compare.global_sensitivity import (
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.run.data import RunData
 from boresight.reports.statistics.measured import Statistic
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import ConfigEntry, LoadedScenario, load_campaign, parse_override
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
-FloatArray = NDArray[np.float64]
 METHODS = ("sobol", "latin-hypercube")
 BASE = "base"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"

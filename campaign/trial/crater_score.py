@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.trial.checks import check_array, check_type
 from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import LoadedScenario
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CENTRE_RADII, CENTRE_PX = 0.3, 1.5
 """A match's centre lies within the larger of these."""

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Pose
-
-FloatArray = NDArray[np.float64]
 
 _QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 

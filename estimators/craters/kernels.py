@@ -8,13 +8,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.compiled import compiler
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
 PlaceArray = NDArray[np.uint64]  # unsigned: Numba lets a negative index count from the end, which is slow
-BoolArray = NDArray[np.bool_]
 
 Cosines = TypeVar("Cosines", float, FloatArray)
 
@@ -29,7 +26,7 @@ kernel = compiler(Path(__file__).parent)
 
 
 @kernel
-def divide_softly(out: FloatArray, along_u: FloatImage, along_v: FloatImage, floor: float) -> None:
+def divide_softly(out: FloatArray, along_u: Image, along_v: Image, floor: float) -> None:
     """Write vectors (H, W, 2) divided by the root of their square and that of ``floor``."""
     for i in range(len(out)):
         for j in range(out.shape[1]):
@@ -239,7 +236,7 @@ def best_of_each(order: IndexArray, centre: FloatArray, radius: FloatArray, apar
 
 
 @kernel
-def _add_taps(out: FloatImage, field: FloatImage, place: PlaceArray, weight: FloatImage, base: np.uint64) -> None:
+def _add_taps(out: Image, field: Image, place: PlaceArray, weight: Image, base: np.uint64) -> None:
     """Add to ``out`` (LANES,) the sum of weights (T,) times LANES consecutive values of a flat field at each place."""
     k = 0
     # Four at a time, so that the sums stay longer in registers.
@@ -260,13 +257,13 @@ class RingTaps(NamedTuple):
     """Non-zero weights (T,) of templates and their places in a flat field, and the first of each side of a template."""
 
     place: PlaceArray
-    weight: FloatImage
+    weight: Image
     start: IndexArray
 
 
 @kernel
 def ring_scores(
-    best: FloatImage, which: IndexArray, field: FloatImage, taps: RingTaps, near: BoolArray, least: np.float32
+    best: Image, which: IndexArray, field: Image, taps: RingTaps, near: BoolArray, least: np.float32
 ) -> None:
     """Write the best merit (H, W) of all templates, and the template's row, where it reaches ``least``.
 
@@ -307,20 +304,20 @@ def ring_scores(
 class NetworkWeights(NamedTuple):
     """Weights of three convolutions and two dense layers (outputs, inputs), and their biases."""
 
-    conv1: FloatImage
-    bias1: FloatImage
-    conv2: FloatImage
-    bias2: FloatImage
-    conv3: FloatImage
-    bias3: FloatImage
-    dense1: FloatImage
-    bias4: FloatImage
-    dense2: FloatImage
-    bias5: FloatImage
+    conv1: Image
+    bias1: Image
+    conv2: Image
+    bias2: Image
+    conv3: Image
+    bias3: Image
+    dense1: Image
+    bias4: Image
+    dense2: Image
+    bias5: Image
 
 
 @kernel
-def apply_network(out: FloatImage, pixels: FloatImage, scalars: FloatImage, w: NetworkWeights) -> None:
+def apply_network(out: Image, pixels: Image, scalars: Image, w: NetworkWeights) -> None:
     """Write the outputs (n, OUTPUTS) for patches (n, S, S) and their further inputs (n, K).
 
     LANES patches are evaluated at once: they are the last axis of all layers, which have a border of zeros.
@@ -350,7 +347,7 @@ def apply_network(out: FloatImage, pixels: FloatImage, scalars: FloatImage, w: N
 
 
 @kernel
-def _convolve(out: FloatImage, x: FloatImage, weights: FloatImage, bias: FloatImage, floor: np.float32) -> None:
+def _convolve(out: Image, x: Image, weights: Image, bias: Image, floor: np.float32) -> None:
     """Write a convolution (H / 2, W / 2, C', LANES) of stride 2, at least ``floor``, of a padded (H, W, C, LANES).
 
     A dense layer has one window, the whole layer before it.

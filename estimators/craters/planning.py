@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.estimators.craters.database.records import TextRecord, format_record, read_records, write_records
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import (
     TARGET_KINDS,
     TargetKind,
@@ -39,8 +39,6 @@ from boresight.scenarios.sequences.ground import MeshGround
 PLANNER, PLANNER_VERSION = "planner", 1
 """Name and version of the planner: raise the version when plans change."""
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _BLOCK_SIZE = 64  # facets tested for visibility at once
 _HEAD = "boresight image plan 1"

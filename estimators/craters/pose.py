@@ -25,18 +25,16 @@ from boresight.estimators.craters.matching.association import (
 from boresight.estimators.craters.matching.transfer import occluded
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
-
 _PASSES = 4  # linearisations
 _CONVERGED_M = 0.1
 
-IndexArray = NDArray[np.int64]
 
 PRODUCT = "crater-database"
 

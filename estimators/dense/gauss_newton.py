@@ -13,12 +13,10 @@ from pydantic import Field
 from boresight.estimators.contract import DifferentiableRenderer, ImageRenderer
 from boresight.estimators.landmark.alignment import AlignmentOptions, MeshView
 from boresight.estimators.landmark.pose.posterior import PosePrior
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 _ROBUST_SIGMA = 1.4826
 _REWEIGHTINGS = 3

@@ -13,12 +13,11 @@ from pydantic import Field
 
 from boresight.estimators.archive import Archive
 from boresight.estimators.descriptors.features import DESCRIPTOR_BYTES, FeatureOptions, Kind, find_features
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 FILE = "descriptors.npz"
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import pixel_from_opencv
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 Kind = Literal["sift", "orb"]
 DESCRIPTOR_BYTES = {"sift": 128, "orb": 32}

@@ -26,12 +26,11 @@ from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior
 from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 PRODUCT = "descriptors"
 _CONFIDENCE = 0.999

@@ -16,11 +16,9 @@ from pydantic import Field
 
 from boresight.estimators.contract import ImageRenderer, Stopwatch
 from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
 """(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""

@@ -17,11 +17,10 @@ from boresight.estimators.landmark.clustering import ClusterOptions, ClusterStag
 from boresight.estimators.landmark.corners import CornerOptions, detect_corners
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.hull import concave_hull
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import CameraSpec
-
-FloatArray = NDArray[np.float64]
 
 METHOD = "rowell2015-{detector}"
 METHOD_VERSION = 1

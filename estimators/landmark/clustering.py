@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 _MIN_DISPERSION_POINTS = 4

@@ -12,10 +12,9 @@ from pydantic import Field, model_validator
 
 from boresight.estimators.landmark.fast_hessian import fast_hessian
 from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import pixel_from_opencv
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 
 class CornerOptions(SpecModel):

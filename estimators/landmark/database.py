@@ -25,12 +25,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.reading import read_json
-
-FloatArray = NDArray[np.float64]
 
 FORMAT = "boresight-landmarks"
 FORMAT_VERSION = 1

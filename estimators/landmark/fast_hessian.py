@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
+from boresight.scenarios.arrays import FloatArray, Image
 
 OCTAVES = ((9, 15, 21, 27), (15, 27, 39, 51))
 """Sides of the box filters, pixels: the first two octaves of Bay et al."""

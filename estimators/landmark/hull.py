@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
-FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 # Row i: the face opposite to corner i, counter-clockwise seen from outside where the volume is positive.

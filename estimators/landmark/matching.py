@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from boresight.estimators.contract import Table
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.projection import project_landmarks
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 
-FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 _POINT_COLUMNS = ("x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _PARALLEL = 1e-12
 _SLACK = 1e-9

@@ -34,8 +34,6 @@ from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
-
 PRODUCT = "landmark-database"
 POINT_PAIRS = {"centroid": centroid_pair, "image": correlation_pair}
 

@@ -13,11 +13,9 @@ from scipy.spatial import cKDTree
 
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 1

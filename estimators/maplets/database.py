@@ -14,11 +14,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.estimators.archive import Archive
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.limits import LARGEST_NUMBER
-
-FloatArray = NDArray[np.float64]
 
 FILE = "maplets.npz"
 

@@ -12,11 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-Image = NDArray[np.float32]
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image
 
 _REWEIGHTINGS = 5
 _TUKEY = 2.5

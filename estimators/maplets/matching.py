@@ -19,11 +19,9 @@ from boresight.estimators.landmark.signal import KNOWN_SKY, extract_signal
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
 from boresight.estimators.maplets.visibility import Windows, body_mask, visible_windows
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 _LEAST_PIXELS = 60
 _LARGEST_SHIFT_PX = 1.5  # of the least-squares refinement, which is linearised about zero

@@ -27,12 +27,10 @@ from boresight.estimators.maplets.matching import (
     render_maplets,
 )
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 PRODUCT = "maplets"
 _ACROSS = slice(3, 5)

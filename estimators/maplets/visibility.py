@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.maplets.database import MapletDatabase
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LEAST_COS_EMISSION = 0.25

@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.orbit.kernels import consistent_rays
 from boresight.estimators.orbit.model import MeasurementModel, Measurements, Unknowns, measurements_until
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from boresight.scenarios.orbits.data import OrbitData
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 # Weight of the a priori position, against 1 for each line of sight: it fixes a point only where rays are parallel.
 _ANCHOR_WEIGHT = 1e-4

@@ -22,11 +22,10 @@ from boresight.estimators.orbit.model import (
 )
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, StoppingCriteria
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.orbits.data import OrbitData
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 _DAY_S = 86_400.0
 _MIN_SQUARES = HuberLoss(np.inf, 1.0)

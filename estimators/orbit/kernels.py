@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.compiled import compiler
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _MIN_PARALLAX = 0.03  # sine of the angle between two rays; below it their midpoint is poorly determined
 

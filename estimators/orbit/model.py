@@ -6,16 +6,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.estimators.orbit.parameters import ParameterLayout
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.dynamics.variational import OrbitPartials, propagate_partials
 from boresight.scenarios.orbits.data import OrbitData, Radiometry
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers
 _FLIGHTS_KEPT = 2

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import toeplitz
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.field import HarmonicField
 from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
 from boresight.scenarios.dynamics.variational import OrbitPartials
 from boresight.scenarios.orbits.data import Knowledge, OrbitData
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 
 class OrbitOptions(SpecModel):

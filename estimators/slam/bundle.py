@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, LostError
@@ -26,9 +25,8 @@ from boresight.estimators.slam.prediction import predict_from_window
 from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import StoppingRule, reduced_rank_deficiency
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 _MAX_PLACED = 2
 """Consecutive frames at most that may be placed without an adjustment of the window."""

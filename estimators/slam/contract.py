@@ -6,13 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.tracks import TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.ekf_pose import PoseState
@@ -23,11 +22,8 @@ from boresight.estimators.slam.ekf_update import (
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, LostError, check_scale
 from boresight.estimators.slam.gating import gate_pixels
 from boresight.estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 

@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
 from boresight.estimators.slam.ekf_update import Innovation, kalman_update
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, cross_matrix
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
 
 _POSITION, _VELOCITY, _TURN, _RATE, _LASTING = (slice(3 * i, 3 * i + 3) for i in range(5))
 _ANCHOR_TURN = slice(SIZE, SIZE + 3)

@@ -13,11 +13,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, cross_matrix
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 SIZE = 6
 

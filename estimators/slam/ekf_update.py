@@ -6,22 +6,17 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from boresight.estimators.slam.ekf_state import FilterState
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
 
 AnyState = TypeVar("AnyState", bound=FilterState)
 
 _SHORTEST = 1e-3
 """Part of a Gauss-Newton step below which the line search gives up."""
-
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

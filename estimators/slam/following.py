@@ -11,17 +11,14 @@ from functools import partial
 from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.options import parse_options
 from boresight.estimators.slam.compiled import tracks as kernels
 from boresight.estimators.slam.compiled.problem import floats
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 OptionsT = TypeVar("OptionsT", bound=SpecModel)
 

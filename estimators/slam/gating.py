@@ -8,16 +8,13 @@ one landmark taken as correct, the others are predicted much more closely.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from boresight.estimators.slam.options import Gate
 from boresight.estimators.slam.prediction import DEPTH_SIGMA, PredictedLines
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MOST_HYPOTHESES = 64
 """Landmarks at most that are taken as correct in turn."""

@@ -7,18 +7,16 @@ from importlib import import_module
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale
 from boresight.estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 # A bearing has a sigma of about 3.5e-4 rad (0.67 px): even a hundred of them change this attitude by 1 part in 1e7.
 ATTITUDE_SIGMA_RAD = 1e-8

@@ -6,14 +6,10 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.problem import Adjustment, Motions, QuadraticPrior
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.scenarios.tracks import TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 class GlobalMap:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from boresight.estimators.slam.contract import FrameEstimate
@@ -19,12 +18,8 @@ from boresight.estimators.slam.outliers import without_tracks
 from boresight.estimators.slam.problem import Adjustment, State
 from boresight.estimators.slam.smoother import WindowSmoother
 from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import TrackFrame, TrackSequence
-
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
-FloatArray = NDArray[np.float64]
 
 _SAME_PLACE_M = 1e-3
 """Standard deviation, m, to which the two landmarks of a pair are the same point; keeps the covariances invertible."""

@@ -16,11 +16,7 @@ from boresight.estimators.slam.compiled import marginal as kernels
 from boresight.estimators.slam.compiled.problem import floats
 from boresight.estimators.slam.normal import VariableOrdering, normal_equations
 from boresight.estimators.slam.problem import Adjustment, QuadraticPrior, State
-
-BoolArray = NDArray[np.bool_]
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

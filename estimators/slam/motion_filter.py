@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate
 from boresight.estimators.slam.following import LostError
 from boresight.estimators.slam.options import BundleOptions
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.slam.problem import Adjustment, State
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
 
 def bearing_residuals(problem: Adjustment, state: State) -> FloatArray:

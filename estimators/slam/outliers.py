@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from boresight.estimators.slam.following import lookup
@@ -25,10 +24,8 @@ from boresight.estimators.slam.prediction import (
 from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, residual_squares
+from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 MAX_ROUNDS = 5
 """Adjustments of a frame at most, each without the outliers that the previous one found."""

@@ -16,11 +16,8 @@ from boresight.estimators.slam.normal import VariableOrdering, bearing_jacobians
 from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import reduced_system
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction, TrackFrame
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 DEPTH_SIGMA = 0.3
 """Standard deviation of a guessed distance, relative, for gating."""

@@ -8,19 +8,15 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import tracks as kernels
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.following import LostError, lookup, median_distance
 from boresight.estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
 from boresight.estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise, place_view
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.following import (
@@ -26,11 +25,8 @@ from boresight.estimators.slam.prediction import predict_from_window
 from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.slam_map import SlamMap, values_or_nan
 from boresight.estimators.slam.solver import StoppingRule, view_covariance
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _WEAK_RATIO = 10.0
 """Standard deviation of the weak prior of a landmark, in median depths of the newest view."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from boresight.estimators.slam.compiled import descent
@@ -16,11 +15,9 @@ from boresight.estimators.slam.compiled import equations as kernels
 from boresight.estimators.slam.compiled.envelope import dense
 from boresight.estimators.slam.compiled.problem import floats
 from boresight.estimators.slam.problem import Adjustment, State, pinhole_of
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 RANK_TOLERANCE = 1e-11
 """Eigenvalues of the reduced matrix below this part of the largest one count as zero."""

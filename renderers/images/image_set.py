@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View
 
-FloatArray = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 
 

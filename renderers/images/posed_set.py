@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 
 from boresight.renderers.images.image_set import check_size, files_digest
 from boresight.renderers.images.pixels import read_image
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.spec.images import ImageSetSpec
 
-FloatArray = NDArray[np.float64]
 QUATERNION_TOLERANCE = 1e-3
 _EXCESS = "\n"  # key of surplus cells: no column can be called so
 _SUN = ("sun_body_x", "sun_body_y", "sun_body_z")

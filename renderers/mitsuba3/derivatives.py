@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from boresight.renderers.mitsuba3.rays import PixelWindow, ray_bundle
 from boresight.renderers.mitsuba3.variant import load_mitsuba
 from boresight.renderers.mitsuba3.wavefront import opaque
+from boresight.scenarios.arrays import Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 
 if TYPE_CHECKING:
     from boresight.renderers.mitsuba3.wavefront import WavefrontTracer
 
-Image = NDArray[np.float32]
 
 _PARAMETERS = 6
 # The filter of a pixel covers its neighbours, whose motion depends on the samples next to them.

@@ -6,18 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
-
-FloatArray = NDArray[np.float64]
 
 # Points on each side of a bounding box that lens distortion bends.
 _BOX_STEPS = 65
 
-IndexArray = NDArray[np.int64]
 
 # Facets whose solid angles are computed at once, which bounds the memory.
 _CHUNK = 200_000

@@ -16,11 +16,9 @@ from boresight.renderers.brdf import brdf_value, phase_of_rays
 from boresight.renderers.mitsuba3.rays import PixelWindow, corner_weights, interpolate, ray_bundle
 from boresight.renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
 from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.spec.brdf import BrdfSpec
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 # The index of a facet is encoded as the colour (1, index // _BASE, index % _BASE), whose ratios are exact enough in
 # single precision.

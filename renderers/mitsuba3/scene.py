@@ -8,16 +8,11 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.renderers.mitsuba3.variant import Variant, load_mitsuba
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray, SingleArray
 from boresight.scenarios.craters.tiles import facet_normals
 from boresight.scenarios.geometry import TriangleMesh
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 SHAPE_ID = "body"
 SUN_ID = "sun"

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.renderers.brdf import brdf_value, phase_of_rays
 from boresight.renderers.mitsuba3.rays import (
@@ -22,17 +21,13 @@ from boresight.renderers.mitsuba3.renderer import MitsubaRenderer
 from boresight.renderers.mitsuba3.scene import FacetScene
 from boresight.renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from boresight.renderers.mitsuba3.wavefront import drjit_math
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray, SingleArray
 from boresight.scenarios.craters import CrateredSurface
 from boresight.scenarios.craters.ray_culling import RayProjection, candidate_facets
 from boresight.scenarios.craters.tiles import may_face, overlap
 from boresight.scenarios.geometry import SurfaceHits, TriangleMesh, View
 from boresight.scenarios.spec.brdf import BrdfSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _SHADOW_OFFSET = 1e-5  # of the body's radius: distance from the surface at which shadow rays start
 _RELIEF_PX = 5.0  # how far a facet may lie outside the bounding box of its tile's corners

@@ -15,6 +15,7 @@ from boresight.renderers.images.image_set import check_size, files_digest
 from boresight.renderers.images.product import ImageProduct, open_product
 from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
 from boresight.renderers.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file, find_data_folder
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
@@ -23,7 +24,6 @@ from boresight.scenarios.spec.images import ImageSetSpec, SpiceSpec
 # Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01
 
-FloatArray = NDArray[np.float64]
 Aberration = Literal["LT+S", "NONE"]
 _M_PER_KM = 1e3
 

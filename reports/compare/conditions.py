@@ -15,8 +15,8 @@ from boresight.reports.figures.scenario_grids import Points
 from boresight.reports.schema.common import BORESIGHT, LATERAL
 from boresight.reports.schema.kinds.crater_detection import DETECTION
 from boresight.reports.schema.kinds.crater_matching import MATCHING
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import MEDIAN, measure, share_of
+from boresight.scenarios.arrays import FloatArray
 
 ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"

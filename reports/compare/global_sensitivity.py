@@ -19,9 +19,10 @@ from boresight.reports.compare.metrics import Metric, metric_values, nothing_to_
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import NO_VALUE, Grid
 from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, FloatArray, content_rng
+from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng
 from boresight.reports.statistics.measured import WORST, Measured, Statistic, bounded
 from boresight.reports.tables import interval
+from boresight.scenarios.arrays import FloatArray
 
 _KEY = ("trial", "scenario")
 _CONDITIONS = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")

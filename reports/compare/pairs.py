@@ -16,9 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.compare.trials import KEY
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 from boresight.reports.statistics.paired import rate_difference, sign_test
+from boresight.scenarios.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,6 @@ from boresight.reports.compare.trials import (
 )
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import (
     MEDIAN,
     P75,
@@ -44,6 +43,7 @@ from boresight.reports.statistics.measured import (
     measure,
     share_of,
 )
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
 STATISTICS = (MEDIAN, RMS, P75, P95, P99)

@@ -23,9 +23,9 @@ from boresight.reports.statistics.consistency import (
     normalised_errors,
     normalised_label,
 )
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import Measured
 from boresight.reports.tables import chance, interval
+from boresight.scenarios.arrays import FloatArray
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from boresight.reports.figures.style import BLUE, VERMILION, FloatArray, grid_figure, styled
+from boresight.reports.figures.style import BLUE, VERMILION, grid_figure, styled
 from boresight.reports.schema.grid import shortest
+from boresight.scenarios.arrays import FloatArray
 
 
 @styled

@@ -14,8 +14,9 @@ from scipy.special import chdtr
 
 from boresight.reports.figures.axes import mark_decades
 from boresight.reports.figures.scenario_grids import Points
-from boresight.reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, grid_figure, new_figure, styled
+from boresight.reports.figures.style import GREY, PlotStyle, add_credits, grid_figure, new_figure, styled
 from boresight.reports.statistics.measured import Measured
+from boresight.scenarios.arrays import FloatArray
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
 """Label of the error and label of the condition to the curves of a panel, by their labels."""

@@ -19,7 +19,6 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     VERMILION,
-    FloatArray,
     grid_figure,
     hide_axes,
     new_figure,
@@ -27,9 +26,9 @@ from boresight.reports.figures.style import (
     show_image,
     styled,
 )
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses
 
-IndexArray = NDArray[np.int64]
 _MISSED = "#ffffff"
 _MISSED_ON_WHITE = "#000000"
 

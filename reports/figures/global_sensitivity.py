@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from boresight.reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
+from boresight.reports.figures.style import BLUE, GREY, ORANGE, grid_figure, styled
 from boresight.reports.statistics.measured import Measured
+from boresight.scenarios.arrays import FloatArray
 
 _LONG = 18
 _SHOWN = (-1.1, 1.4)

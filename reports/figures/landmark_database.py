@@ -10,7 +10,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.style import BLUE, VERMILION, FloatArray, hide_axes, new_figure, show_image, styled
+from boresight.reports.figures.style import BLUE, VERMILION, hide_axes, new_figure, show_image, styled
+from boresight.scenarios.arrays import FloatArray
 
 # Steps of the golden ratio through the hues, so that consecutive numbers have different colours.
 _GOLDEN = 0.6180339887498949

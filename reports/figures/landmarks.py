@@ -16,7 +16,6 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     SERIES_COLOURS,
     VERMILION,
-    FloatArray,
     add_credits,
     beyond_text,
     mark_on_axis,
@@ -27,6 +26,7 @@ from boresight.reports.figures.style import (
     styled,
 )
 from boresight.reports.schema.grid import shortest
+from boresight.scenarios.arrays import FloatArray
 
 DEGREES_OF_FREEDOM = 3
 # The range of the theoretical distribution. Wrong matches reach values a hundred times larger and would hide it.

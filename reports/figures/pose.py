@@ -18,7 +18,6 @@ from boresight.reports.figures.style import (
     GREEN,
     GREY,
     ORANGE,
-    FloatArray,
     PlotStyle,
     add_credits,
     beyond_text,
@@ -32,6 +31,7 @@ from boresight.reports.figures.style import (
     styled,
 )
 from boresight.reports.schema.grid import shortest
+from boresight.scenarios.arrays import FloatArray
 
 _PANELS = (
     ("attitude_error_deg", "attitude error, deg", "deg", "frequency per degree"),

@@ -10,18 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.style import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    FloatArray,
-    add_credits,
-    grid_figure,
-    hide_axes,
-    show_image,
-    styled,
-)
+from boresight.reports.figures.style import BLUE, GREEN, ORANGE, add_credits, grid_figure, hide_axes, show_image, styled
 from boresight.reports.schema.grid import shortest
+from boresight.scenarios.arrays import FloatArray
 
 POSE_COLOURS = {"prior": ORANGE, "estimate": BLUE, "truth": GREEN}
 _MARGIN = 0.08

@@ -18,7 +18,6 @@ from boresight.reports.figures.style import (
     ORANGE,
     SKY,
     VERMILION,
-    FloatArray,
     add_credits,
     hide_axes,
     new_figure,
@@ -26,6 +25,7 @@ from boresight.reports.figures.style import (
     styled,
 )
 from boresight.reports.schema.grid import shortest
+from boresight.scenarios.arrays import FloatArray
 
 MATCH_SIGMAS = 6.0
 

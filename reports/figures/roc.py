@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from boresight.reports.figures.style import GREY, FloatArray, PlotStyle, add_credits, new_figure, plot_styles, styled
+from boresight.reports.figures.style import GREY, PlotStyle, add_credits, new_figure, plot_styles, styled
+from boresight.scenarios.arrays import FloatArray
 
 MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""

@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from boresight.reports.figures.axes import mark_decades
-from boresight.reports.figures.style import BLUE, GREY, FloatArray, new_figure, plot_styles, styled
+from boresight.reports.figures.style import BLUE, GREY, new_figure, plot_styles, styled
+from boresight.scenarios.arrays import FloatArray
 
 _PANELS_A_ROW = 3
 

@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from boresight.scenarios.arrays import FloatArray
+
 Parameters = ParamSpec("Parameters")
 
 # Okabe and Ito's palette, for colour-blind readers, and two colours more. These are at least as far from the others, in

@@ -11,17 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from boresight.reports.figures.axes import mark_revolutions
-from boresight.reports.figures.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILION,
-    FloatArray,
-    grid_figure,
-    new_figure,
-    styled,
-)
+from boresight.reports.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, grid_figure, new_figure, styled
+from boresight.scenarios.arrays import FloatArray
 
 SIGMAS = 3.0
 _COMPONENTS = ("radial", "along-track", "cross-track")

@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.reports.figures.craters import ShareCurve, draw_shares
 from boresight.reports.kinds import ReportKind
@@ -19,8 +18,6 @@ from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.measured import MEDIAN, P95, measure, measure_share
 from boresight.reports.verdicts import comparison_grid
-
-FloatArray = NDArray[np.float64]
 
 RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
 OFFSET = "epipolar_offset_px"

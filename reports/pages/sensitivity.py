@@ -16,7 +16,7 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.statistics.intervals import FloatArray
+from boresight.scenarios.arrays import FloatArray
 
 
 def write_sensitivity(

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.reports.figures.style import BLUE, GREEN, VERMILION
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_text
-
-FloatArray = NDArray[np.float64]
 
 _BODY = "#9aa0a6"
 _SHADES = ((0.0, "#5f6369"), (1.0, "#eceef0"))

@@ -19,8 +19,8 @@ from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, value_of
 from boresight.reports.schema.records import Record, find
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
+from boresight.scenarios.arrays import FloatArray
 
 CONSISTENCY = "consistency"
 """Stage of the records that compare errors with a covariance or a bound."""

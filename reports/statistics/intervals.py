@@ -55,7 +55,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri, stdtrit
 
-FloatArray = NDArray[np.float64]
+from boresight.scenarios.arrays import FloatArray
+
 Interval = tuple[float, float] | tuple[None, None]
 OfSums = Callable[[FloatArray], FloatArray]
 

@@ -15,14 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.reports.statistics.intervals import (
-    FloatArray,
-    Interval,
-    has_quantile,
-    interval_of_sums,
-    quantile_interval,
-    wilson,
-)
+from boresight.reports.statistics.intervals import Interval, has_quantile, interval_of_sums, quantile_interval, wilson
+from boresight.scenarios.arrays import FloatArray
 
 WORST = 1e150
 """Error assigned to a failure: above every error, and its square does not overflow."""

@@ -22,9 +22,7 @@ from boresight.reports.schema.grid import Grid, value_of
 from boresight.reports.schema.records import CONTROL, Record, find
 from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
 from boresight.reports.statistics.measured import Measured
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from boresight.scenarios.arrays import BoolArray, FloatArray
 
 ABOVE_PRIOR, ABOVE_MEDIANS = "above-prior", "above-3-medians"
 DEFINITIONS = {

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.readers import RawShape
-from boresight.scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys, is_closed
+from boresight.scenarios.bodies.topology import directed_edge_keys, is_closed
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 

@@ -9,9 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.detail.noise import Band, fractal_field
 from boresight.scenarios.bodies.readers.icq import cube_lattice, cube_quads, weld_seams
-from boresight.scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
+from boresight.scenarios.bodies.topology import unit, vertex_normals
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.body import EMBEDDED_NAMES
 

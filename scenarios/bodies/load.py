@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.checks import checked_mesh
 from boresight.scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from boresight.scenarios.bodies.detail.noise import Band, fractal_field
@@ -28,7 +29,6 @@ from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec
 HEIGHT_ERROR_VERSION = 1
 """Part of the digest of every body with a height error: increase it when the same spec gives another mesh."""
 
-FloatArray = NDArray[np.float64]
 
 EVEN_VERSION = 1
 """Part of the digest of every resampled body: increase it when the same spec gives another mesh."""

@@ -6,13 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray, SingleArray
 from boresight.scenarios.compiled import compiler
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
 
 kernel = compiler(Path(__file__).parent)
 """The decorator of the kernels of this package."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.craters.simulated import (
     DetectionErrors,
     LabelledDetections,
@@ -23,8 +24,6 @@ from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
 from boresight.scenarios.spec.world import PoseErrorSpec
-
-FloatArray = NDArray[np.float64]
 
 _MOST_DRAWS = 2000  # of a target, before the angles are given up
 LIMITS_DEG = (60.0, 20.0, 75.0)

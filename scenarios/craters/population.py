@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.topology import unit
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.craters import CratersSpec
-
-FloatArray = NDArray[np.float64]
 
 _ROOM, _LEAST_FACING = 1.2, 0.5  # radii about a crater, and cosine of 60 deg
 _MOST_DRAWS = 200  # of the place of a crater

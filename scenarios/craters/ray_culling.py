@@ -6,17 +6,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray, SingleArray
 from boresight.scenarios.bodies.topology import tangent_axes
 from boresight.scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
 from boresight.scenarios.craters.surface import CrateredSurface
 from boresight.scenarios.geometry import View
 
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 _Point = tuple[float, float, float]  # on the projection plane, and distance along its third axis
 
 _RAYS_A_CELL = 1  # on average

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.detail.noise import Band
 from boresight.scenarios.bodies.topology import tangent_axes
 from boresight.scenarios.craters.kernels import add_crater, add_octave
@@ -16,8 +16,6 @@ from boresight.scenarios.craters.population import Craters
 from boresight.scenarios.craters.tiles import Tiling
 from boresight.scenarios.spec.body import RoughnessSpec
 from boresight.scenarios.spec.craters import CratersSpec
-
-FloatArray = NDArray[np.float64]
 
 _LATTICE = 64  # points along each side of a periodic lattice; a power of two, as `add_octave` needs
 _SPLINE_RMS = 0.3321

@@ -5,18 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray, SingleArray
 from boresight.scenarios.craters.kernels import edge_crossings
 from boresight.scenarios.craters.population import Craters
 from boresight.scenarios.craters.relief import crater_frames
 from boresight.scenarios.craters.tiles import Tiling
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-SingleArray = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
 
 RIM_POINTS = 72
 _PER_FACET = 2  # a sphere that separates corners of a facet crosses two of its edges

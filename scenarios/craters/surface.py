@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, SingleArray
 from boresight.scenarios.bodies.detail.subdivide import interpolating_control, limit, refine, smoothed
 from boresight.scenarios.bodies.load import Body, body_digest, load_body
 from boresight.scenarios.bodies.topology import find_edges, unit, vertex_normals
@@ -27,9 +28,6 @@ from boresight.scenarios.limits import installed_memory_bytes
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.craters import CratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
 
 CRATERS_VERSION = 3
 """Part of the digest of every cratered surface: increase it when the same spec gives another surface."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray, SingleArray
 from boresight.scenarios.bodies.topology import MeshEdges, find_edges, vertex_normals
 from boresight.scenarios.craters.kernels import (
     TileLayout,
@@ -24,18 +24,12 @@ from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.limits import installed_memory_bytes
 from boresight.scenarios.spec.craters import CratersSpec
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-
 # Within a tile, next to an edge of fewer pieces, edges of facets are up to half longer than the pieces.
 SHORTENED = 0.85
 
 _TILE_M = 100.0  # typical edge of a tile
 # Measured peak memory of builds with 82 thousand to 1.3 million tiles and 0.7 to 10 million vertices.
 _TILE_BYTES, _VERTEX_BYTES = 800, 70
-
-SingleArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 
 
 def normal_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:

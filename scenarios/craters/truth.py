@@ -6,15 +6,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.craters.rims import Rims
 from boresight.scenarios.geometry import Ellipses, View
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 LEAST_DIAMETER_PX = 12.0
 LEAST_VISIBLE, LEAST_IN_FRAME, LEAST_LIT = 0.9, 0.95, 0.5  # shares of the crest

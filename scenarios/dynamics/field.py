@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import kernel
 from boresight.scenarios.dynamics.harmonics import (
     Harmonics,
@@ -19,8 +19,6 @@ from boresight.scenarios.dynamics.harmonics import (
     term_count,
     term_index,
 )
-
-FloatArray = NDArray[np.float64]
 
 _TIDE_DEGREE = 4
 """Degree of the potential in the gravity gradient of the variational equations; truncation changes it by 1e-8 at

@@ -7,11 +7,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import TriangleMesh
-
-FloatArray = NDArray[np.float64]
 
 
 class Gravity(Protocol):

@@ -13,13 +13,11 @@ from functools import cached_property
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import kernel
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-
-FloatArray = NDArray[np.float64]
 
 _PLACES_AT_ONCE = 1 << 19
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.sequence import ForcesSpec
 
-FloatArray = NDArray[np.float64]
 Acceleration = Callable[[float, FloatArray], FloatArray]
 """(3,) m/s2 at a time, s, and a position (3,) m, inertial axes."""
 

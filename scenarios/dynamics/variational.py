@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import kernel
 from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
-
-FloatArray = NDArray[np.float64]
 
 LONGEST_STEP_S = 1800.0
 """Longest step: a tenth of Eros's rotation period; the rotating harmonics change fastest at 200 km."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from boresight.scenarios.arrays import FloatArray
 
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-15  # of the radius at unit focal length: its rounding

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry.pose import plane_axes
 from boresight.scenarios.geometry.view import View
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) -> FloatArray:

@@ -9,9 +9,9 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
-FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int32]
 
 

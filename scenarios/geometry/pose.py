@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
-
-FloatArray = NDArray[np.float64]
 
 
 def cross_matrix(vectors: FloatArray) -> FloatArray:

@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.dynamics.field import HarmonicField
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

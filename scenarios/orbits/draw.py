@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics
@@ -19,10 +19,6 @@ from boresight.scenarios.orbits.imaging import PointingErrors
 from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
 from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
 from boresight.scenarios.orbits.world import OrbitWorld
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:

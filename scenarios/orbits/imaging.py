@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit
 from boresight.scenarios.orbits.world import OrbitWorld
 from boresight.scenarios.spec.orbit import ImagingSpec
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.harmonics import normalisation, solid_harmonics
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-
-FloatArray = NDArray[np.float64]
 
 _STEP_DEG = 2.0  # of the table of radii
 _MARCHES = 256  # points on a ray through the enclosing sphere

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh, plane_axes
 from boresight.scenarios.spec.orbit import CraterSightingSpec
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _BINS = 72  # of azimuth, 5 deg each
 _AT_ONCE = 64

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField
 from boresight.scenarios.dynamics.harmonics import Harmonics
 from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
 from boresight.scenarios.orbits.world import OrbitWorld
 from boresight.scenarios.spec.orbit import ArcSpec
-
-FloatArray = NDArray[np.float64]
 
 DAY_S = 86_400.0
 _STEPS_PER_CORRELATION_TIME = 4

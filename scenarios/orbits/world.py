@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics
@@ -17,8 +17,6 @@ from boresight.scenarios.orbits.shape import StarShape, fit_star_shape
 from boresight.scenarios.orbits.sightings import Horizons
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import OrbitSpec, SunEarthSpec
-
-FloatArray = NDArray[np.float64]
 
 _PROMINENCE = 0.5  # standard deviation of the logarithm of a crater's detection weight
 

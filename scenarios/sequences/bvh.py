@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _LEAF_FACETS = 4
 _SLACK = 1e-9  # in lengths of a ray

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.sequences.ground import LandmarkGround
@@ -24,9 +24,6 @@ from boresight.scenarios.sequences.trajectory import (
 from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.sequence import SequenceSpec, VisionSpec
 from boresight.scenarios.tracks import TrackSequence
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,13 +7,10 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.sequences.bvh import FacetTree
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # The real root of x^3 = x + 1: its powers give the R2 lattice, as the golden ratio gives the spiral.
 _PLASTIC = 1.32471795724474602596

@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, draw_direction, generator
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.sequences.trajectory import CameraTrajectory, angular_velocity, attitude_function
 from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
 from boresight.scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
 # Lower bounds of the stated sigmas of exact data: infinite weights are numerically useless.

@@ -6,16 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.sequence import VisionSpec
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _MOST_ROUNDS = 1000  # of draws to fill a frame
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
 from boresight.scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
@@ -17,8 +17,6 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.sequences.ground import LandmarkGround, MeshGround
 from boresight.scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
-
-FloatArray = NDArray[np.float64]
 
 AttitudeFunction = Callable[[FloatArray], FloatArray]
 """Takes (n,) seconds since the first frame to R_body_inertial, (n, 3, 3)."""

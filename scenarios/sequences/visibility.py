@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.sequences.ground import LandmarkGround, SphereGround
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _PROBES = 16384  # points spread over a mesh
 _PROBED_FRAMES = 36  # of an orbit, at most twice as many

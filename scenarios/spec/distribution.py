@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
 Bounds = tuple[float, float]
 NonNegative = Annotated[float, Field(ge=0)]
 

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.peers import PeerSolution
 from boresight.estimators.slam.normal import cost
 from boresight.estimators.slam.problem import Adjustment, State
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
-FloatArray = NDArray[np.float64]
 Case = tuple[Adjustment, State]
 
 # Its default, and the loosest power of ten that ends the windows of the benchmark within a part in a million of their

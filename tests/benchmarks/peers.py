@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.gtsam_smoothers import Factors, load_gtsam
 from boresight.estimators.slam.normal import cost
 from boresight.estimators.slam.problem import Adjustment, State
-
-FloatArray = NDArray[np.float64]
 
 # The loosest power of ten that ends the windows of the benchmark within a part in a million of their minimum.
 RELATIVE_DECREASE = 1e-3

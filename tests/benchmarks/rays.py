@@ -19,11 +19,11 @@ from boresight.renderers.mitsuba3 import choose_variant, limit_threads
 from boresight.renderers.mitsuba3.rays import grid_positions, ray_bundle
 from boresight.renderers.mitsuba3.scene import build_shape
 from boresight.renderers.mitsuba3.variant import load_mitsuba
+from boresight.scenarios.arrays import SingleArray
 from boresight.scenarios.geometry import TriangleMesh
 
 WORK = "primary and shadow rays of an image of 3.1 M facets"
 AIM = 0.7
-SingleArray = NDArray[np.float32]
 _OFFSET = 1e-5
 _LEAST_SHARE = 0.99
 

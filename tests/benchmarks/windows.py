@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.ceres import Case, ceres
 from benchmarks.peers import PeerSolution, solved_by_gtsam
@@ -22,13 +21,13 @@ from boresight.estimators.slam.problem import Adjustment, Distances, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.smoother import FixedLagSmoother
 from boresight.estimators.slam.solver import StoppingRule, minimise
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.sequences import SequenceTruth, SphereGround, draw_sequence
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.tracks import TrackSequence
 
-FloatArray = NDArray[np.float64]
 Solver = Callable[[int], PeerSolution]
 
 GTSAM, CERES = "gtsam's optimizer", "Ceres (C++)"

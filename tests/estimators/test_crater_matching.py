@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from crater_looks import CAMERA, counts, ellipsoid, look, pair, population, turned
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from boresight.estimators.craters.contract import CraterDetections, CraterImage
@@ -36,12 +35,11 @@ from boresight.estimators.craters.matching.transfer import (
     transfer_craters,
 )
 from boresight.estimators.craters.registry import crater_matcher_class, crater_matcher_names
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.craters.simulated import DetectionErrors
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose, look_at
 from boresight.scenarios.geometry.camera import pixel_to_opencv
-
-FloatArray = NDArray[np.float64]
 
 EXACT = DetectionErrors(
     centre_px=0.0,

@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.craters import pairs
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
@@ -22,8 +23,6 @@ from boresight.scenarios.craters.simulated import (
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
-
-FloatArray = NDArray[np.float64]
 
 CAMERA = Camera.from_fov(537, 412, np.radians(2.93))
 RANGE_M = 200e3

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
-FloatArray = NDArray[np.float64]
 _HALVINGS = 5
 _ARMIJO = 0.1
 _CONVERGED_PX = 2e-3

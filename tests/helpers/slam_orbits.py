@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from slam_sequences import ORBIT_M, STEP_RAD, Recipe, Truth, sequence_along
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import Forces, TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 GM = 3.54
 RATE = np.sqrt(GM / ORBIT_M**3)

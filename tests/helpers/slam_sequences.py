@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 ORBIT_M = 790.0
 RADIUS_M = 190.0

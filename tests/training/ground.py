@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
+from boresight.scenarios.arrays import FloatArray
 
 STEP_PX = 0.6  # between the heights of a ground
 

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.learned.network import PatchSource, cut_patches, ellipses_of, shape_of, target_outputs
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 from training.network_training import Lessons
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 
 NEAR, FAR = 0.3, 0.5  # of the radius: within a rim's place is right, beyond it is wrong
 ALIKE, UNLIKE = 0.36, 0.55  # of the log ratio of mean radii, the same

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.learned.network import OUTPUTS, SCALARS, SHAPES, SIDE, STRIDE, Network
+from boresight.scenarios.arrays import Image
 
-FloatImage = NDArray[np.float32]
 AnyFloats = NDArray[np.floating[Any]]
 _CHANNELS = (1, 12, 24, 32)
 _SIZES = (5, 3, 3)
@@ -37,12 +37,12 @@ class Lessons:
         (n,) weight of the target.
     """
 
-    pixels: FloatImage
-    scalars: FloatImage
-    crater: FloatImage
-    weight: FloatImage
-    target: FloatImage
-    placed: FloatImage
+    pixels: Image
+    scalars: Image
+    crater: Image
+    weight: Image
+    target: Image
+    placed: Image
 
     def __getitem__(self, rows: NDArray[np.int64]) -> Lessons:
         return Lessons(
@@ -74,7 +74,7 @@ def windows(x: AnyFloats, size: int) -> AnyFloats:
 
 def fresh_network(rng: np.random.Generator) -> Network:
     """Draw first weights (He et al. 2015)."""
-    weights: dict[str, FloatImage] = {}
+    weights: dict[str, Image] = {}
     for i, size in enumerate(_SIZES):
         fan = size * size * _CHANNELS[i]
         weights[f"conv{i + 1}"] = rng.normal(0, np.sqrt(2 / fan), (fan, _CHANNELS[i + 1])).astype(np.float32)
@@ -87,7 +87,7 @@ def fresh_network(rng: np.random.Generator) -> Network:
     return Network(weights)
 
 
-def loss(network: Network, lessons: Lessons, emphasis: float) -> tuple[float, dict[str, FloatImage]]:
+def loss(network: Network, lessons: Lessons, emphasis: float) -> tuple[float, dict[str, Image]]:
     """Return the loss and its derivatives by the weights.
 
     The loss is the mean cross-entropy of the verdicts and ``emphasis`` times the mean of Huber's function (with a bend
@@ -99,7 +99,7 @@ def loss(network: Network, lessons: Lessons, emphasis: float) -> tuple[float, di
     for i, size in enumerate(_SIZES):
         column = windows(x, size)
         shapes.append(x.shape)
-        before: FloatImage = column @ w[f"conv{i + 1}"] + w[f"bias{i + 1}"]
+        before: Image = column @ w[f"conv{i + 1}"] + w[f"bias{i + 1}"]
         columns.append(column)
         masks.append(before > 0.0)
         x = np.where(masks[-1], before, np.zeros_like(before))
@@ -121,7 +121,7 @@ def loss(network: Network, lessons: Lessons, emphasis: float) -> tuple[float, di
     return value, by
 
 
-def _criterion(out: FloatImage, lessons: Lessons, emphasis: float) -> tuple[float, FloatImage]:
+def _criterion(out: Image, lessons: Lessons, emphasis: float) -> tuple[float, Image]:
     """Return the loss and its derivative by the outputs."""
     n = len(out)
     odds = out[:, 0]

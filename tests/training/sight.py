@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.detection.candidates import fit_reweighted
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
 from boresight.scenarios.observation import Frame
 from training.ground import STEP_PX, Ground, make_ground
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 
 WIDTH_PX, HEIGHT_PX = 416, 352
 CAMERA = Camera.from_fov(WIDTH_PX, HEIGHT_PX, np.radians(2.3))
@@ -124,7 +121,7 @@ def look(ground: Ground, radiance: FloatArray, geometry: Geometry) -> FloatArray
     return np.asarray(seen, dtype=np.float64)
 
 
-def expose(rng: np.random.Generator, picture: FloatArray) -> FloatImage:
+def expose(rng: np.random.Generator, picture: FloatArray) -> Image:
     """Blur a picture as optics do, give it a limb now and then, and count photons and the noise of reading."""
     if rng.uniform() < 0.25:
         rows, columns = np.indices(picture.shape)
@@ -149,7 +146,7 @@ def draw_lesson(rng: np.random.Generator) -> Lesson:
     return Lesson(frame, rims, weight)
 
 
-def _truth(ground: Ground, geometry: Geometry, image: FloatImage) -> tuple[Ellipses, FloatArray]:
+def _truth(ground: Ground, geometry: Geometry, image: Image) -> tuple[Ellipses, FloatArray]:
     """Fit ellipses to the projected crests, and weigh those that lie in light and whole."""
     uv = geometry.project(ground.crests)
     inside = CAMERA.contains(uv).mean(axis=1)

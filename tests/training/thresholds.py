@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import World, open_world
@@ -21,13 +20,11 @@ from boresight.campaign.trial.crater_score import NONE, match_detections
 from boresight.estimators.craters.contract import CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.craters import crater_truth
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import load_scenario
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SCENARIO, SEED = "eros-like-msi", 77
 FALSE_SHARE = 0.04

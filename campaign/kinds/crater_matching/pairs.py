@@ -8,7 +8,6 @@ from functools import cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.imaging.image_store import Imager
@@ -17,6 +16,7 @@ from boresight.campaign.trial.methods import Unbuilt, able, built
 from boresight.estimators.craters.contract import CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
 from boresight.scenarios.craters.pairs import (
@@ -37,8 +37,6 @@ from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.campaign import EstimatorSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
 from boresight.scenarios.spec.world import PoseErrorSpec
-
-FloatArray = NDArray[np.float64]
 
 BY_GEOMETRY = ""
 """Stands for the name of a detector where rims are projected and there is no image to look at."""

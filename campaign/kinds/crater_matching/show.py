@@ -22,13 +22,12 @@ from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run, select
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
 
 _ALIKE_DEG = (20.0, 10.0)
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _MOST_PAIRS = 60
 """Trials of matching that are recomputed: which crater each match is of is not stored."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.image_store import Imager
@@ -19,6 +18,7 @@ from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from boresight.estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
 from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
+from boresight.scenarios.arrays import Image, IndexArray
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters import Rims, crater_truth, cratered_surface
@@ -43,10 +43,6 @@ from boresight.scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
 from boresight.scenarios.orbits.world import OrbitWorld
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import ImagingSpec
-
-IndexArray = NDArray[np.int64]
-
-Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, SearchedImage
 from boresight.estimators.craters.navigation.rounds import NavigationResult, NavigationRound
 from boresight.estimators.orbit.contract import OrbitEstimate
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.orbits.data import OrbitData
 from boresight.scenarios.orbits.draw import OrbitTruth
 from boresight.scenarios.orbits.true_orbit import DAY_S
 from boresight.scenarios.orbits.world import OrbitWorld
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Record = dict[str, object]
 
 

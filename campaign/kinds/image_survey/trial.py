@@ -22,6 +22,7 @@ from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.planning import PLANNER, PLANNER_VERSION
+from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
@@ -30,8 +31,6 @@ from boresight.scenarios.orbits.imaging import imaging_of
 from boresight.scenarios.orbits.true_orbit import DAY_S
 from boresight.scenarios.orbits.world import OrbitWorld
 from boresight.scenarios.spec.orbit import ImagingSpec
-
-IndexArray = NDArray[np.int64]
 
 FEW = 7
 """So many craters or fewer are few: half the images of Cheng et al. (2003) have no more."""

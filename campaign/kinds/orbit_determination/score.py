@@ -23,11 +23,11 @@ from boresight.campaign.trial.checks import (
 )
 from boresight.campaign.trial.pose_score import nees
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.orbits.data import OrbitData
 from boresight.scenarios.orbits.draw import OrbitTruth
 from boresight.scenarios.orbits.true_orbit import DAY_S
 
-FloatArray = NDArray[np.float64]
 Record = dict[str, object]
 
 _STATE = 6

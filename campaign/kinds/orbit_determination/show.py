@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
@@ -16,12 +15,11 @@ from boresight.estimators.orbit.contract import Orbit
 from boresight.reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from boresight.reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.orbits.draw import OrbitTruth
 from boresight.scenarios.orbits.true_orbit import DAY_S
-
-FloatArray = NDArray[np.float64]
 
 _NOTE = (
     "The trial of median error and the worst one, in the axes of the turning body. A landmark stands where the orbit's"

@@ -13,7 +13,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Bench, Record, Records, Witness
 from boresight.campaign.trial.methods import located
-from boresight.campaign.trial.pose_score import FloatArray, pose_errors
+from boresight.campaign.trial.pose_score import pose_errors
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import inverse_2x2
 from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
@@ -29,6 +29,7 @@ from boresight.estimators.landmark.pose.stack import (
 )
 from boresight.estimators.landmark.projection import faces_camera, image_covariances, is_occluded
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, degrade, draw_view, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View

@@ -6,13 +6,13 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.campaign.imaging.image_store import Imager, open_renderer
 from boresight.estimators.slam.vision.features import ImageFeatures, find_features
 from boresight.estimators.slam.vision.matching import match_descriptors
 from boresight.renderers.rectify import rectify
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError
@@ -20,11 +20,6 @@ from boresight.scenarios.geometry import Camera, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.sequences import MeshGround, camera_trajectory
 from boresight.scenarios.spec.sequence import ImageVisionSpec
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-Image = NDArray[np.float32]
 
 REPEATED_PX = 2.0
 WRONG_PX = 3.0

@@ -20,11 +20,11 @@ from boresight.campaign.trial.checks import (
 )
 from boresight.campaign.trial.pose_score import nees
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.sequences import SequenceTruth
 from boresight.scenarios.sequences.trajectory import inertial_from_body
 from boresight.scenarios.tracks import TrackSequence
 
-FloatArray = NDArray[np.float64]
 Epoch = dict[str, object]
 
 REVOLUTIONS = (1, 2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
@@ -36,14 +35,13 @@ from boresight.reports.figures.trajectory import (
 )
 from boresight.reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.bodies.embedded import sphere
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose, TriangleMesh
 from boresight.scenarios.sequences import MeshGround, SequenceTruth
 from boresight.scenarios.tracks import TrackSequence
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_sequence_case(again: Recomputed) -> CaseFigures | None:

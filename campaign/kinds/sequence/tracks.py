@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.kinds.sequence.images import WRONG_PX, OrbitImages
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.vision.point_trackers import MatchedImage
 from boresight.estimators.slam.vision.tracker import TrackedFrame, Tracker
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.sequences import (
     CameraTrajectory,
@@ -28,9 +28,6 @@ from boresight.scenarios.sequences import (
 from boresight.scenarios.sequences.trajectory import anomalies_deg
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _NOTHING = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
 

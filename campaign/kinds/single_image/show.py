@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
@@ -50,10 +49,9 @@ from boresight.reports.figures.recognition import (
 from boresight.reports.pages.view3d import PointSet, View3D
 from boresight.reports.run.data import select
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_single(again: Recomputed) -> CaseFigures | None:

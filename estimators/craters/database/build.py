@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatcher, GroundModel
 from boresight.estimators.craters.database.files import CraterDatabase
@@ -15,10 +14,8 @@ from boresight.estimators.craters.database.numbering import Numbering, PairMatch
 from boresight.estimators.craters.database.pictures import SequencePicture, numbered_pictures
 from boresight.estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
 from boresight.estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _PASSES = 6
 

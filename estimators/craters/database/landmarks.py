@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterImage, GroundModel
 from boresight.estimators.craters.database.numbering import Numbering
 from boresight.estimators.craters.matching.preliminary import landmark_covariances
 from boresight.estimators.craters.matching.transfer import locate_craters
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.orbits.data import LandmarkFile
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

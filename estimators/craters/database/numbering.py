@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterMatches
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
-
-IndexArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 NO_NUMBER = -1
 

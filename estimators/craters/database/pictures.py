@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterImage
 from boresight.estimators.craters.database.numbering import Numbering
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
 from boresight.scenarios.orbits.data import Pictures
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,11 +13,10 @@ from scipy.spatial import cKDTree
 from boresight.estimators.craters.detection.edges import EdgePixels
 from boresight.estimators.craters.detection.grouping import RimArc
 from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 _SAMPLES = 16  # samples of an arc in the first fit
 _BAND = 0.12  # of the radius: edges so near to a first fit enter the second
 _MIN_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side

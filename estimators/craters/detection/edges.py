@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import pixel_from_opencv
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 _NOISE = 3.5  # gradients below so many standard deviations of their noise are set to zero
 _SCALE = 4096.0  # cv2.Canny takes gradients as 16-bit integers
 

@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from boresight.estimators.craters.detection.edges import EdgePixels
 from boresight.estimators.craters.detection.preparation import PreparedImage
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 _LINK_PX = 1.9  # distance of neighbours: a pixel's diagonal plus the subpixel offsets
 
 

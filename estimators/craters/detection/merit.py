@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.kernels import RIM_POINTS, divide_softly, rim_merits
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.observation import Frame
 
-FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SATURATED_SHARE = 0.25  # of the pixels at the highest value: so many are not equal by chance
@@ -37,9 +37,9 @@ class PreparedImage:
         (2,) unit vector towards the Sun along columns and rows.
     """
 
-    even: FloatImage
-    relief: FloatImage
-    noise: FloatImage
+    even: Image
+    relief: Image
+    noise: Image
     ground: Mask
     sun_px: NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class PreparedImage:
         return np.asarray((inside & self.ground[held[..., 1], held[..., 0]]).mean(axis=1), dtype=np.float64)
 
 
-def check_image(image: FloatImage, camera: Camera) -> None:
+def check_image(image: Image, camera: Camera) -> None:
     """Raise for an image that cannot be searched.
 
     Raises
@@ -78,7 +78,7 @@ def check_image(image: FloatImage, camera: Camera) -> None:
         raise BoresightError(f"{100 * share:.0f} % of the image is saturated at {top:g}: expose it for less time")
 
 
-def lit_ground(image: FloatImage, floor: float = 0.12, margin_px: int = 4) -> Mask:
+def lit_ground(image: Image, floor: float = 0.12, margin_px: int = 4) -> Mask:
     """Return the mask of the lit surface: brighter than ``floor`` times the level of bright pixels, with holes filled.
 
     Shadows in craters are dark too: dark areas of a crater's size within the bright surface count as ground.
@@ -96,7 +96,7 @@ def lit_ground(image: FloatImage, floor: float = 0.12, margin_px: int = 4) -> Ma
     return np.asarray(eaten[pad:-pad, pad:-pad] > 0)
 
 
-def noise_level(image: FloatImage, ground: Mask) -> float:
+def noise_level(image: Image, ground: Mask) -> float:
     """Estimate the standard deviation of white noise on the ground from second differences across both axes.
 
     The mask is that of Immerkaer (1996), who averages absolute values; we take their median.

@@ -12,9 +12,9 @@ from boresight.estimators.craters.detection.edges import gradient_of
 from boresight.estimators.craters.detection.merit import GradientField, side_merits
 from boresight.estimators.craters.detection.preparation import PreparedImage
 from boresight.estimators.craters.kernels import best_of_each, climb
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
-FloatArray = NDArray[np.float64]
 SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 

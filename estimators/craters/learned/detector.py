@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterDetections
@@ -34,13 +33,13 @@ from boresight.estimators.craters.learned.network import (
 )
 from boresight.estimators.craters.learned.proposals import propose
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.reading import read_arrays
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
 WEIGHTS = "weights.npz"
 MIRRORED = np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])  # signs of the outputs where the patch is mirrored
 

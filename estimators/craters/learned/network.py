@@ -7,15 +7,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.detection.preparation import PreparedImage
 from boresight.estimators.craters.kernels import NetworkWeights, apply_network
 from boresight.estimators.craters.learned.proposals import pyramid
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 
 SIDE = 32  # samples along either side of a patch
 REACH = 2.0  # mean radii from the centre to the edge of a patch
@@ -39,9 +36,9 @@ _LARGEST_STEP = 0.6  # of the radius or of its logarithm: the range of the train
 class Network:
     """Weights by name, of the shapes in ``SHAPES``."""
 
-    weights: Mapping[str, FloatImage]
+    weights: Mapping[str, Image]
 
-    def forward(self, pixels: FloatImage, scalars: FloatImage) -> FloatImage:
+    def forward(self, pixels: Image, scalars: Image) -> Image:
         """Return (n, OUTPUTS) for patches (n, SIDE, SIDE, 1) and their numbers (n, SCALARS)."""
         outputs = np.empty((len(pixels), OUTPUTS), dtype=np.float32)
         weights = NetworkWeights(*(np.ascontiguousarray(self.weights[name].T) for name in SHAPES))
@@ -65,13 +62,13 @@ class PatchSource:
         Of the image, in its own units.
     """
 
-    levels: tuple[FloatImage, ...]
+    levels: tuple[Image, ...]
     sun_px: FloatArray
     sun_depth: float
     noise: float
 
     @classmethod
-    def of(cls, image: FloatImage, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
+    def of(cls, image: Image, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
         """Build a pyramid of five levels, enough for patches of the largest rims at the default number of levels."""
         return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
 
@@ -80,11 +77,11 @@ class PatchSource:
 class RimPatches:
     """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) further inputs."""
 
-    pixels: FloatImage
-    scalars: FloatImage
+    pixels: Image
+    scalars: Image
 
 
-def patch_grid(ellipses: Ellipses, sun_px: FloatArray, level: int) -> tuple[FloatImage, FloatImage]:
+def patch_grid(ellipses: Ellipses, sun_px: FloatArray, level: int) -> tuple[Image, Image]:
     """Return the samples' columns and rows (n, SIDE * SIDE), as OpenCV counts them, in an image halved ``level`` times.
 
     Columns of a patch run towards the Sun, its rows 90 degrees onwards.

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from boresight.estimators.craters.detection.edges import gradient_of
 from boresight.estimators.craters.detection.preparation import PreparedImage
 from boresight.estimators.craters.kernels import LANES, RingTaps, ring_scores, side_weights
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses, pixel_to_opencv
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 
 SHAPES = ((1.0, 1), (0.75, 4), (0.52, 6))  # ratio of the axes, and how many angles of it there are
 RADII_PX = (4.2, 5.3, 6.7)  # mean radii at each level of the pyramid; the next level doubles them
@@ -35,7 +33,7 @@ class RingTemplates:
     """
 
     shape: FloatArray
-    kernels: FloatImage
+    kernels: Image
 
 
 def ring_templates(sun_px: FloatArray) -> RingTemplates:
@@ -73,7 +71,7 @@ def _splat(kernels: FloatArray, place: FloatArray, values: FloatArray) -> None:
             np.add.at(kernels, (m, low[..., 1] + dv, low[..., 0] + du), share[..., None] * values)
 
 
-def halved(image: FloatImage) -> FloatImage:
+def halved(image: Image) -> Image:
     """Halve an image by means of 2 x 2: continuous pixels (u, v) become (u / 2, v / 2) exactly.
 
     (``cv2.pyrDown`` samples at the even pixels' centres, which shifts by half a pixel.)
@@ -83,7 +81,7 @@ def halved(image: FloatImage) -> FloatImage:
     return np.asarray(0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]), dtype=np.float32)
 
 
-def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
+def pyramid(image: Image, levels: int) -> list[Image]:
     """Return an image and its successive halves."""
     found = [image]
     for _ in range(levels - 1):
@@ -91,7 +89,7 @@ def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
     return found
 
 
-def soft_directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
+def soft_directions(image: Image, noise: float, softness: float) -> Image:
     """Return gradients g (H, W, 2) divided by sqrt(g^2 + f^2): near 0 for weak ones, unit vectors for strong ones.
 
     The softening length f is ``softness`` times the median length of the gradients that are not 0, and at least four
@@ -137,7 +135,7 @@ def propose(picture: PreparedImage, levels: int, least_merit: float, count: int,
     return Proposals(Ellipses(chosen[:, :2], chosen[:, 2:4], chosen[:, 4]), merit[order].astype(np.float64))
 
 
-def template_scores(field: FloatImage, templates: RingTemplates, least: float) -> tuple[FloatImage, NDArray[np.int64]]:
+def template_scores(field: Image, templates: RingTemplates, least: float) -> tuple[Image, NDArray[np.int64]]:
     """Return the best merit (H, W) of all templates at each pixel, and the template's row, where it reaches ``least``.
 
     Where it does not, the merit is any number below that.
@@ -160,7 +158,7 @@ def template_scores(field: FloatImage, templates: RingTemplates, least: float) -
     return best, which
 
 
-def _maxima(score: FloatImage, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _maxima(score: Image, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return rows and columns of the local maxima within 3 x 3 that reach ``least``."""
     # A pixel is a local maximum where the dilation, the maximum of its neighbours and itself, leaves it unchanged.
     top = cv2.dilate(score, np.ones((3, 3), np.uint8))

@@ -14,15 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _REFITS = 10
 _HUBER_PASSES = 10

@@ -7,18 +7,14 @@ from itertools import product
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from boresight.estimators.craters.matching.transfer import map_ellipses
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses, cross_matrix
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _NEIGHBOURS = 8
 _MAX_COMBINATIONS = 400  # choices of three candidates that are tried for a triangle

@@ -19,11 +19,9 @@ from boresight.estimators.craters.matching.transfer import (
     transfer_craters,
 )
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.float32]
 
 _HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixels to this project's
 
@@ -132,9 +130,7 @@ def confirm_by_correlation(
     return CraterMatches(rows, best[pairs[:, 0], pairs[:, 1]])
 
 
-def rectify_template(
-    image: ImageArray, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions
-) -> ImageArray:
+def rectify_template(image: Image, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions) -> Image:
     """Resample a crater of the first image as it should appear in the second, (2 h + 1, 2 h + 1); NaN off the image.
 
     The predicted centre of the crater is at the centre of the central pixel.
@@ -171,9 +167,7 @@ def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
     return np.asarray(2.0 * covariance / np.maximum(total, 1e-300))  # eq. (6)
 
 
-def _best_correlation(
-    template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions
-) -> float:
+def _best_correlation(template: Image, image: Image, centre_px: FloatArray, options: CorrelationOptions) -> float:
     """Return the highest correlation around a crater's centre (2,) px.
 
     Minus infinity if its place is too far from the centre, if the search window leaves the image, or if the template
@@ -197,5 +191,5 @@ def _best_correlation(
     return float(scores.max()) if np.linalg.norm(place - centre_px) <= options.place_px else -np.inf
 
 
-def _pixels(image: CraterImage) -> ImageArray:
+def _pixels(image: CraterImage) -> Image:
     return np.ascontiguousarray(image.frame.image, dtype=np.float32)

@@ -20,7 +20,6 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
@@ -34,11 +33,8 @@ from boresight.estimators.craters.matching.correlation import CorrelationMatcher
 from boresight.estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
 from boresight.estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _ROUNDS = 6
 _ROUGH = 3.0  # in units of the limit on places: relief spreads the offsets before the transform is fitted

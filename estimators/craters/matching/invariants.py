@@ -6,17 +6,14 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 class InvariantOptions(SpecModel):

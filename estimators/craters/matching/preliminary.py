@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, GroundModel
 from boresight.estimators.craters.matching.transfer import LocatedCraters, locate_craters
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.int64]
 
 _BLOCK_SIZE = 64  # landmarks compared with all others at once, to bound the memory
 

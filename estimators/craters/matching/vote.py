@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
@@ -20,10 +19,8 @@ from boresight.estimators.craters.matching.association import (
 )
 from boresight.estimators.craters.matching.transfer import joint_covariance, locate_craters, transfer_craters
 from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _PASSES = 3  # linearisations
 _MIN_PAIRS_TO_CORRECT = 3  # fewer pairs do not determine the errors of the poses

@@ -33,6 +33,7 @@ from boresight.estimators.options import parse_options
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.parameters import OrbitOptions
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.orbits.data import OrbitData
@@ -40,8 +41,6 @@ from boresight.scenarios.spec.base import SpecModel
 
 _MATCHING = "matching"
 _BLOCK = 50  # pairs of images in one file: so many are matched again after an interruption
-
-FloatArray = NDArray[np.float64]
 
 
 class NavigationOptions(SpecModel):

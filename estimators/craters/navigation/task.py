@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterDetections
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.orbits.data import Knowledge, Radiometry
 from boresight.scenarios.sequences.ground import MeshGround
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

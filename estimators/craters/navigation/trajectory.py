@@ -6,18 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterImage
 from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
 from boresight.estimators.orbit.contract import Orbit
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
 from boresight.scenarios.dynamics.variational import propagate_partials
 from boresight.scenarios.geometry import Pose, cross_matrix
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.orbits.data import Knowledge
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

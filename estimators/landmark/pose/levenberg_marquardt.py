@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.landmark.pose.problem import (
@@ -19,10 +18,9 @@ from boresight.estimators.landmark.pose.problem import (
     point_by_quaternion,
     point_by_rotation,
 )
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 LAMBDA_MAX = 1e12
 LAMBDA_MIN = 1e-9

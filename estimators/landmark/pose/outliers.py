@@ -19,10 +19,9 @@ from boresight.estimators.landmark.pose.levenberg_marquardt import (
 )
 from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, solve_epnp
 from boresight.estimators.landmark.projection import Projection, project_landmarks, visible_landmarks
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 
 class PoseOptions(SpecModel):

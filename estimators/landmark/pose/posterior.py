@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
@@ -13,9 +12,8 @@ from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacob
 from boresight.estimators.landmark.pose.problem import PoseProblem
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.prior import floor_variances
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Pose
-
-FloatArray = NDArray[np.float64]
 
 _MAX_STEPS = 50
 _STEP_TOLERANCE = 1e-8

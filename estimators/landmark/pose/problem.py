@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
-
-FloatArray = NDArray[np.float64]
 
 MIN_LANDMARKS = 4
 

@@ -23,11 +23,10 @@ from boresight.estimators.landmark.pose.problem import (
     point_by_rotation,
     solve_epnp,
 )
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 NAME = "pose-solver"
 VERSION = 1

@@ -38,11 +38,11 @@ from boresight.estimators.landmark.robust.search import (
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
 _MATCHED_D2 = 11.83  # 3-sigma quantile (99.73 %) of chi-square with two degrees of freedom
 _FEWEST = 4
 

@@ -22,10 +22,10 @@ from boresight.estimators.landmark.matching import inverse_and_determinant
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.problem import point_by_rotation
 from boresight.estimators.landmark.pose.stack import PoseStack
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.spec.base import SpecModel
 
-FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 

@@ -14,10 +14,9 @@ from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.problem import image_jacobian, point_by_rotation
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.robust.mixture import Mixture
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
-
-FloatArray = NDArray[np.float64]
 
 IndexArray = NDArray[np.intp]
 

@@ -10,15 +10,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
 from boresight.estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
 from boresight.estimators.slam.compiled.equations import FlatEquations, lane_sum, linearise, six
 from boresight.estimators.slam.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
 
 @kernel

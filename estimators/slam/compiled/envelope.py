@@ -10,12 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
 
 class Envelope(NamedTuple):

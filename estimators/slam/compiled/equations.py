@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
 from boresight.estimators.slam.compiled.envelope import add_entry, add_symmetric
 from boresight.estimators.slam.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering, prior_slots
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 Block = tuple[float, float, float, float, float, float]
 
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
 from boresight.estimators.slam.compiled.descent import reduced_at
 from boresight.estimators.slam.compiled.envelope import dense
 from boresight.estimators.slam.compiled.problem import FlatProblem
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
 @kernel

@@ -9,11 +9,7 @@ from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
 from boresight.estimators.slam.compiled.envelope import Envelope, make_envelope
-
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
-FloatArray = NDArray[np.float64]
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 

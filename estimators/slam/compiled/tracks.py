@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.compiled import kernel
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from boresight.scenarios.arrays import FloatArray, IndexArray
 
 
 @kernel

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import Forces
-
-FloatArray = NDArray[np.float64]
 
 LONGEST_STEP = 0.01
 """Longest integration step, T: 0.6 deg of a circular orbit, with a Runge-Kutta error of 1e-12 L a step."""

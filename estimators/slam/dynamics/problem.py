@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
 from boresight.estimators.slam.problem import Adjustment, State
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 _WHITE_SHARE = 0.05
 """White noise of position and velocity, as part of their sigmas by the unknown acceleration."""

@@ -37,12 +37,8 @@ from boresight.estimators.slam.options import DynamicOptions
 from boresight.estimators.slam.problem import Adjustment, State
 from boresight.estimators.slam.slam_map import SlamMap, values_or_nan
 from boresight.estimators.slam.solver import StoppingRule
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
-
-FloatArray = NDArray[np.float64]
-
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _CAUSE = "; forces or tracks are not what they are said to be"
 

@@ -8,18 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
 from boresight.estimators.slam.marginal import constrained_points, eliminate_rows
 from boresight.estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
 from boresight.estimators.slam.solver import StoppingRule
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-
-BoolArray = NDArray[np.bool_]
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from boresight.estimators.landmark.fast_hessian import fast_hessian
 from boresight.estimators.landmark.signal import extract_signal
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import pixel_from_opencv
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 _BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
 _FULL_SCALE_PERCENTILE = 99.0

@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimators.slam.vision.features import ImageFeatures
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 

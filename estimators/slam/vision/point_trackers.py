@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.estimators.slam.vision.features import ImageFeatures
@@ -18,11 +17,7 @@ from boresight.estimators.slam.vision.registration import (
     cut_patches,
     register_patches,
 )
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-Image = NDArray[np.float32]
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 
 LEAST_MATCHES = 16
 _LEAST_CORRELATION = 0.85

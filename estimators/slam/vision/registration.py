@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import pixel_to_opencv
-
-FloatArray = NDArray[np.float64]
 
 HALF_PX = 5
 _ITERATIONS = 15

@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.vision.features import ImageFeatures
 from boresight.estimators.slam.vision.matching import (
@@ -26,13 +25,10 @@ from boresight.estimators.slam.vision.point_trackers import (
     area_change,
     local_flow,
 )
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.spec.sequence import ImageVisionSpec
 from boresight.scenarios.tracks import Prediction
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _LEAST_APART_PX = 3.0
 """Least distance of a new track from all others: nearer ones would be the same feature."""

@@ -7,7 +7,6 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from boresight.reports.kinds import Content, ReportKind, Tables
@@ -22,8 +21,7 @@ from boresight.reports.kinds.crater_detection.rates import (
 from boresight.reports.schema.grid import Grid
 from boresight.reports.tables import timing_grid
 from boresight.reports.verdicts import comparison_grid
-
-FloatArray = NDArray[np.float64]
+from boresight.scenarios.arrays import FloatArray
 
 _OF_NORMAL = 1.4826
 _SIZES = 10

@@ -17,10 +17,8 @@ from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import measure_heading, unit_of
 from boresight.reports.statistics.intervals import has_quantile
 from boresight.reports.statistics.measured import MEDIAN, RMS, measure, measure_share
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 DETECTION = "detection"
 """Stage of what is counted over the detections that reach the detector's threshold."""

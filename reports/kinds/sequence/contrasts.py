@@ -21,8 +21,8 @@ from boresight.reports.schema.records import RATIO, REDUCTION, Record
 from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, cluster_interval, measure
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST, sign_test
+from boresight.scenarios.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Pair = tuple[str, str]
 """Scenario and estimator."""
 

@@ -27,9 +27,9 @@ from boresight.reports.run.outcomes import errors_by_stage, final_stage
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.intervals import FloatArray
 from boresight.reports.statistics.measured import MEDIAN
 from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, area, outlier_scores, roc_curve
+from boresight.scenarios.arrays import FloatArray
 
 
 def image_figures(content: Content) -> Iterator[NamedFigure]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.detail.features import RefinedSurface, boulder_heights, crater_heights
 from boresight.scenarios.bodies.detail.noise import Band, SmallScaleSeed, fractal_field
 from boresight.scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
-from boresight.scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
+from boresight.scenarios.bodies.topology import IntArray, find_edges, unit, vertex_normals
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.body import AlbedoSpec, DetailSpec

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.detail.noise import SmallScaleSeed
-from boresight.scenarios.bodies.topology import FloatArray, IndexArray, IntArray, tangent_axes
+from boresight.scenarios.bodies.topology import IntArray, tangent_axes
 from boresight.scenarios.spec.body import BoulderSpec, CraterSpec
 
 _SIDES = 7  # of a boulder's footprint

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from boresight.scenarios.bodies.topology import FloatArray
+from boresight.scenarios.arrays import FloatArray
 
 _LATTICE = 96  # random values along each side of a periodic lattice
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.scenarios.bodies.topology import FloatArray, IntArray, MeshEdges, find_edges
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.bodies.topology import IntArray, MeshEdges, find_edges
 
 _FIT_ROUNDS = 8  # of progressive interpolation
 

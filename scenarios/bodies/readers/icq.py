@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.scenarios.bodies.readers.source import FloatArray, IndexArray, RawShape, ShapeFile
+from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
 
 # For each face: lattice position of its first point, step along I and step along J, in units of Q.
 _FACES = np.array(

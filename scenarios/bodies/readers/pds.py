@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.scenarios.bodies.readers.source import FloatArray, IndexArray, RawShape, ShapeFile
+from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
 
 
 def read_grid(source: ShapeFile, west: bool) -> RawShape:

@@ -7,13 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.limits import LARGEST_NUMBER
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 class RawShape(NamedTuple):
