@@ -123,7 +123,12 @@ def borrowed(folder: Path) -> set[str]:
         }
         for node in tree.body:
             if isinstance(node, ast.FunctionDef) and any("kernel" in ast.dump(one) for one in node.decorator_list):
-                names = {one.id for part in node.body for one in ast.walk(part) if isinstance(one, ast.Name)}
+                inside = [one for part in node.body for one in ast.walk(part)]
+                # The type of a local variable is not evaluated.
+                types = {
+                    id(part) for one in inside if isinstance(one, ast.AnnAssign) for part in ast.walk(one.annotation)
+                }
+                names = {one.id for one in inside if isinstance(one, ast.Name) and id(one) not in types}
                 found |= {f"{path.name}: {node.name}: {name}" for name in names & foreign}
     return found
 
