@@ -81,7 +81,7 @@ class CraterPose:
     It fails when
     -------------
     No crater is detected, or fewer than ``least`` are recognised. In 100 images of ``trade-craters`` it failed in 5
-    with ``crater-learned`` and in 17 with ``crater-classic``. The covariance is too small: mean NEES 9.83 and 9.18, 6
+    with ``crater-learned`` and in 18 with ``crater-classic``. The covariance is too small: mean NEES 9.48 and 9.23, 6
     expected.
 
     Cost
