@@ -49,7 +49,7 @@ def write_board(folders: Sequence[Path], out: Path, command: str) -> tuple[Path,
             refused.append(str(error))
     document = Document(
         product="boresight board",
-        title=f"Runs in {out.absolute().name}",
+        title=f"Runs in {out.absolute()}",
         facts=(),
         lists=[("Not read", refused)],
         grids=[
