@@ -262,6 +262,8 @@ def package(tmp_path_factory):
 @pytest.mark.long
 @pytest.mark.parametrize("where", [("--jobs", 1), ("--jobs", 2), ("--backend", "dask", "--local", 1)])
 def test_a_run_goes_on_whatever_its_estimators_do(package, tmp_path, where):
+    if "dask" in where:
+        pytest.importorskip("distributed", reason="distributed (the extra dask) is not installed")
     text = f"scenarios: [scene]\nestimators: [prior, {', '.join(BROKEN)}]\ntrials: 6\nseed: 5\n"
     file, out = write_campaign(tmp_path, text), tmp_path / "run"
     done = boresight("run", file, "--trial-limit", 3, *where, "--out", out, PYTHONPATH=os.pathsep.join(
