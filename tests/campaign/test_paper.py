@@ -210,7 +210,7 @@ run_missing(sys.argv[3:], Wanted(Path(sys.argv[1]), 0.6, None, "boresight figure
 def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data_stops_none(cache, tmp_path):
     files = [
         write_campaign(tmp_path / "files" / name, f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
-        for name in ("rowell2015-centroid", "rowell2015-database")
+        for name in ("rowell2015-centroid", "rowell2015-simulated")
     ]
     names = [str(files[0]), str(tmp_path / "nowhere.yaml"), str(files[1])]
     for jobs in ("1", "2"):

@@ -172,10 +172,11 @@ def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: Stop
         if not np.isfinite(value):
             return DynamicSolution(state, value, iteration)
         # Without a step that decreases the cost the present state is the minimum within rounding.
-        trial, step, damping = _descend(problem, dynamic_equations(problem, state, rows), state, value, damping)
+        system = dynamic_equations(problem, state, rows)
+        trial, reached, step, damping = _descend(problem, system, state, value, damping)
         if trial is None:
             return DynamicSolution(state, value, iteration)
-        state, value = trial, dynamic_cost(problem, trial)
+        state, value = trial, reached
         if step <= rule.step_m:
             return DynamicSolution(state, value, iteration)
     return DynamicSolution(state, value, rule.iterations)
@@ -203,11 +204,11 @@ def covariance_of(
 
 def _descend(
     problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, value: float, damping: float
-) -> tuple[DynamicState | None, float, float]:
+) -> tuple[DynamicState | None, float, float, float]:
     """Increase the damping until the cost does not increase; None if it increases for every step.
 
-    Returns the new state, the largest step of an unknown (m), and the next initial damping. Near the minimum rounding
-    may increase the cost by some parts in 1e10, since the arcs have small covariances.
+    Returns the new state, its cost, the largest step of an unknown (m), and the next initial damping. Near the minimum
+    rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
     """
     # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
     # their gradient is zero; damping would only delay that.
@@ -222,10 +223,11 @@ def _descend(
             damping *= 10.0
             continue
         trial, step = system.stepped(state, solved, inverse)
-        if dynamic_cost(problem, trial) <= value + slack * abs(value) + 1e-12:
-            return trial, step, 0.1 * damping
+        reached = dynamic_cost(problem, trial)
+        if reached <= value + slack * abs(value) + 1e-12:
+            return trial, reached, step, 0.1 * damping
         damping *= 10.0
-    return None, step, damping
+    return None, value, step, damping
 
 
 def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
