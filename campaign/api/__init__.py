@@ -9,6 +9,12 @@ a YAML file, and an estimator can be ``module:Class`` or ``file.py:Class``. What
 `BoresightError` of one line. A name is imported at its first use, from where ``__init__.pyi`` says.
 """
 
+import os
+
 import lazy_loader
+
+# OpenCV filters by Intel's IPP, which comes out otherwise on processors with AVX-512, and with it the medians of recognition.
+# IPP reads this at its first use.
+os.environ["OPENCV_IPP"] = "avx2"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -53,7 +53,7 @@ class MitsubaRenderer:
     """
 
     name: ClassVar[str] = "mitsuba"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     def __init__(
         self,

@@ -81,7 +81,7 @@ class TiledRenderer:
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
 
     ground: CrateredSurface
     brdf: BrdfSpec
