@@ -13,8 +13,8 @@ import os
 
 import lazy_loader
 
-# OpenCV filters by Intel's IPP, which comes out otherwise on processors with AVX-512, and with it the medians of recognition.
-# IPP reads this at its first use.
+# OpenCV filters by Intel's IPP, which comes out otherwise on processors with AVX-512, and with it the medians of
+# recognition. IPP reads this at its first use.
 os.environ["OPENCV_IPP"] = "avx2"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

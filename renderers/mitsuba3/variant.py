@@ -41,8 +41,8 @@ if abs(distance[0] - 4.0) > 1e-4 or distance[1] != -1.0 or list(blocked) != [Tru
 print({_SAYS!r})
 """
 
-# LLVM may take AVX2 and no more, which x86-64 processors have had since 2013: with AVX-512 a few pixels at the edges of facets
-# and shadows come out otherwise, and the medians of recognition with them. It is as fast.
+# LLVM may take AVX2 and no more, which x86-64 processors have had since 2013: with AVX-512 a few pixels at the edges of
+# facets and shadows come out otherwise, and the medians of recognition with them. It is as fast.
 _TARGET = (b"haswell", b"+avx2,+fma", 8)
 
 VISIBLE_GPUS = "CUDA_VISIBLE_DEVICES"
@@ -126,7 +126,8 @@ def code_generator(variant: Variant) -> str:
     if variant.name != LLVM:
         return ""
     load_mitsuba(variant)
-    return f"LLVM {'.'.join(map(str, _load_drjit().detail.llvm_version()))} {_TARGET[0].decode() if _keep_to_avx2() else ''}".rstrip()
+    target = f" {_TARGET[0].decode()}" if _keep_to_avx2() else ""
+    return f"LLVM {'.'.join(map(str, _load_drjit().detail.llvm_version()))}{target}"
 
 
 def load_mitsuba(variant: Variant) -> Any:
@@ -146,8 +147,8 @@ def load_mitsuba(variant: Variant) -> Any:
 @cache
 def _keep_to_avx2() -> bool:
     """Let Dr.Jit compile for the same instructions on every x86-64 processor; return whether it does."""
-    # Its Python module does not offer these functions of drjit-core (`jit.h`), so their C++ names stand here; where they are
-    # called otherwise, or the processor has no AVX2, Dr.Jit compiles for the processor at hand.
+    # Its Python module does not offer these functions of drjit-core (`jit.h`), so their C++ names stand here; where
+    # they are called otherwise, or the processor has no AVX2, Dr.Jit compiles for the processor at hand.
     try:
         core = ctypes.CDLL(str(Path(_load_drjit().__file__).with_name("libdrjit-core.so")))
         features, set_target = core._Z24jit_llvm_target_featuresv, core._Z19jit_llvm_set_targetPKcS0_j

@@ -14,6 +14,8 @@ from boresight.renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
 from boresight.renderers.mitsuba3.variant import variant_fault
 from boresight.scenarios.errors import BoresightError
 
+_PROCESSOR = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
+
 _RENDER = """
 import numpy as np, trimesh
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -217,6 +219,23 @@ def test_the_probe_sees_rays_where_there_are_some_and_says_what_fails():
     assert variant_fault("llvm_ad_mono", timeout_s=0.01) == "no answer in 0.01 s"
     if choose_variant().name == "llvm_ad_mono":
         assert variant_fault("llvm_ad_mono") == ""
+
+
+@pytest.mark.skipif("avx2" not in _PROCESSOR or find_llvm().found is None, reason="needs AVX2 and a libLLVM")
+def test_wider_vectors_than_those_of_avx2_are_not_used():
+    """Pixels at the edges of facets, and recognition with them, would depend on the processor."""
+    script = """
+import ctypes, pathlib, cv2
+from boresight.renderers.mitsuba3 import choose_variant, code_generator
+print(code_generator(choose_variant("llvm_ad_mono")).split()[-1])
+import drjit
+core = ctypes.CDLL(str(pathlib.Path(drjit.__file__).with_name("libdrjit-core.so")))
+print(core._Z21jit_llvm_vector_widthv())
+print(cv2.ipp.getIppVersion())
+"""
+    target, width, ipp = run(script).splitlines()
+    assert (target, width) == ("haswell", "8")
+    assert "AVX2" in ipp
 
 
 def test_threads_are_limited():
