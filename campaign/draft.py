@@ -1,7 +1,7 @@
 """Draft of a campaign: a reduced number of repetitions.
 
-A draft makes all figures and tables of the campaign from fewer repetitions: it keeps a fraction of trials, image sets
-and images, at least as many as a method needs. Estimators, grid levels, and sizes of bodies and images are unchanged.
+A draft makes all figures and tables of the campaign from fewer repetitions: it keeps a fraction of trials, data bases,
+image sets and images, at least as many as a method needs. Estimators, grid levels, and sizes of bodies and images are unchanged.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Options = TypeVar("Options", bound=SpecModel)
 
 LEAST_SETS = 2
-"""Least number of image sets, each of another body, whose results are pooled."""
+"""Least number of image sets, each of another body, whose results are pooled, and of data bases."""
 LEAST_DATABASE_IMAGES = 120
 LEAST_OBSERVATIONS = 4
 """Least number of observations of a landmark; fewer do not determine the covariance of its coordinates."""
@@ -36,13 +36,14 @@ def kept(whole: int, share: float, least: int = 1) -> int:
 
 
 def as_draft(campaign: ResolvedCampaign, share: float) -> ResolvedCampaign:
-    """Return a campaign with a fraction of its pooled image sets, and of the images of an arc."""
+    """Return a campaign with a fraction of its pooled image sets, of its data bases, and of the images of an arc."""
     if share >= 1.0:
         return campaign
     scenarios = tuple(_shortened(one, share) for one in _fewer_sets(campaign.scenarios, share))
     names = {one.spec.name for one in scenarios}
     variations = {name: where for name, where in campaign.variations.items() if name in names}
-    return replace(campaign, scenarios=scenarios, variations=variations, draft=share)
+    spec = campaign.spec.model_copy(update={"databases": kept(campaign.spec.databases, share, LEAST_SETS)})
+    return replace(campaign, spec=spec, scenarios=scenarios, variations=variations, draft=share)
 
 
 def drafted(options: Options, share: float) -> Options:

@@ -19,7 +19,7 @@ from boresight.scenarios.load import ConfigEntry, LoadedScenario, canonical_json
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.campaign import CampaignSpec
 
-DRAFT_VERSION = 3
+DRAFT_VERSION = 4
 """Version of `campaign.draft`: raise it when the same fraction keeps something else."""
 
 

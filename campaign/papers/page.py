@@ -210,7 +210,7 @@ def _reports(paper: Paper) -> dict[str, str]:
 
 def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> list[PaperLine]:
     labels = [label for method in paper.methods for label in run.labels(method)] if run else []
-    real = any(need.kind == "images" for need in needs(load_campaign(name, CATALOG)))
+    real = any(need.kind == "images" and not need.found for need in needs(load_campaign(name, CATALOG)))
     absent: Verdict = "needs real images" if real else "not measured"
     return list(paper_lines(name, load_published(report), run.content if run else None, labels, absent))
 

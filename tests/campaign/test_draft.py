@@ -76,6 +76,12 @@ def test_a_draft_leaves_out_nothing_that_is_compared_or_costs_no_image(name):
     assert draft.labels == whole.labels
 
 
+def test_a_draft_has_two_worlds_of_five():
+    whole = resolve("trade-craters")
+    assert (whole.spec.databases, as_draft(whole, 0.05).spec.databases) == (5, 2)
+    assert as_draft(whole, 0.6).spec.databases == 3
+
+
 def test_all_of_it_is_no_draft():
     whole = resolve("quickstart")
     assert as_draft(whole, 1.0) is whole
@@ -84,6 +90,6 @@ def test_all_of_it_is_no_draft():
 def test_a_draft_is_another_run_by_its_share_and_by_the_rule(monkeypatch):
     whole = resolve("quickstart")
     told = {as_draft(whole, share).digest for share in (0.05, 0.1, 1.0)}
-    monkeypatch.setattr("boresight.campaign.resolved.DRAFT_VERSION", 4)
+    monkeypatch.setattr("boresight.campaign.resolved.DRAFT_VERSION", 5)
     assert len(told | {as_draft(whole, 0.05).digest}) == 4
     assert as_draft(whole, 1.0).digest in told
