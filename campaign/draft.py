@@ -1,7 +1,8 @@
 """Draft of a campaign: a reduced number of repetitions.
 
 A draft makes all figures and tables of the campaign from fewer repetitions: it keeps a fraction of trials, data bases,
-image sets and images, at least as many as a method needs. Estimators, grid levels, and sizes of bodies and images are unchanged.
+image sets and images, at least as many as a method needs. Estimators, grid levels, and sizes of bodies and images are
+unchanged.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -19,7 +20,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from boresight.campaign.products.database_images import counted_images
+from boresight.campaign.pool.steps import Step, heard_by
 from boresight.campaign.trial.kind import Records
 
 _SILENCE_S = 30.0
@@ -45,6 +46,16 @@ class NamedLines:
         """Print nothing of a stored block."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A bar of a step: what it counts, and how many were done when it was first heard of."""
+
+    task: TaskID
+    what: str
+    first: int
+    since: float
+
+
 class ProgressListener:
     """Shows a run's progress: a live bar in a terminal, a line now and then elsewhere."""
 
@@ -57,7 +68,7 @@ class ProgressListener:
             disable=not console.is_terminal,
         )  # fmt: skip
         self._task: TaskID | None = None
-        self._images: tuple[TaskID, float] | None = None
+        self._steps: dict[int | None, _Shown] = {}
         self._open = ExitStack()
         self._errors: dict[tuple[str, str], list[float]] = {}
         self._done = self._total = self._fresh = 0
@@ -66,7 +77,7 @@ class ProgressListener:
 
     def __enter__(self) -> Self:
         self._open.enter_context(self._bar)
-        self._open.enter_context(counted_images(self._image))
+        self._open.enter_context(heard_by(self._step))
         return self
 
     def __exit__(
@@ -88,6 +99,8 @@ class ProgressListener:
 
     def block(self, records: Records, trials: int) -> None:
         """Count a stored block."""
+        for worker in list(self._steps):  # those that go on are heard of again in a second
+            self._forget(worker)
         self._done += trials
         self._fresh += trials
         for row in records["rows"]:
@@ -100,17 +113,23 @@ class ProgressListener:
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=median)
         self._line(self._done, self._total, "trials", rate, median)
 
-    def _image(self, done: int, total: int) -> None:
-        """Count the images of a data base that is being built."""
-        if self._images is None:
-            self._images = self._bar.add_task("images", total=total, rate="", median=""), time.monotonic()
-        task, began = self._images
-        self._bar.update(task, completed=done)
-        if done == total:
-            self._bar.remove_task(task)
-            self._images = None
-        else:
-            self._line(done, total, "images", done / max(time.monotonic() - began, 1e-9))
+    def _step(self, worker: int | None, step: Step) -> None:
+        """Show how far a worker is with its call, or this process with the images of a data base."""
+        if worker in self._steps and self._steps[worker].what != step.what:
+            self._forget(worker)
+        if worker not in self._steps:
+            task = self._bar.add_task(step.what, total=step.total, rate="", median="")
+            self._steps[worker] = _Shown(task, step.what, step.done, time.monotonic())
+        shown = self._steps[worker]
+        self._bar.update(shown.task, completed=step.done)
+        if step.done == step.total:
+            self._forget(worker)
+        elif step.done > shown.first:
+            rate = (step.done - shown.first) / max(time.monotonic() - shown.since, 1e-9)
+            self._line(step.done, step.total, step.what, rate)
+
+    def _forget(self, worker: int | None) -> None:
+        self._bar.remove_task(self._steps.pop(worker).task)
 
     def _median(self, scenario: str) -> str:
         """Tell the median errors of a scenario as its table has them, over the trials that this start has run.

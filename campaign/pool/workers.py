@@ -25,6 +25,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.pool.guard import guarding
+from boresight.campaign.pool.steps import hearer, read_step, written_to
 from boresight.renderers.mitsuba3.variant import gpu_of_worker
 from boresight.scenarios.errors import MachineError
 
@@ -43,6 +44,7 @@ _AHEAD = 8
 """Results per worker that may wait for the result of an earlier call."""
 
 _IDLE_S = 60.0
+_LOOK_S = 1.0
 
 
 def no_replacement(lost: Sequence[Call], note: Path) -> Sequence[Call]:
@@ -112,7 +114,7 @@ def _spread(
                 yield cast("T", results.pop(next_index))
                 next_index += 1
             elif any(worker.in_flight for worker in workers):
-                wait([future for worker in workers for _, future in worker.in_flight], return_when=FIRST_COMPLETED)
+                _wait_for_one(workers)
                 for worker in workers:
                     results.update(worker.answers())
                     again.extend(_calls_to_repeat(worker, after_death))
@@ -124,6 +126,16 @@ def _spread(
         # Results of calls in flight when the consumer stops are discarded: it stores whole blocks only.
         for worker in workers:
             worker.close(kill=True)
+
+
+def _wait_for_one(workers: Sequence[_Worker]) -> None:
+    """Wait until a call has ended, and pass on meanwhile how far workers are, if somebody listens."""
+    futures, hear = [future for worker in workers for _, future in worker.in_flight], hearer()
+    while not wait(futures, None if hear is None else _LOOK_S, FIRST_COMPLETED).done:
+        for worker in workers:
+            step = read_step(worker.steps)
+            if hear is not None and step is not None:
+                hear(worker.index, step)
 
 
 def _count_started(workers: Sequence[_Worker], results: dict[int, object]) -> int:
@@ -160,6 +172,11 @@ class _Worker:
         self._executor: ProcessPoolExecutor | None = None
         self._calls_made = 0
         self._last_s = math.inf
+
+    @property
+    def steps(self) -> Path:
+        """File in which its process says how far the current call is."""
+        return _steps_beside(self.note)
 
     def has_room(self, renew_after: int) -> bool:
         """Return whether it can accept a call now."""
@@ -224,6 +241,7 @@ class _Worker:
         """End the process, at once or when it is idle."""
         self._end(kill)
         self.note.unlink(missing_ok=True)
+        self.steps.unlink(missing_ok=True)
 
     def _end(self, kill: bool) -> None:
         if self._executor is not None:
@@ -262,10 +280,14 @@ def _idle_workers() -> _IdleWorkers:
 
 def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
     """Make a call in a worker, with the parent's switch of the image store; return its duration, s, and result."""
-    with store_switched(images_kept), guarding(note=note):
+    with store_switched(images_kept), guarding(note=note), written_to(_steps_beside(note)):
         start = time.perf_counter()
         answer = function(*call)
         return time.perf_counter() - start, answer
+
+
+def _steps_beside(note: Path) -> Path:
+    return note.with_name(f"{note.name}-steps")
 
 
 def _end_with_parent(parent: int, note: Path) -> None:
@@ -280,6 +302,7 @@ def _end_with_parent(parent: int, note: Path) -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
         note.unlink(missing_ok=True)
+        _steps_beside(note).unlink(missing_ok=True)
         os._exit(1)
 
     threading.Thread(target=watch, name="follow-parent", daemon=True).start()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import ImageStore
 from boresight.campaign.imaging.world import open_world, typical_range_m
+from boresight.campaign.pool.steps import tell
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
 from boresight.scenarios.arrays import FloatArray
@@ -29,18 +28,6 @@ IN_THIS_PROCESS = 0
 """Value of ``jobs`` inside a worker process, whose number of threads is already set."""
 
 _CHUNK_IMAGES = 10
-
-_COUNT: ContextVar[Callable[[int, int], None] | None] = ContextVar("count", default=None)
-
-
-@contextmanager
-def counted_images(count: Callable[[int, int], None]) -> Iterator[None]:
-    """Make builds of data bases call a function with the numbers of images that are done, and of all."""
-    token = _COUNT.set(count)
-    try:
-        yield
-    finally:
-        _COUNT.reset(token)
 
 
 def map_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
@@ -62,11 +49,9 @@ def map_images(jobs: int, images: int, function: Callable[..., list[T]], *argume
         return [result for chunk in chunks for result in function(*arguments, chunk)]
     calls = ((jobs, function, arguments, chunk) for chunk in chunks)
     found: list[T] = []
-    count = _COUNT.get()
     for results in in_order(jobs, _in_worker, calls):
         found += results
-        if count is not None:
-            count(len(found), images)
+        tell("images", len(found), images)
     return found
 
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.campaign.pool.steps import tell
 from boresight.campaign.trial.kind import Records, Trials, Witness, add_records
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.errors import BoresightError
@@ -78,8 +79,9 @@ class InTurn(Generic[PartT]):
     def run(self, trials: range) -> Records:
         """Run trials, in their order."""
         records: Records = {}
-        for trial in trials:
+        for number, trial in enumerate(trials):
             add_records(records, self.of(trial).trial(trial))
+            tell("trials of a block", number + 1, len(trials))
         for part in self.parts:
             part.flush()
         return records

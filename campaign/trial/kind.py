@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.campaign.pool.steps import tell
 from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def add_records(records: Records, found: Records, key: Record | None = None) -> 
         records.setdefault(table, []).extend({**(key or {}), **record} for record in added)
 
 
-def each_trial(trials: Iterable[int], scenario: str, one: Callable[[int], Mapping[str, Records]]) -> Records:
+def each_trial(trials: Sequence[int], scenario: str, one: Callable[[int], Mapping[str, Records]]) -> Records:
     """Run trials one after another: the records of each table, with their keys.
 
     Parameters
@@ -75,9 +76,10 @@ def each_trial(trials: Iterable[int], scenario: str, one: Callable[[int], Mappin
         Runs a trial: label of a method to its records, without their key.
     """
     records: Records = {}
-    for trial in trials:
+    for number, trial in enumerate(trials):
         for label, found in one(trial).items():
             add_records(records, found, {"trial": trial, "scenario": scenario, "estimator": label})
+        tell("trials of a block", number + 1, len(trials))
     return records
 
 

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import sys
+import time
 from dataclasses import replace
 from importlib.metadata import version
 
@@ -21,6 +22,8 @@ from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products.database_images import map_images
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.read import CATALOG, campaign_names
@@ -342,9 +345,26 @@ def test_progress_counts_the_images_of_a_data_base(monkeypatch):
     monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
     out = io.StringIO()
     with ProgressListener(Console(file=out)):
-        assert map_images(1, 25, doubled) == [2 * number for number in range(25)]
+        assert map_images(1, 35, doubled) == [2 * number for number in range(35)]
     lines = out.getvalue().splitlines()
-    assert [line.split(",")[0] for line in lines] == ["10/25 images", "20/25 images"]
+    assert [line.split(",")[0] for line in lines] == ["20/35 images", "30/35 images"]
     assert all(line.endswith(" s left") for line in lines)
-    map_images(1, 25, doubled)
+    map_images(1, 35, doubled)
     assert out.getvalue().splitlines() == lines, "no longer counted"
+
+
+def slowly(trials):
+    for number in range(trials):
+        time.sleep(0.6)
+        tell("images of a trial", number + 1, trials)
+    return trials
+
+
+def test_progress_tells_how_far_long_trials_in_workers_are(monkeypatch):
+    monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
+    out = io.StringIO()
+    with ProgressListener(Console(file=out)):
+        assert list(in_order(2, slowly, [(5,), (7,)])) == [5, 7]
+    lines = out.getvalue().splitlines()
+    assert {line.split()[0].split("/")[1] for line in lines} == {"5", "7"}, "one of the workers is never heard of"
+    assert all(" images of a trial, " in line and line.endswith(" s left") for line in lines)

@@ -10,6 +10,7 @@ import numpy as np
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.image_store import Imager
+from boresight.campaign.pool.steps import tell
 from boresight.campaign.trial.crater_score import check_detections, match_detections
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
@@ -233,7 +234,10 @@ class NavigationTrial:
 
     def search(self, navigator: CraterNavigation, task: NavigationTask, stages: StageFiles) -> list[SearchedImage]:
         """Look for craters in all images, or read what was found before; ``task`` is the chain's own copy."""
-        found = [self._searched(number, navigator, task, stages) for number in range(len(self.plan))]
+        found = []
+        for number in range(len(self.plan)):
+            found.append(self._searched(number, navigator, task, stages))
+            tell("images of a trial", number + 1, len(self.plan))
         self.sights.flush()
         return found
 
