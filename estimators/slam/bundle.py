@@ -64,7 +64,7 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 6
+    version: ClassVar[int] = 7
     options_model = BundleOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

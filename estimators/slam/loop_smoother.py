@@ -116,7 +116,7 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
     """
 
     name: ClassVar[str] = "loop-smoother"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = LoopOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -14,8 +14,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from boresight.estimators.slam.compiled import marginal as kernels
 from boresight.estimators.slam.compiled.problem import floats
-from boresight.estimators.slam.normal import VariableOrdering, normal_equations
 from boresight.estimators.slam.problem import Adjustment, QuadraticPrior, State
+from boresight.estimators.slam.solver import reduced_system
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
@@ -42,15 +42,14 @@ def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -
     """
     # Only removed measurements enter the prior: each measurement is then either in it or in the window, never in both.
     part = _outside_part(problem, retained)
-    ordering = VariableOrdering.of(part)
     # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
     # landmarks that an old prior couples.
-    matrix, right, _ = normal_equations(part, state, ordering).reduced()
+    matrix, right, view_slots, point_slots = reduced_system(part, state)
     views = np.flatnonzero(part.free_views & retained.views)
-    points = np.flatnonzero(ordering.kept_point >= 0)
-    remaining = np.zeros(ordering.kept, dtype=np.bool_)
-    remaining[ordering.view[views]] = True
-    remaining[ordering.kept_point[points]] = True
+    points = np.flatnonzero(point_slots >= 0)
+    remaining = np.zeros(len(right) // 3, dtype=np.bool_)
+    remaining[view_slots[views]] = True
+    remaining[point_slots[points]] = True
     # The right-hand side is minus the gradient. At x0 = ``state`` this is g of the prior g' (x - x0).
     information, gradient = eliminate_rows(matrix, -right, np.repeat(~remaining, 3))
     origin = np.concatenate([state.positions_m[views], state.points_m[points]])
@@ -65,11 +64,10 @@ def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
-    ordering = VariableOrdering.of(problem)
-    matrix, _, _ = normal_equations(problem, state, ordering).reduced()
+    matrix, _, _, slots = reduced_system(problem, state)
     # Kept landmarks have slots after the views. Columns of the inverse by solving: only those of the wanted landmarks
     # are computed.
-    rows = (3 * ordering.kept_point[points][:, None] + np.arange(3)).ravel()
+    rows = (3 * slots[points][:, None] + np.arange(3)).ravel()
     solved = cho_solve(cho_factor(matrix), np.eye(len(matrix))[:, rows])[rows]
     return np.asarray(0.5 * (solved + solved.T), dtype=np.float64)
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from boresight.estimators.slam.normal import VariableOrdering, bearing_jacobians, distance_jacobians, normal_equations
 from boresight.estimators.slam.problem import AdjustedWindow, Adjustment, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import reduced_system
@@ -38,9 +37,8 @@ def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArr
     # All landmarks stay in the reduced system, so that its inverse has their correlations with the view and with each
     # other.
     whole = replace(problem, kept_points=np.ones(len(state.points_m), dtype=np.bool_))
-    ordering = VariableOrdering.of(whole)
-    matrix, _, _ = normal_equations(whole, state, ordering).reduced()
-    slots = np.concatenate([[ordering.view[view]], ordering.kept_point[points]])
+    matrix, _, view_slots, point_slots = reduced_system(whole, state)
+    slots = np.concatenate([[view_slots[view]], point_slots[points]])
     # Rows of the inverse are marginal: those of all other variables are left out.
     rows = (3 * slots[:, None] + np.arange(3)).ravel()
     return np.asarray(np.linalg.inv(matrix)[np.ix_(rows, rows)], dtype=np.float64)
@@ -247,26 +245,19 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     """(n, V, 3, 3) information of each view about its line of sight to each of some landmarks, 1/m^2."""
     place = np.full(len(state.points_m), -1, dtype=np.int64)
     place[points] = np.arange(len(points))
-    part = _about(problem, place >= 0)
+    seen = problem.pixels.subset(place[problem.pixels.point] >= 0)
+    ranged = problem.distances.subset(place[problem.distances.point] >= 0)
+    # Derivatives of pixels and distances, in standard deviations, by the landmark.
+    turn = problem.R_cam_body[seen.view]
+    lines = np.einsum("kij,kj->ki", turn, state.points_m[seen.point] - state.positions_m[seen.view])
+    by_pixel = problem.camera.jacobian(lines) @ turn / seen.sigma_px[:, None, None]
+    lines = state.points_m[ranged.point] - state.positions_m[ranged.view]
+    by_range = (lines / (np.linalg.norm(lines, axis=1) * ranged.sigma_m)[:, None])[:, None, :]
     information = np.zeros((len(points), len(state.positions_m), 3, 3))
-    for measured, by_point in (
-        (part.pixels, bearing_jacobians(part, state)),
-        (part.distances, distance_jacobians(part, state)),
-    ):
-        # add.at, because a view may have both a pixel and a distance to a landmark.
-        np.add.at(information, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
+    # add.at, because a view may have both a pixel and a distance to a landmark.
+    np.add.at(information, (place[seen.point], seen.view), np.swapaxes(by_pixel, 1, 2) @ by_pixel)
+    np.add.at(information, (place[ranged.point], ranged.view), np.swapaxes(by_range, 1, 2) @ by_range)
     return information
-
-
-def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
-    """Return a problem with the pixels and distances of the marked landmarks (L,) only."""
-    seen, measured = problem.pixels, problem.distances
-    k, d = wanted[seen.point], wanted[measured.point]
-    return replace(
-        problem,
-        pixels=seen.subset(k),
-        distances=measured.subset(d),
-    )
 
 
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:

@@ -60,7 +60,7 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     """
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 6
+    version: ClassVar[int] = 7
     options_model = SmootherOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -90,7 +90,7 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
     """
 
     name: ClassVar[str] = "batch"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model = BatchOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

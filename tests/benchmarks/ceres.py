@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
+from numpy_equations import cost
 
 from benchmarks.peers import PeerSolution
-from boresight.estimators.slam.normal import cost
 from boresight.estimators.slam.problem import Adjustment, State
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy_equations import cost
 
 from boresight.estimators.slam.gtsam_smoothers import Factors, load_gtsam
-from boresight.estimators.slam.normal import cost
 from boresight.estimators.slam.problem import Adjustment, State
 
 # The loosest power of ten that ends the windows of the benchmark within a part in a million of their minimum.

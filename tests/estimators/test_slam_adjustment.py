@@ -6,11 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
-from slam_sequences import Recipe, make_sequence
-
-from boresight.estimators.slam.marginal import marginalise_view
-from boresight.estimators.slam.normal import (
+from numpy_equations import (
     VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
@@ -20,6 +16,10 @@ from boresight.estimators.slam.normal import (
     motion_residuals,
     normal_equations,
 )
+from scipy.optimize import least_squares
+from slam_sequences import Recipe, make_sequence
+
+from boresight.estimators.slam.marginal import marginalise_view
 from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy_equations import bearing_residuals, distance_residuals
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.stats import chi2
@@ -24,7 +25,6 @@ from boresight.estimators.slam.dynamics.solver import (
     marginalise_dynamic,
     minimise_dynamic,
 )
-from boresight.estimators.slam.normal import bearing_residuals, distance_residuals
 from boresight.estimators.slam.problem import State
 from boresight.estimators.slam.solver import StoppingRule
 from boresight.scenarios.tracks import Forces, TrackSequence

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy_adjustment
 import pytest
+from numpy_equations import VariableOrdering, cost, normal_equations
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
@@ -19,7 +20,6 @@ from boresight.estimators.slam.bundle import BundleSlam
 from boresight.estimators.slam.compiled import descent, equations, tracks
 from boresight.estimators.slam.compiled import envelope as packed
 from boresight.estimators.slam.compiled import problem as flat_problem
-from boresight.estimators.slam.normal import VariableOrdering, cost, normal_equations
 from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from boresight.estimators.slam.slam_map import SlamMap
 from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother

@@ -6,11 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.linalg import LinAlgError as NumpyLinAlgError
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-from boresight.estimators.slam.gating import mahalanobis_squares
-from boresight.estimators.slam.marginal import constrained_points, without_empty_variables
-from boresight.estimators.slam.normal import (
+from numpy_equations import (
     VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
@@ -18,6 +14,10 @@ from boresight.estimators.slam.normal import (
     distance_jacobians,
     normal_equations,
 )
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from boresight.estimators.slam.gating import mahalanobis_squares
+from boresight.estimators.slam.marginal import constrained_points, without_empty_variables
 from boresight.estimators.slam.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
 from boresight.estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
 

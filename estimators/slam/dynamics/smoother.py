@@ -20,7 +20,7 @@ from boresight.estimators.slam.dynamics.problem import (
 from boresight.estimators.slam.dynamics.solver import (
     DynamicOrdering,
     covariance_of,
-    dynamic_cost,
+    dynamic_equations,
     marginalise_dynamic,
     minimise_dynamic,
 )
@@ -252,7 +252,7 @@ class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
     """
 
     name: ClassVar[str] = "dynamic-smoother"
-    version: ClassVar[int] = 6
+    version: ClassVar[int] = 7
     options_model = DynamicOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:
@@ -365,4 +365,5 @@ class _Smoother:
         # of what remains, at the same state.
         left = window.tracks()
         rest = window.problem(left, first_estimates=self.options.first_estimates)
-        self.before = dynamic_cost(rest, window.state(left)), measurements_beyond_unknowns(rest)
+        there = dynamic_equations(rest, window.state(left), DynamicOrdering.of(rest))
+        self.before = there.cost, measurements_beyond_unknowns(rest)

@@ -10,9 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from boresight.estimators.slam.compiled.descent import reduced, step_landmarks
+from boresight.estimators.slam.compiled.envelope import dense
+from boresight.estimators.slam.compiled.equations import FlatEquations, linearise
+from boresight.estimators.slam.compiled.problem import FlatOrdering, floats, make_ordering
 from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
 from boresight.estimators.slam.marginal import constrained_points, eliminate_rows
-from boresight.estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
+from boresight.estimators.slam.problem import State
 from boresight.estimators.slam.solver import StoppingRule
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
@@ -37,7 +41,7 @@ class DynamicOrdering:
         Number of rows.
     """
 
-    ordering: VariableOrdering
+    ordering: FlatOrdering
     position: IndexArray
     velocity: IndexArray
     parameters: IndexArray
@@ -47,15 +51,15 @@ class DynamicOrdering:
     @classmethod
     def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
         """Assign rows to the unknowns of ``problem``."""
-        ordering = VariableOrdering.of(problem.vision)
+        ordering = make_ordering(problem.vision.flat)
         # Kept views and landmarks first, in the order of the vision part, so that its reduced matrix can be added as
         # one block.
-        after = 3 * ordering.kept
+        after = 3 * len(ordering.shape.reach)
         velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
         after += 3 * int(np.count_nonzero(problem.free_velocities))
         parameters = _numbered(problem.free_parameters, after)
         count = after + int(np.count_nonzero(problem.free_parameters))
-        return cls(ordering, _threes(ordering.view), velocity, parameters, _threes(ordering.kept_point), count)
+        return cls(ordering, _threes(ordering.view_slot), velocity, parameters, _threes(ordering.point_slot), count)
 
     def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
         """(6 a + 2 + 3 b,) rows in the order of a prior."""
@@ -76,25 +80,31 @@ class DynamicOrdering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicEquations:
-    """Normal equations of the vision part, and matrix (n, n) and gradient (n,) of arcs and prior."""
+    """Normal equations at a state: those of the vision part, and matrix (n, n) and gradient (n,) of arcs and prior.
+
+    ``cost`` is half the sum of squares plus the prior; inf with a landmark behind its camera.
+    """
 
     rows: DynamicOrdering
-    vision: NormalEquations
+    vision: FlatEquations
     added: FloatArray
     gradient: FloatArray
+    cost: float
 
     def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the dense matrix, the right-hand side, and the inverse blocks of the eliminated landmarks.
 
         Raises
         ------
-        numpy.linalg.LinAlgError
-            If the distance of a landmark is undetermined and ``damping`` is 0.
+        scipy.linalg.LinAlgError
+            If a landmark is undetermined.
         """
-        part, part_right, inverse = self.vision.reduced(damping)
-        joined = len(part)
+        determined, values, part_right, inverse = reduced(self.vision, self.rows.ordering, damping)
+        if not determined:
+            raise LinAlgError("a landmark is not determined")
+        joined = len(part_right)
         matrix, right = self.added.copy(), -self.gradient
-        matrix[:joined, :joined] += part
+        matrix[:joined, :joined] += dense(values, self.rows.ordering.shape)
         right[:joined] += part_right
         # The vision part has its damping already: it had to be added before the landmarks were eliminated.
         below = np.arange(joined, self.rows.count)
@@ -103,15 +113,15 @@ class DynamicEquations:
 
     def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
         """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the largest coordinate, m."""
-        kept = step[: 3 * self.rows.ordering.kept].reshape(-1, 3)
-        eliminated = self.vision.back_substituted(kept, inverse)
+        points = state.vision.points_m.copy()
+        longest = step_landmarks(self.vision, self.rows.ordering, step, inverse, points)
         padded = np.append(step, 0.0)  # row -1: no step
         after = DynamicState(
-            self.vision.stepped(state.vision, kept, eliminated),
+            State(state.vision.positions_m + padded[self.rows.position], points + padded[self.rows.point]),
             state.velocities_m + padded[self.rows.velocity],
             state.parameters_m + padded[self.rows.parameters],
         )
-        return after, float(max(np.abs(step).max(initial=0.0), np.abs(eliminated).max(initial=0.0)))
+        return after, float(max(np.abs(step).max(initial=0.0), longest))
 
 
 def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: DynamicOrdering) -> DynamicEquations:
@@ -119,29 +129,22 @@ def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Dyn
     bin_row = rows.count  # index -1 of the fixed unknowns: this row is dropped
     matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
     at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
-    jacobians = problem.arc_jacobians(state)
+    jacobians, residuals = problem.arc_jacobians(state), problem.arc_residuals(state)
     weighted = np.swapaxes(jacobians, 1, 2) @ problem.arcs.information
     # add.at, because an arc's end is the next one's start, and all share the parameters.
     np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
-    np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, problem.arc_residuals(state)))
+    np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, residuals))
+    place = floats(state.vision.positions_m), floats(state.vision.points_m)
+    half, vision = linearise(problem.vision.flat, rows.ordering, *place)
+    half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
     prior = problem.prior
     if prior is not None:
-        at = rows.of_prior(prior.views, prior.points)
+        at, offset = rows.of_prior(prior.views, prior.points), prior.offset(state)
+        pull = prior.information @ offset
         matrix[np.ix_(at, at)] += prior.information
-        gradient[at] += prior.information @ prior.offset(state) + prior.gradient
-    vision = normal_equations(problem.vision, state.vision, rows.ordering)
-    return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1])
-
-
-def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
-    """Return half the sum of squares plus the prior; inf with a landmark behind its camera."""
-    residuals = problem.arc_residuals(state)
-    half = cost(problem.vision, state.vision)
-    half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
-    if problem.prior is not None:
-        offset = problem.prior.offset(state)
-        half += float(0.5 * offset @ problem.prior.information @ offset + problem.prior.gradient @ offset)
-    return half if np.isfinite(half) else float("inf")
+        gradient[at] += pull + prior.gradient
+        half += float((0.5 * pull + prior.gradient) @ offset)
+    return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1], half if np.isfinite(half) else float("inf"))
 
 
 def _threes(slots: IndexArray) -> IndexArray:
@@ -164,22 +167,20 @@ class DynamicSolution:
 
 
 def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
-    """Minimise `dynamic_cost` from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
-    rows = DynamicOrdering.of(problem)
-    value = dynamic_cost(problem, state)
+    """Minimise the cost from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
+    system = dynamic_equations(problem, state, DynamicOrdering.of(problem))
     damping = 1e-6
     for iteration in range(1, rule.iterations + 1):
-        if not np.isfinite(value):
-            return DynamicSolution(state, value, iteration)
+        if not np.isfinite(system.cost):
+            return DynamicSolution(state, system.cost, iteration)
         # Without a step that decreases the cost the present state is the minimum within rounding.
-        system = dynamic_equations(problem, state, rows)
-        trial, reached, step, damping = _descend(problem, system, state, value, damping)
+        trial, ahead, step, damping = _descend(problem, system, state, damping)
         if trial is None:
-            return DynamicSolution(state, value, iteration)
-        state, value = trial, reached
+            return DynamicSolution(state, system.cost, iteration)
+        state, system = trial, ahead
         if step <= rule.step_m:
-            return DynamicSolution(state, value, iteration)
-    return DynamicSolution(state, value, rule.iterations)
+            return DynamicSolution(state, system.cost, iteration)
+    return DynamicSolution(state, system.cost, rule.iterations)
 
 
 def covariance_of(
@@ -203,12 +204,12 @@ def covariance_of(
 
 
 def _descend(
-    problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, value: float, damping: float
-) -> tuple[DynamicState | None, float, float, float]:
+    problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, damping: float
+) -> tuple[DynamicState | None, DynamicEquations, float, float]:
     """Increase the damping until the cost does not increase; None if it increases for every step.
 
-    Returns the new state, its cost, the largest step of an unknown (m), and the next initial damping. Near the minimum
-    rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
+    Returns the new state, the equations there, the largest step of an unknown (m), and the next initial damping. Near
+    the minimum rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
     """
     # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
     # their gradient is zero; damping would only delay that.
@@ -219,15 +220,16 @@ def _descend(
             # Cholesky as the test for a positive definite matrix: if it fails, the damping is increased.
             matrix, right, inverse = system.reduced(damping)
             solved = cho_solve(cho_factor(matrix), right)
-        except (LinAlgError, np.linalg.LinAlgError):
+        except LinAlgError:
             damping *= 10.0
             continue
         trial, step = system.stepped(state, solved, inverse)
-        reached = dynamic_cost(problem, trial)
-        if reached <= value + slack * abs(value) + 1e-12:
-            return trial, reached, step, 0.1 * damping
+        # In one pass with the next equations, since most steps are accepted.
+        ahead = dynamic_equations(problem, trial, system.rows)
+        if ahead.cost <= system.cost + slack * abs(system.cost) + 1e-12:
+            return trial, ahead, step, 0.1 * damping
         damping *= 10.0
-    return None, value, step, damping
+    return None, system, step, damping
 
 
 def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
