@@ -10,6 +10,10 @@ from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.tracks import TrackSequence
 
 
+class LostError(Exception):
+    """The estimator fails at this frame; the message is the reason of the failed estimate."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameEstimate:
     """Estimate right after a frame, from that frame and the ones before it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_checkable
@@ -13,18 +13,13 @@ from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_che
 import numpy as np
 
 from boresight.estimators.options import parse_options
-from boresight.estimators.slam.compiled import tracks as kernels
-from boresight.estimators.slam.compiled.problem import floats
-from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.estimators.slam.adjustment.slam_map import median_distance
+from boresight.estimators.slam.contract import FrameEstimate, LostError, SequenceEstimate
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 OptionsT = TypeVar("OptionsT", bound=SpecModel)
-
-
-class LostError(Exception):
-    """The estimator fails at this frame; the message is the reason of the failed estimate."""
 
 
 class Follower(Protocol):
@@ -187,16 +182,6 @@ def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: Flo
             f"the scale is no longer observable: the position is uncertain by {sigma:.3g} m"
             f" at {distance:.3g} m from the landmarks"
         )
-
-
-def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
-    """Return the median distance (m) of points (n, 3) from a position."""
-    return kernels.median_distance(floats(points_m), floats(position_m))
-
-
-def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
-    """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
-    return kernels.lookup(np.array(keys, dtype=np.int64), np.array(wanted, dtype=np.int64))
 
 
 def _check_estimate(estimate: FrameEstimate) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy_equations import cost
 
 from benchmarks.peers import PeerSolution
-from boresight.estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.adjustment.problem import Adjustment, State
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy_equations import cost
 
-from boresight.estimators.slam.gtsam_smoothers import Factors, load_gtsam
-from boresight.estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.adjustment.problem import Adjustment, State
+from boresight.estimators.slam.smoothing.gtsam_smoothers import Factors, load_gtsam
 
 # The loosest power of ten that ends the windows of the benchmark within a part in a million of their minimum.
 RELATIVE_DECREASE = 1e-3

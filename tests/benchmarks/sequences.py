@@ -24,7 +24,7 @@ from benchmarks.windows import (
     window_ratios,
 )
 from boresight.campaign.runs.benchmark import one_core
-from boresight.estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
+from boresight.estimators.slam.adjustment.solver import AdjustmentSolution, StoppingRule, minimise
 from boresight.scenarios.errors import BoresightError
 
 _AIMS = {(CERES, 25, 9): 5.0, (CERES, 500, 9): 10.0}

@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks.ceres import Case, ceres
 from benchmarks.peers import PeerSolution, solved_by_gtsam
+from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, State
+from boresight.estimators.slam.adjustment.slam_map import SlamMap
+from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise
 from boresight.estimators.slam.contract import FrameEstimate
-from boresight.estimators.slam.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
-from boresight.estimators.slam.problem import Adjustment, Distances, State
-from boresight.estimators.slam.slam_map import SlamMap
-from boresight.estimators.slam.smoother import FixedLagSmoother
-from boresight.estimators.slam.solver import StoppingRule, minimise
+from boresight.estimators.slam.smoothing.gtsam_smoothers import GtsamFixedLag, IncrementalFollower, load_gtsam
+from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera

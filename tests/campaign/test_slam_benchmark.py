@@ -17,7 +17,7 @@ from benchmarks.windows import make_window
 from needs_ceres import skip_without_ceres
 
 from boresight.campaign.cli.main import main
-from boresight.estimators.slam.solver import StoppingRule, minimise
+from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise
 from boresight.scenarios.errors import BoresightError
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from slam_sequences import Recipe, make_sequence
 
+from boresight.estimators.slam.adjustment.solver import view_covariance
+from boresight.estimators.slam.association.prediction import joint_covariance
 from boresight.estimators.slam.options import SmootherOptions
-from boresight.estimators.slam.prediction import joint_covariance
-from boresight.estimators.slam.smoother import WindowSmoother
-from boresight.estimators.slam.solver import view_covariance
+from boresight.estimators.slam.smoothing.smoother import WindowSmoother
 from boresight.estimators.slam.vision.features import ImageFeatures
 from boresight.estimators.slam.vision.matching import guided_rows
 from boresight.scenarios.tracks import Prediction

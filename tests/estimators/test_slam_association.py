@@ -9,12 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from boresight.estimators.slam.bundle import BundleSlam
-from boresight.estimators.slam.contract import SequenceEstimate
-from boresight.estimators.slam.gating import gate_frame
-from boresight.estimators.slam.outliers import OutlierGate, all_within_gate
-from boresight.estimators.slam.prediction import SharedUncertainty
-from boresight.estimators.slam.problem import (
+from boresight.estimators.slam.adjustment.problem import (
     AdjustedWindow,
     Adjustment,
     Distances,
@@ -23,9 +18,14 @@ from boresight.estimators.slam.problem import (
     QuadraticPrior,
     State,
 )
-from boresight.estimators.slam.slam_map import SlamMap
-from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from boresight.estimators.slam.solver import StoppingRule
+from boresight.estimators.slam.adjustment.slam_map import SlamMap
+from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.association.gating import gate_frame
+from boresight.estimators.slam.association.outliers import OutlierGate, all_within_gate
+from boresight.estimators.slam.association.prediction import SharedUncertainty
+from boresight.estimators.slam.contract import SequenceEstimate
+from boresight.estimators.slam.keyframes.bundle import BundleSlam
+from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.tracks import TrackSequence
 
 SHARE = 0.05

@@ -13,11 +13,13 @@ from scipy.stats import chi2
 from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
-from boresight.estimators.slam.dynamics import smoother
-from boresight.estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
-from boresight.estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from boresight.estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
-from boresight.estimators.slam.dynamics.solver import (
+from boresight.estimators.slam.adjustment.problem import State
+from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.force_model import ForceModel, propagate, propagate_with_derivatives
+from boresight.estimators.slam.smoothing.dynamics import smoother
+from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
+from boresight.estimators.slam.smoothing.dynamics.smoother import DynamicSmoother, DynamicWindow
+from boresight.estimators.slam.smoothing.dynamics.solver import (
     DynamicOrdering,
     DynamicSolution,
     covariance_of,
@@ -25,8 +27,6 @@ from boresight.estimators.slam.dynamics.solver import (
     marginalise_dynamic,
     minimise_dynamic,
 )
-from boresight.estimators.slam.problem import State
-from boresight.estimators.slam.solver import StoppingRule
 from boresight.scenarios.tracks import Forces, TrackSequence
 
 FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))

@@ -9,8 +9,13 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
 
-from boresight.estimators.slam.ekf_state import FilterState, landmark_jacobians, landmark_points
-from boresight.estimators.slam.ekf_update import FrameMeasurements, IterationRule, iterated_update, kalman_update
+from boresight.estimators.slam.filters.ekf_state import FilterState, landmark_jacobians, landmark_points
+from boresight.estimators.slam.filters.ekf_update import (
+    FrameMeasurements,
+    IterationRule,
+    iterated_update,
+    kalman_update,
+)
 from boresight.scenarios.tracks import TrackFrame
 
 NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))

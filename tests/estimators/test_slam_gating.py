@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from boresight.estimators.slam.gating import gate_pixels
+from boresight.estimators.slam.association.gating import gate_pixels
 
 COMMON_PX = 30.0
 OWN_PX = 0.7

@@ -15,21 +15,21 @@ from numpy_equations import VariableOrdering, cost, normal_equations
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from boresight.estimators.slam import marginal, slam_map, solver
-from boresight.estimators.slam.bundle import BundleSlam
-from boresight.estimators.slam.compiled import descent, equations, tracks
-from boresight.estimators.slam.compiled import envelope as packed
-from boresight.estimators.slam.compiled import problem as flat_problem
-from boresight.estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
-from boresight.estimators.slam.slam_map import SlamMap
-from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from boresight.estimators.slam.solver import (
+from boresight.estimators.slam.adjustment import marginal, slam_map, solver
+from boresight.estimators.slam.adjustment.compiled import descent, equations, tracks
+from boresight.estimators.slam.adjustment.compiled import envelope as packed
+from boresight.estimators.slam.adjustment.compiled import problem as flat_problem
+from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from boresight.estimators.slam.adjustment.slam_map import SlamMap
+from boresight.estimators.slam.adjustment.solver import (
     AdjustmentSolution,
     StoppingRule,
     minimise,
     reduced_rank_deficiency,
     view_covariance,
 )
+from boresight.estimators.slam.keyframes.bundle import BundleSlam
+from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 RULE = StoppingRule(1e-6)
@@ -267,7 +267,7 @@ def test_first_estimates_are_adjusted_to_where_their_gradient_is_zero(monkeypatc
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
     """The envelope's kernels in a separate process: none is cached in the source folder."""
     code = (
-        "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope;"
+        "import numpy as np; from boresight.estimators.slam.adjustment.compiled.envelope import make_envelope;"
         "print(make_envelope(np.array([2, 1, 2])).reach.tolist())"
     )
     for home in ({"BORESIGHT_CACHE": str(tmp_path)}, {"BORESIGHT_CACHE": os.devnull}):

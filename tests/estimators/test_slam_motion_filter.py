@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from slam_orbits import GM, INTERVAL_S, LIGHT, RATE, Drive, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe, make_sequence
 
-from boresight.estimators.slam.bundle import BundleSlam
-from boresight.estimators.slam.dynamics.force_model import ForceModel
-from boresight.estimators.slam.motion_filter import MotionFilter, steady_gain
+from boresight.estimators.slam.force_model import ForceModel
+from boresight.estimators.slam.keyframes.bundle import BundleSlam
+from boresight.estimators.slam.keyframes.motion_filter import MotionFilter, steady_gain
 from boresight.scenarios.tracks import Forces
 
 CIRCLE = np.array([0.0, ORBIT_M * RATE, 0.0])

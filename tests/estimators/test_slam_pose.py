@@ -11,11 +11,11 @@ from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_sequence
 
 from boresight.estimators.slam.contract import SequenceEstimate
-from boresight.estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from boresight.estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
-from boresight.estimators.slam.ekf_state import landmark_points, turn_jacobians
-from boresight.estimators.slam.ekf_update import FrameMeasurements
-from boresight.estimators.slam.smoother import FixedLagSmoother
+from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
+from boresight.estimators.slam.filters.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
+from boresight.estimators.slam.filters.ekf_state import landmark_points, turn_jacobians
+from boresight.estimators.slam.filters.ekf_update import FrameMeasurements
+from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.geometry import cross_matrix
 from boresight.scenarios.tracks import TrackFrame, TrackSequence
 

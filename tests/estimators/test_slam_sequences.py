@@ -10,13 +10,13 @@ from scipy.optimize import least_squares
 from slam_orbits import Drive, make_orbit_sequence
 from slam_sequences import Recipe, Truth, make_sequence
 
-from boresight.estimators.slam.bundle import BundleSlam
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
-from boresight.estimators.slam.dynamics.smoother import DynamicSmoother
-from boresight.estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from boresight.estimators.slam.loop_smoother import LoopSmoother
+from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
+from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
-from boresight.estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from boresight.estimators.slam.smoothing.dynamics.smoother import DynamicSmoother
+from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother
+from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.tracks import TrackRange, TrackSequence
 

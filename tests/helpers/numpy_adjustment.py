@@ -16,14 +16,14 @@ from numpy_equations import (
 )
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from boresight.estimators.slam.gating import mahalanobis_squares
-from boresight.estimators.slam.marginal import constrained_points, without_empty_variables
-from boresight.estimators.slam.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
-from boresight.estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
+from boresight.estimators.slam.adjustment.marginal import constrained_points, without_empty_variables
+from boresight.estimators.slam.adjustment.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
+from boresight.estimators.slam.adjustment.solver import RANK_TOLERANCE, AdjustmentSolution
+from boresight.estimators.slam.association.gating import mahalanobis_squares
 
 
 def minimise(problem, state, rule):
-    """`estimators.slam.solver.minimise`."""
+    """`estimators.slam.adjustment.solver.minimise`."""
     ordering = VariableOrdering.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
@@ -42,7 +42,7 @@ def minimise(problem, state, rule):
 
 
 def reduced_rank_deficiency(problem, state):
-    """`estimators.slam.solver.reduced_rank_deficiency`."""
+    """`estimators.slam.adjustment.solver.reduced_rank_deficiency`."""
     ordering = VariableOrdering.of(problem)
     try:
         matrix = normal_equations(problem, state, ordering).reduced()[0]
@@ -53,7 +53,7 @@ def reduced_rank_deficiency(problem, state):
 
 
 def view_covariance(problem, state, view):
-    """`estimators.slam.solver.view_covariance`."""
+    """`estimators.slam.adjustment.solver.view_covariance`."""
     ordering = VariableOrdering.of(problem)
     matrix, _, _ = normal_equations(problem, state, ordering).reduced()
     slot = 3 * int(ordering.view[view])
@@ -63,7 +63,7 @@ def view_covariance(problem, state, view):
 
 
 def place_view(camera, frame, rows, points_m, before, rule):
-    """`estimators.slam.solver.place_view`, by an adjustment of two views, the first of them fixed."""
+    """`estimators.slam.adjustment.solver.place_view`, by an adjustment of two views, the first of them fixed."""
     before_m, information = before
     pixels = PixelMeasurements(
         np.ones(len(rows), dtype=np.int64), np.arange(len(rows)), frame.uv_px[rows], np.full(len(rows), frame.sigma_px)
@@ -77,7 +77,7 @@ def place_view(camera, frame, rows, points_m, before, rule):
 
 
 def marginalise_view(problem, state, view, lost):
-    """`estimators.slam.marginal.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
+    """`estimators.slam.adjustment.marginal.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
     part = replace(
         problem,
@@ -103,12 +103,12 @@ def marginalise_view(problem, state, view, lost):
 
 
 def residual_squares(problem, state):
-    """`estimators.slam.solver.residual_squares`."""
+    """`estimators.slam.adjustment.solver.residual_squares`."""
     return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
 
 
 def landmark_information(problem, state):
-    """`estimators.slam.solver.landmark_information`."""
+    """`estimators.slam.adjustment.solver.landmark_information`."""
     problem = replace(problem, frozen=None, prior=None)
     told = np.zeros((len(state.points_m), 3, 3))
     for point, rows in (
@@ -120,7 +120,7 @@ def landmark_information(problem, state):
 
 
 def pixel_squares(camera, frame, rows, lines_m, own_m2):
-    """`estimators.slam.solver.pixel_squares`."""
+    """`estimators.slam.adjustment.solver.pixel_squares`."""
     in_camera = lines_m @ frame.R_cam_body.T
     by_line = camera.jacobian(in_camera) @ frame.R_cam_body
     spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)

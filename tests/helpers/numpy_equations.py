@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.estimators.slam.problem import Adjustment, State
+from boresight.estimators.slam.adjustment.problem import Adjustment, State
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 

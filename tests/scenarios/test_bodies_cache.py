@@ -95,7 +95,7 @@ def test_machine_code_of_kernels_is_listed_and_cleared(cache, monkeypatch):
     monkeypatch.setenv("BORESIGHT_CACHE", str(cache.root))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     code = (
-        "import numpy as np; from boresight.estimators.slam.compiled.envelope import make_envelope\n"
+        "import numpy as np; from boresight.estimators.slam.adjustment.compiled.envelope import make_envelope\n"
         "make_envelope(np.array([2, 1]))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

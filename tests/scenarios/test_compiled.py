@@ -135,7 +135,7 @@ def borrowed(folder: Path) -> set[str]:
 
 def test_kernels_use_nothing_from_outside_their_folder():
     """The key of the machine code is of the sources of the folder alone."""
-    assert ROOT / "estimators/slam/compiled" in FOLDERS
+    assert ROOT / "estimators/slam/adjustment/compiled" in FOLDERS
     assert {name for folder in FOLDERS for name in borrowed(folder)} == set()
 
 

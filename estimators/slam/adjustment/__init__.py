@@ -1,0 +1,1 @@
+"""The windowed adjustment: its problem, compiled solver, marginalisation, and the map that it is made from."""

@@ -1,0 +1,201 @@
+"""Envelope (skyline) storage of a symmetric matrix of 3 x 3 blocks, and its Cholesky factor with the same envelope.
+
+Of block row ``i`` the upper triangle is stored up to block column ``reach[i]``, which never decreases with ``i``.
+Landmarks are in view for a limited time, so that the reduced matrix of many views is banded; that of a small window is
+full.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.scenarios.arrays import FloatArray, IndexArray
+
+
+class Envelope(NamedTuple):
+    """Shape of the stored upper triangle of n block rows.
+
+    Parameters
+    ----------
+    reach
+        (n,) last block column of each block row.
+    width
+        (n,) stored length of each of its three rows: 3 (reach - i + 1).
+    begin
+        (n + 1,) index of its first stored value, and of the end.
+    """
+
+    reach: IndexArray
+    width: IndexArray
+    begin: IndexArray
+
+
+@kernel
+def make_envelope(reach: IndexArray) -> Envelope:
+    """Return the envelope for ``reach`` (n,), the last block column that each block row is coupled with."""
+    n = len(reach)
+    width, begin = np.empty(n, np.int64), np.zeros(n + 1, np.int64)
+    last = 0
+    for i in range(n):
+        # Elimination of a row fills the rows that it reaches up to its own reach. With a running maximum the factor
+        # needs no place outside the envelope.
+        last = max(last, reach[i], i)
+        reach[i] = last
+        # From the diagonal block on; its entries below the diagonal are stored, but not used.
+        width[i] = 3 * (last - i + 1)
+        begin[i + 1] = begin[i] + 3 * width[i]
+    return Envelope(reach, width, begin)
+
+
+@kernel
+def add_entry(values: FloatArray, shape: Envelope, i: int, row: int, j: int, column: int, added: float) -> None:
+    """Add to one entry of the block at block row ``i`` and block column ``j >= i``."""
+    values[shape.begin[i] + row * shape.width[i] + 3 * (j - i) + column] += added
+
+
+@kernel
+def add_symmetric(
+    values: FloatArray,
+    shape: Envelope,
+    i: int,
+    j: int,
+    block: tuple[float, float, float, float, float, float],
+    sign: float,
+) -> None:
+    """Add a symmetric block xx, xy, xz, yy, yz, zz at block row ``i`` and block column ``j >= i``."""
+    xx, xy, xz, yy, yz, zz = block
+    for row, entries in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
+        at = shape.begin[i] + row * shape.width[i] + 3 * (j - i)
+        for column in range(3):
+            values[at + column] += sign * entries[column]
+
+
+@kernel
+def add_diagonal(values: FloatArray, shape: Envelope, added: float) -> None:
+    """Add a multiple of the identity."""
+    for i in range(len(shape.reach)):
+        for row in range(3):
+            # A step of width + 1 goes down and right by one: along the diagonal.
+            values[shape.begin[i] + row * (shape.width[i] + 1)] += added
+
+
+@kernel
+def factorise(values: FloatArray, shape: Envelope) -> bool:
+    """Replace the matrix U'U by its Cholesky factor U; False, with undefined values, if it is not positive definite."""
+    for i in range(len(shape.reach)):
+        begin, width = shape.begin[i], shape.width[i]
+        if not _factorise_rows(values, begin, width):
+            return False
+        # Right-looking: row i, once final, is subtracted from all later rows that it reaches; each value is read and
+        # written in the order of storage.
+        for j in range(i + 1, shape.reach[i] + 1):
+            _subtract_multiples(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
+    return True
+
+
+@kernel
+def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
+    """Factorise the three rows of a block row in place."""
+    for row in range(3):
+        own = _part(values, begin + row * width, width)
+        for above in range(row):
+            upper = _part(values, begin + above * width, width)
+            part = upper[row]
+            for column in range(row, width):
+                own[column] -= part * upper[column]
+        pivot = own[row]
+        # Written so that NaN fails too.
+        if not pivot > 0.0:
+            return False
+        root = np.sqrt(pivot)
+        own[row] = root
+        for column in range(row + 1, width):
+            own[column] /= root
+    return True
+
+
+@kernel
+def _subtract_multiples(
+    values: FloatArray, target: int, target_width: int, source: int, width: int, column: int
+) -> None:
+    """Subtract multiples of three factorised rows, from ``column`` on, from the three rows of a later block row.
+
+    The values below the diagonal that this leaves are not used.
+    """
+    count = width - column
+    x = _part(values, source + column, count)
+    y = _part(values, source + width + column, count)
+    z = _part(values, source + 2 * width + column, count)
+    first = _part(values, target, count)
+    second = _part(values, target + target_width, count)
+    third = _part(values, target + 2 * target_width, count)
+    # Entry (a, b) of U'U has the sum of U_ka U_kb over the rows k above: here three of them, and three rows a.
+    x0, y0, z0, x1, y1, z1, x2, y2, z2 = x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
+    for k in range(count):
+        first[k] -= x0 * x[k] + y0 * y[k] + z0 * z[k]
+        second[k] -= x1 * x[k] + y1 * y[k] + z1 * z[k]
+        third[k] -= x2 * x[k] + y2 * y[k] + z2 * z[k]
+
+
+@kernel
+def _part(values: FloatArray, begin: int, count: int) -> FloatArray:
+    """Return a slice; a loop over it from 0 has no negative indices, so that the compiler can vectorise it."""
+    return values[begin : begin + count]
+
+
+@kernel
+def solve(factor: FloatArray, shape: Envelope, right: FloatArray) -> None:
+    """Solve U'U x = ``right`` (3n,) in place."""
+    # Forward with U' (its columns are the stored rows), then backward with U.
+    n = len(shape.reach)
+    for i in range(n):
+        width = shape.width[i]
+        for row in range(3):
+            at = shape.begin[i] + row * width
+            value = right[3 * i + row] / factor[at + row]
+            right[3 * i + row] = value
+            for column in range(row + 1, width):
+                right[3 * i + column] -= value * factor[at + column]
+    for i in range(n - 1, -1, -1):
+        width = shape.width[i]
+        for row in range(2, -1, -1):
+            at = shape.begin[i] + row * width
+            value = right[3 * i + row]
+            for column in range(row + 1, width):
+                value -= factor[at + column] * right[3 * i + column]
+            right[3 * i + row] = value / factor[at + row]
+
+
+@kernel
+def block_of_inverse(factor: FloatArray, shape: Envelope, i: int) -> FloatArray:
+    """(3, 3) diagonal block of the inverse of U'U."""
+    block, column = np.empty((3, 3)), np.empty(3 * len(shape.reach))
+    # Three columns of the inverse, of which only the diagonal block is kept: the whole inverse would be dense.
+    for axis in range(3):
+        for k in range(len(column)):
+            column[k] = 1.0 if k == 3 * i + axis else 0.0
+        solve(factor, shape, column)
+        for row in range(3):
+            block[row, axis] = column[3 * i + row]
+    # Symmetric up to rounding: take the mean of both halves.
+    for axis in range(3):
+        for row in range(axis):
+            block[row, axis] = block[axis, row] = 0.5 * (block[row, axis] + block[axis, row])
+    return block
+
+
+@kernel
+def dense(values: FloatArray, shape: Envelope) -> FloatArray:
+    """Return the matrix as a dense array (3n, 3n)."""
+    n = len(shape.reach)
+    matrix = np.zeros((3 * n, 3 * n))
+    for i in range(n):
+        for row in range(3):
+            at = shape.begin[i] + row * shape.width[i]
+            for column in range(row, shape.width[i]):
+                matrix[3 * i + row, 3 * i + column] = values[at + column]
+                matrix[3 * i + column, 3 * i + row] = values[at + column]
+    return matrix

@@ -1,0 +1,155 @@
+"""Solve an adjustment by compiled kernels: minimum, rank, covariance, and squared residuals.
+
+The kernels are in `estimators.slam.adjustment.compiled`; their reference in numpy is in the tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from boresight.estimators.slam.adjustment.compiled import descent
+from boresight.estimators.slam.adjustment.compiled import equations as kernels
+from boresight.estimators.slam.adjustment.compiled.envelope import dense
+from boresight.estimators.slam.adjustment.compiled.problem import floats
+from boresight.estimators.slam.adjustment.problem import Adjustment, State, pinhole_of
+from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.tracks import TrackFrame
+
+RANK_TOLERANCE = 1e-11
+"""Eigenvalues of the reduced matrix below this part of the largest one count as zero."""
+
+
+def residual_squares(problem: Adjustment, state: State) -> FloatArray:
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
+    at = floats(state.positions_m), floats(state.points_m)
+    return np.asarray(kernels.residual_squares(problem.flat, *at), dtype=np.float64)
+
+
+def landmark_information(problem: Adjustment, state: State) -> FloatArray:
+    """(L, 3, 3) information of pixels and distances about each landmark with all views fixed, 1/m^2."""
+    # Without frozen values all derivatives are taken at the state; a prior is not a measurement of one landmark alone.
+    problem = replace(problem, frozen=None, prior=None)
+    at = floats(state.positions_m), floats(state.points_m)
+    return np.asarray(kernels.landmark_information(problem.flat, *at), dtype=np.float64)
+
+
+def pixel_squares(
+    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
+) -> FloatArray:
+    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
+
+    The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind the camera.
+
+    Parameters
+    ----------
+    lines_m, own_m2
+        (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
+    """
+    seen = floats(frame.R_cam_body), floats(lines_m), floats(frame.uv_px[rows])
+    return np.asarray(
+        kernels.pixel_squares(pinhole_of(camera), *seen, float(frame.sigma_px), floats(own_m2)), np.float64
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentSolution:
+    """State at the minimum, its cost, the steps taken, and whether the solver converged."""
+
+    state: State
+    cost: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StoppingRule:
+    """Stop when no variable moves by more than ``step_m``, or after ``iterations`` steps."""
+
+    step_m: float
+    iterations: int = 50
+
+
+def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> AdjustmentSolution:
+    """Minimise the cost from ``state`` by Levenberg-Marquardt, equation (4).
+
+    The damping starts at 1e-6 of the mean diagonal of the normal matrix.
+    """
+    start = floats(state.positions_m), floats(state.points_m)
+    positions, points, value, iterations, converged = descent.minimise_arrays(
+        *start, rule.step_m, rule.iterations, *problem.flat
+    )
+    return AdjustmentSolution(State(positions, points), value, iterations, converged)
+
+
+def place_view(
+    camera: Camera,
+    frame: TrackFrame,
+    rows: list[int],
+    points_m: FloatArray,
+    before: tuple[FloatArray, FloatArray],
+    rule: StoppingRule,
+) -> FloatArray:
+    """(3,) position of a frame by its pixels in ``rows``, of known landmarks (k, 3), and its predicted motion.
+
+    ``before`` are the position of the frame before (3,) and the inverse covariance of the predicted motion (3, 3).
+    """
+    seen = floats(frame.R_cam_body), floats(frame.uv_px[rows]), float(frame.sigma_px), points_m
+    motion = floats(before[0]), floats(frame.motion_m), floats(before[1])
+    found = descent.place(pinhole_of(camera), *seen, motion, (rule.step_m, rule.iterations))
+    return np.asarray(found, dtype=np.float64)
+
+
+def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
+    """Count the undetermined directions of the kept variables: a free scale counts as one.
+
+    With known attitudes, bearings leave four directions undetermined: a common translation, which a fixed view or a
+    prior determines, and the scale, which needs a distance or a predicted motion. Levenberg-Marquardt converges with an
+    undetermined scale too, so that its convergence does not show it. All directions count if a landmark that is
+    eliminated is undetermined.
+    """
+    known, values, _, found = descent.reduced_at(problem.flat, floats(state.positions_m), floats(state.points_m))
+    if not known:  # a landmark is not determined
+        return len(dense(values, found.shape))
+    matrix = dense(values, found.shape)
+    if not len(matrix):
+        return 0
+    # Relative to the largest one: all variables are metres, and rounding errors scale with the largest eigenvalue.
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return int(np.count_nonzero(eigenvalues < RANK_TOLERANCE * eigenvalues[-1]))
+
+
+def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
+    """(3, 3) covariance of a free view's position, marginal over all other variables, m^2.
+
+    Raises
+    ------
+    scipy.linalg.LinAlgError
+        If the reduced matrix is not positive definite.
+    """
+    at = floats(state.positions_m), floats(state.points_m)
+    known, covariance = descent.view_covariance(problem.flat, *at, view)
+    if not known:
+        raise LinAlgError("the reduced matrix is not positive definite")
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
+    """Reduced matrix (3n, 3n) and right-hand side (3n,) at a state, and the slots of views (V,) and landmarks (L,).
+
+    Slots of fixed or eliminated variables are -1.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a landmark that is eliminated is not determined.
+    """
+    # No damping: the matrix is used as information, not for a step.
+    at = floats(state.positions_m), floats(state.points_m)
+    known, values, right, found = descent.reduced_at(problem.flat, *at)
+    if not known:
+        raise LinAlgError("a landmark is not determined")
+    return dense(values, found.shape), right, found.view_slot, found.point_slot

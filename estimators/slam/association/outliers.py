@@ -1,0 +1,334 @@
+"""Outlier rejection in a window of views: wrong associations of pixels with landmarks.
+
+Each pixel is tested twice: in a new frame, against its prediction by the map and the predicted motion, before any
+adjustment uses it; and after each adjustment, while its view is in the window, by its residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, State
+from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
+from boresight.estimators.slam.adjustment.solver import (
+    StoppingRule,
+    landmark_information,
+    pixel_squares,
+    residual_squares,
+)
+from boresight.estimators.slam.association.gating import gate_frame
+from boresight.estimators.slam.association.prediction import (
+    PredictedLines,
+    SharedUncertainty,
+    guessed_points,
+    predict_guessed,
+    predict_mapped,
+)
+from boresight.scenarios.arrays import IndexArray
+from boresight.scenarios.tracks import TrackFrame
+
+MAX_ROUNDS = 5
+"""Adjustments of a frame at most, each without the outliers that the previous one found."""
+
+_MAX_GATED_VARIABLES = 1500
+"""Size of the reduced system up to which its covariance is computed; beyond, pixels are tested by residuals only."""
+
+_FRAMES_BACK = 5
+"""Previous frames in which the last pixel of an unmapped track is looked for."""
+
+_REFUSALS_IN_A_ROW = 2
+"""Consecutive refusals after which the older pixels of a landmark are doubted instead."""
+
+_DEPTH_RATIO = 3.0
+"""Largest ratio of a landmark's distance to the median one, or of the median one to it."""
+
+_READMIT_SHARE = 0.5
+"""Part of the chi-square limit below which a refused pixel is readmitted."""
+
+_LEAST_MAPPED = 8
+"""Mapped landmarks below which a single wrong one may displace the camera."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameMatches:
+    """Tracks of a new frame matched with the map.
+
+    Parameters
+    ----------
+    view
+        The frame; its camera position is that of the motion-only adjustment.
+    points
+        (n,) for each of its tracks the landmark of the last adjustment, or -1.
+    once
+        Rows of tracks that were seen before but are not mapped, and (view, track) of the last such pixel.
+    depth_m
+        Their guessed distance.
+    """
+
+    view: int
+    points: IndexArray
+    once: tuple[IndexArray, list[tuple[int, int]]]
+    depth_m: float
+
+
+def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adjustment, State], limit: float) -> bool:
+    """Return whether every pixel is within the chi-square ``limit``; False if the map is too small.
+
+    A fast test: the landmarks' covariances are used only where a pixel fails without them.
+    """
+    rows = np.flatnonzero(matches.points >= 0)
+    # The camera was placed by these pixels: with few of them a wrong one would displace it until it fits.
+    if len(rows) < _LEAST_MAPPED:
+        return False
+    problem, state = before
+    frame = slam_map.frames[matches.view]
+    points = matches.points[rows]
+    lines_m = state.points_m[points] - slam_map.positions_m[matches.view]
+    # Without the landmarks' covariances the test is too strict, never too lenient: what passes here passes with them.
+    squares = pixel_squares(slam_map.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
+    # NaN, a landmark behind the camera, counts as odd.
+    odd = np.flatnonzero(~(squares <= limit))
+    if len(odd):
+        # The information of pixels and distances alone underestimates what is known of a landmark of the prior.
+        if 2 * len(odd) > len(rows) or (problem.prior is not None and np.isin(points[odd], problem.prior.points).any()):
+            return False
+        own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
+        if not (pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
+            return False
+    once, single_pixels = matches.once
+    if not len(once):
+        return True
+    guessed, own = guessed_points(slam_map, single_pixels, matches.depth_m)
+    squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own)
+    return bool((squares <= limit).all())
+
+
+class OutlierGate:
+    """Outlier gate of a window: removes refused pixels from the frames of a map, and readmits those that fit again.
+
+    Attributes
+    ----------
+    raw_frames
+        The frames as measured; those of the map lack the refused pixels.
+    refused
+        Refused tracks of each view in the window.
+    in_a_row
+        Consecutive views that refused a track.
+    """
+
+    def __init__(self, slam_map: SlamMap, false_alarm: float) -> None:
+        self.slam_map = slam_map
+        slam_map.gated = True
+        self.false_alarm = false_alarm
+        self.limit = float(chdtri(2, false_alarm))
+        self.raw_frames: dict[int, TrackFrame] = {}
+        self.refused: dict[int, set[int]] = {}
+        self.in_a_row: dict[int, list[int]] = {}
+        self.refused_count = 0
+
+    def add_frame(self, view: int, frame: TrackFrame) -> None:
+        """Add a frame with all its pixels."""
+        self.raw_frames[view] = self.slam_map.frames[view] = frame
+
+    def shared(self, first: int, second: int) -> int:
+        """Count the landmarks that two frames share, refused pixels included."""
+        return len(np.intersect1d(self.raw_frames[first].tracks, self.raw_frames[second].tracks, assume_unique=True))
+
+    def drop_view(self, view: int) -> None:
+        """Drop a view that left the window, and its refused pixels."""
+        self.raw_frames.pop(view, None)
+        self.refused.pop(view, None)
+
+    def drop_tracks(self, view: int, tracks: set[int]) -> None:
+        """Drop some tracks from a view."""
+        self.raw_frames[view] = without_tracks(self.raw_frames[view], tracks)
+        self.refused[view] = self.refused.get(view, set()) - tracks
+
+    def place(self, view: int, before: AdjustedWindow | None, rule: StoppingRule, depth_m: float) -> None:
+        """Place a new view by a motion-only adjustment and gate its pixels, with the joint covariance if necessary.
+
+        ``depth_m`` is the median distance of the landmarks.
+        """
+        self.slam_map.place(view, rule)
+        matches = self._match_frame(view, before, depth_m)
+        if before is not None and all_within_gate(self.slam_map, matches, (before.problem, before.state), self.limit):
+            # No pixel refused in this frame ends all runs.
+            self.in_a_row = {}
+            return
+        self._gate_frame(matches, before)
+        # The refused pixels took part in the first placement.
+        if self.refused.get(view):
+            self.slam_map.place(view, rule)
+
+    def _gate_frame(self, matches: FrameMatches, before: AdjustedWindow | None) -> None:
+        """Gate a new frame by its prediction from the last adjustment and the predicted motion.
+
+        If most pixels fail, or the adjustment has no covariance, the prediction is not reliable and all pixels pass.
+        """
+        view, frame = matches.view, self.raw_frames[matches.view]
+        # A dense inverse costs the cube of the size.
+        if before is not None and 3 * _kept(before.problem) > _MAX_GATED_VARIABLES:
+            return
+        try:
+            seen = self._predict_lines(matches, before)
+            fit = gate_frame(self.slam_map.camera, frame, seen, self.false_alarm, self.limit)
+        except np.linalg.LinAlgError:
+            return
+        # A majority that fails shows a wrong prediction (a wrong motion, say) rather than as many wrong pixels.
+        if 2 * np.count_nonzero(fit) > len(fit):
+            self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
+            self._reinitialise(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
+
+    def reject_outliers(self, adjusted: AdjustedWindow) -> bool:
+        """Refuse pixels with large residuals after an adjustment; True if it has to be repeated.
+
+        At a time only the worst pixel of each landmark is refused, and only if it is among the worst of all: one wrong
+        pixel increases the residuals of the others. Readmitted pixels are used from the next frame on.
+        """
+        seen = adjusted.problem.pixels
+        squares = residual_squares(adjusted.problem, adjusted.state)
+        for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
+            squares[(seen.view == view) & (seen.point == point)] = 0.0  # a ranged landmark must keep its pixel
+        self._readmit(adjusted)
+        if self._reject_implausible_depths(adjusted):
+            return True
+        # Residuals of an adjustment are smaller than the errors of its pixels, since the pixels took part: the limit
+        # refuses fewer correct ones than its false-alarm probability.
+        if squares.max(initial=0.0) <= self.limit:
+            return False
+        worst = np.zeros(len(adjusted.tracks))
+        np.maximum.at(worst, seen.point, squares)
+        # Least squares spreads a gross error over the pixels of its landmark and view: the worst first (Baarda's data
+        # snooping), and with it those of other landmarks with at least half of its residual.
+        out = (squares > self.limit) & (squares >= worst[seen.point]) & (squares >= 0.25 * squares.max())
+        for slot, point in zip(seen.view[out].tolist(), seen.point[out].tolist(), strict=True):
+            track = int(adjusted.tracks[point])
+            self._refuse(adjusted.views[slot], [track])
+            # The estimate was drawn by the wrong pixel: triangulate again. A landmark of the prior has to stay.
+            if not _in_prior(adjusted.problem, point):
+                self.slam_map.points_m.pop(track, None)
+        return True
+
+    def _reject_implausible_depths(self, adjusted: AdjustedWindow) -> bool:
+        """Refuse the newest pixel of landmarks at an implausible distance: two wrong pixels may have zero residuals."""
+        seen, state = adjusted.problem.pixels, adjusted.state
+        distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
+        # Two bearings with an error along the epipolar line still meet in a point: only its distance shows the error.
+        middle = float(np.sort(distances)[len(distances) // 2])
+        odd = np.flatnonzero((distances < middle / _DEPTH_RATIO) | (distances > middle * _DEPTH_RATIO)).tolist()
+        odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
+        for point in odd:
+            slots = seen.view[seen.point == point]
+            if len(slots):
+                self._refuse(adjusted.views[int(slots.max())], [int(adjusted.tracks[point])])
+            self.slam_map.points_m.pop(int(adjusted.tracks[point]), None)
+        return bool(odd)
+
+    def _reinitialise(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
+        """Reinitialise landmarks that are refused repeatedly, since their older pixels may be the wrong ones.
+
+        Landmarks of the prior and those with a range are left as they are.
+        """
+        # Built anew: a track that was not refused in this frame loses its run.
+        self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
+        due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _REFUSALS_IN_A_ROW]
+        ranged = {item.track for frame in self.raw_frames.values() for item in frame.ranges} if due else set()
+        for track, run in due:
+            if track in settled or track in ranged:
+                continue
+            for other, frame in self.raw_frames.items():
+                # Believe the newer pixels, which agree on a refusal, instead of the older ones.
+                if other in run:
+                    self._set(other, self.refused.get(other, set()) - {track})
+                elif np.any(frame.tracks == track):
+                    self._refuse(other, [track])
+            self.slam_map.points_m.pop(track, None)
+            del self.in_a_row[track]
+
+    def _match_frame(self, view: int, before: AdjustedWindow | None, depth_m: float) -> FrameMatches:
+        """Match the tracks of a frame with the mapped landmarks, and with those seen before but not mapped."""
+        tracks = self.raw_frames[view].tracks
+        points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
+        unknown = np.flatnonzero(points < 0).tolist()
+        last = self._last_seen(view, tracks[unknown].tolist())
+        # Tracks without an accepted pixel in the last frames have no prediction, and are not gated.
+        once = [row for row in unknown if int(tracks[row]) in last]
+        single_pixels = [(last[int(tracks[row])], int(tracks[row])) for row in once]
+        return FrameMatches(view, points, (np.array(once, dtype=np.int64), single_pixels), depth_m)
+
+    def _predict_lines(self, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
+        """Predict the lines of sight of a frame with their covariance."""
+        view, motion = matches.view, self.raw_frames[matches.view].motion_covariance_m2
+        if before is None:
+            return predict_guessed(
+                SharedUncertainty.of(None, (), motion), self.slam_map, matches.once, matches.depth_m, view
+            )
+        common = SharedUncertainty.of((before.problem, before.state), before.views, motion)
+        guessed = predict_guessed(common, self.slam_map, matches.once, matches.depth_m, view)
+        rows = np.flatnonzero(matches.points >= 0)
+        places = (rows, matches.points[rows])
+        # From the predicted position, not from the motion-only adjustment: that one used the pixels that are to be
+        # tested.
+        at = self.slam_map.positions_m[view - 1] + self.raw_frames[view].motion_m
+        return predict_mapped(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
+
+    def _last_seen(self, view: int, tracks: Sequence[int]) -> dict[int, int]:
+        """Return the last of the previous views with an accepted pixel of each of ``tracks``, where there is one."""
+        views = [other for other in range(view - _FRAMES_BACK, view) if other in self.raw_frames] if tracks else []
+        return {track: seen[-1] for track in tracks if (seen := self.slam_map.seeing(track, views))}
+
+    def _refuse(self, view: int, tracks: Sequence[int]) -> None:
+        if not tracks:
+            return
+        self.refused_count += len(tracks)
+        self._set(view, self.refused.get(view, set()) | set(tracks))
+
+    def _set(self, view: int, refused: set[int]) -> None:
+        self.refused[view] = refused
+        self.slam_map.frames[view] = without_tracks(self.raw_frames[view], refused)
+
+    def _readmit(self, adjusted: AdjustedWindow) -> None:
+        """Readmit refused pixels of the window that fit their landmark, which was adjusted without them."""
+        rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
+        for slot, view in enumerate(adjusted.views):
+            refused = self.refused.get(view, set())
+            again = {t for t in refused if t in rows and self._fits(view, t, adjusted, (slot, rows[t]))}
+            if again:
+                self._set(view, refused - again)
+
+    def _fits(self, view: int, track: int, adjusted: AdjustedWindow, place: tuple[int, int]) -> bool:
+        frame, (slot, row) = self.raw_frames[view], place
+        line = adjusted.state.points_m[row] - adjusted.state.positions_m[slot]
+        uv = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
+        # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower limit
+        # also keeps a pixel from being refused and readmitted in turn.
+        off = (uv - self.slam_map.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
+        return bool(off @ off < _READMIT_SHARE * self.limit)
+
+
+def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
+    """Return a frame without some tracks and their ranges."""
+    kept = ~np.isin(frame.tracks, np.array(sorted(tracks), dtype=np.int64))
+    ranges = tuple(item for item in frame.ranges if item.track not in tracks)
+    return replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept], ranges=ranges)
+
+
+def _in_prior(problem: Adjustment, point: int) -> bool:
+    return problem.prior is not None and bool(np.any(problem.prior.points == point))
+
+
+def _kept(problem: Adjustment) -> int:
+    """Count the views and landmarks in the reduced system of an adjustment."""
+    prior = 0 if problem.prior is None else len(problem.prior.points)
+    return int(np.count_nonzero(problem.free_views)) + prior
+
+
+def _prior_tracks(adjusted: AdjustedWindow | None) -> set[int]:
+    """Tracks of the landmarks in the prior of an adjustment."""
+    if adjusted is None or adjusted.problem.prior is None:
+        return set()
+    return set(adjusted.tracks[adjusted.problem.prior.points].tolist())

@@ -1,0 +1,1 @@
+"""EKF-SLAM with anchored inverse depth, as published, consistent and iterated."""

@@ -1,0 +1,1 @@
+"""Smoothers: fixed lag, batch, loop closure, with dynamics, and those of gtsam."""

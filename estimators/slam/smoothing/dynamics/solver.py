@@ -1,0 +1,279 @@
+"""Solve an adjustment with dynamics: normal equations of eq. (3), Levenberg-Marquardt, covariance, marginalisation.
+
+The reduced system of its vision part is a part of a larger dense system with velocities and force parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from boresight.estimators.slam.adjustment.compiled.descent import reduced, step_landmarks
+from boresight.estimators.slam.adjustment.compiled.envelope import dense
+from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
+from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, floats, make_ordering
+from boresight.estimators.slam.adjustment.marginal import constrained_points, eliminate_rows
+from boresight.estimators.slam.adjustment.problem import State
+from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicOrdering:
+    """Rows of the unknowns in the dense system, -1 for fixed ones.
+
+    The order is that of the vision part's reduced system, then velocities, then parameters.
+
+    Parameters
+    ----------
+    ordering
+        Of the vision part.
+    position, velocity
+        (V, 3) each.
+    parameters
+        (2,).
+    point
+        (L, 3); -1 for landmarks that are eliminated, too.
+    count
+        Number of rows.
+    """
+
+    ordering: FlatOrdering
+    position: IndexArray
+    velocity: IndexArray
+    parameters: IndexArray
+    point: IndexArray
+    count: int
+
+    @classmethod
+    def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
+        """Assign rows to the unknowns of ``problem``."""
+        ordering = make_ordering(problem.vision.flat)
+        # Kept views and landmarks first, in the order of the vision part, so that its reduced matrix can be added as
+        # one block.
+        after = 3 * len(ordering.shape.reach)
+        velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
+        after += 3 * int(np.count_nonzero(problem.free_velocities))
+        parameters = _numbered(problem.free_parameters, after)
+        count = after + int(np.count_nonzero(problem.free_parameters))
+        return cls(ordering, _threes(ordering.view_slot), velocity, parameters, _threes(ordering.point_slot), count)
+
+    def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
+        """(6 a + 2 + 3 b,) rows in the order of a prior."""
+        parts = [
+            self.position[views].ravel(),
+            self.velocity[views].ravel(),
+            self.parameters,
+            self.point[points].ravel(),
+        ]
+        return np.concatenate(parts)
+
+    def of_arcs(self, start: IndexArray, end: IndexArray) -> IndexArray:
+        """(k, 14) rows in the order of `DynamicAdjustment.arc_jacobians`."""
+        parameters = np.broadcast_to(self.parameters, (len(start), 2))
+        parts = [self.position[start], self.position[end], self.velocity[start], self.velocity[end], parameters]
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicEquations:
+    """Normal equations at a state: those of the vision part, and matrix (n, n) and gradient (n,) of arcs and prior.
+
+    ``cost`` is half the sum of squares plus the prior; inf with a landmark behind its camera.
+    """
+
+    rows: DynamicOrdering
+    vision: FlatEquations
+    added: FloatArray
+    gradient: FloatArray
+    cost: float
+
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the dense matrix, the right-hand side, and the inverse blocks of the eliminated landmarks.
+
+        Raises
+        ------
+        scipy.linalg.LinAlgError
+            If a landmark is undetermined.
+        """
+        determined, values, part_right, inverse = reduced(self.vision, self.rows.ordering, damping)
+        if not determined:
+            raise LinAlgError("a landmark is not determined")
+        joined = len(part_right)
+        matrix, right = self.added.copy(), -self.gradient
+        matrix[:joined, :joined] += dense(values, self.rows.ordering.shape)
+        right[:joined] += part_right
+        # The vision part has its damping already: it had to be added before the landmarks were eliminated.
+        below = np.arange(joined, self.rows.count)
+        matrix[below, below] += damping
+        return matrix, right, inverse
+
+    def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
+        """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the largest coordinate, m."""
+        points = state.vision.points_m.copy()
+        longest = step_landmarks(self.vision, self.rows.ordering, step, inverse, points)
+        padded = np.append(step, 0.0)  # row -1: no step
+        after = DynamicState(
+            State(state.vision.positions_m + padded[self.rows.position], points + padded[self.rows.point]),
+            state.velocities_m + padded[self.rows.velocity],
+            state.parameters_m + padded[self.rows.parameters],
+        )
+        return after, float(max(np.abs(step).max(initial=0.0), longest))
+
+
+def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: DynamicOrdering) -> DynamicEquations:
+    """Linearise ``problem`` at ``state``."""
+    bin_row = rows.count  # index -1 of the fixed unknowns: this row is dropped
+    matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
+    at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
+    jacobians, residuals = problem.arc_jacobians(state), problem.arc_residuals(state)
+    weighted = np.swapaxes(jacobians, 1, 2) @ problem.arcs.information
+    # add.at, because an arc's end is the next one's start, and all share the parameters.
+    np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
+    np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, residuals))
+    place = floats(state.vision.positions_m), floats(state.vision.points_m)
+    half, vision = linearise(problem.vision.flat, rows.ordering, *place)
+    half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
+    prior = problem.prior
+    if prior is not None:
+        at, offset = rows.of_prior(prior.views, prior.points), prior.offset(state)
+        pull = prior.information @ offset
+        matrix[np.ix_(at, at)] += prior.information
+        gradient[at] += pull + prior.gradient
+        half += float((0.5 * pull + prior.gradient) @ offset)
+    return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1], half if np.isfinite(half) else float("inf"))
+
+
+def _threes(slots: IndexArray) -> IndexArray:
+    """(k, 3) rows of the 3-vectors in slots (k,); -1 for none."""
+    return np.where(slots[:, None] >= 0, 3 * slots[:, None] + np.arange(3), -1)
+
+
+def _numbered(mask: BoolArray, first: int) -> IndexArray:
+    """Assign numbers to the marked entries from ``first``; -1 elsewhere."""
+    return np.where(mask, first + np.cumsum(mask) - 1, -1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicSolution:
+    """State at the minimum, its cost, and the steps taken."""
+
+    state: DynamicState
+    cost: float
+    iterations: int
+
+
+def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
+    """Minimise the cost from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
+    system = dynamic_equations(problem, state, DynamicOrdering.of(problem))
+    damping = 1e-6
+    for iteration in range(1, rule.iterations + 1):
+        if not np.isfinite(system.cost):
+            return DynamicSolution(state, system.cost, iteration)
+        # Without a step that decreases the cost the present state is the minimum within rounding.
+        trial, ahead, step, damping = _descend(problem, system, state, damping)
+        if trial is None:
+            return DynamicSolution(state, system.cost, iteration)
+        state, system = trial, ahead
+        if step <= rule.step_m:
+            return DynamicSolution(state, system.cost, iteration)
+    return DynamicSolution(state, system.cost, rule.iterations)
+
+
+def covariance_of(
+    problem: DynamicAdjustment, state: DynamicState, wanted: IndexArray, rows: DynamicOrdering
+) -> FloatArray:
+    """(k, k) covariance of the unknowns in the rows ``wanted``, marginal over all others; zero for rows of -1.
+
+    Raises
+    ------
+    scipy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    matrix, _, _ = dynamic_equations(problem, state, rows).reduced()
+    columns = np.zeros((rows.count + 1, len(wanted)))
+    columns[wanted, np.arange(len(wanted))] = 1.0
+    # Solving for unit vectors gives columns of the inverse; the row of -1 stays zero.
+    solved = np.zeros_like(columns)
+    solved[:-1] = cho_solve(cho_factor(matrix), columns[:-1])
+    covariance = solved[wanted]
+    return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
+
+
+def _descend(
+    problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, damping: float
+) -> tuple[DynamicState | None, DynamicEquations, float, float]:
+    """Increase the damping until the cost does not increase; None if it increases for every step.
+
+    Returns the new state, the equations there, the largest step of an unknown (m), and the next initial damping. Near
+    the minimum rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
+    """
+    # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
+    # their gradient is zero; damping would only delay that.
+    slack = 1e-10 if np.isnan(problem.frozen_parameters_m).all() else 1e-6
+    step = 0.0
+    for _ in range(25):
+        try:
+            # Cholesky as the test for a positive definite matrix: if it fails, the damping is increased.
+            matrix, right, inverse = system.reduced(damping)
+            solved = cho_solve(cho_factor(matrix), right)
+        except LinAlgError:
+            damping *= 10.0
+            continue
+        trial, step = system.stepped(state, solved, inverse)
+        # In one pass with the next equations, since most steps are accepted.
+        ahead = dynamic_equations(problem, trial, system.rows)
+        if ahead.cost <= system.cost + slack * abs(system.cost) + 1e-12:
+            return trial, ahead, step, 0.1 * damping
+        damping *= 10.0
+    return None, system, step, damping
+
+
+def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
+    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), linearised at ``state``.
+
+    The prior covers all other views, the parameters, and the landmarks that a removed measurement constrains.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the removed variables are not determined.
+    """
+    part = _departing_part(problem, view, lost)
+    rows = DynamicOrdering.of(part)
+    matrix, right, _ = dynamic_equations(part, state, rows).reduced()
+    views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
+    points = np.flatnonzero(part.vision.free_points & ~lost)
+    kept = rows.of_prior(views, points)
+    remaining = np.zeros(rows.count, dtype=np.bool_)
+    remaining[kept[kept >= 0]] = True
+    # All arcs of the view go with it, so that the prior couples position and velocity of the next view and the
+    # parameters.
+    information, gradient = eliminate_rows(matrix, -right, ~remaining)
+    place = np.append(np.cumsum(remaining) - 1, -1)[kept]  # fixed variables have rows of zeros
+    padded = np.zeros((len(information) + 1, len(information) + 1))
+    padded[:-1, :-1] = information
+    return DynamicPrior(
+        views, points, gather(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
+    )
+
+
+def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
+    """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
+    seen, measured = problem.vision.pixels, problem.vision.distances
+    # All pixels of a lost landmark go with it, also those in views that remain: its variable no longer exists.
+    vision = replace(
+        problem.vision,
+        pixels=seen.subset((seen.view == view) | lost[seen.point]),
+        distances=measured.subset((measured.view == view) | lost[measured.point]),
+    )
+    joined = np.zeros(len(lost), dtype=np.bool_)
+    if problem.prior is not None:
+        joined[problem.prior.points] = True
+    # Landmarks of the old prior are coupled with each other: they are kept for the dense elimination even if they go.
+    constrained = constrained_points(vision) | joined
+    vision = replace(vision, free_points=vision.free_points & constrained, kept_points=constrained & (joined | ~lost))
+    return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
