@@ -100,8 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
     0: done; 1: an inspected trial is not the stored one, or a speed fell (bench --check); 2: bad input, said in one
-    line; 3: done, but an estimator raised, hung or returned rubbish in some trials, or runs that cannot be read were
-    left out (figures, board); 130: interrupted.
+    line; 3: done, but an estimator raised, hung or returned an invalid result in some trials, or runs that cannot be
+    read were left out (figures, board); 130: interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:

@@ -16,7 +16,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.resolve import reload, unlike
 from boresight.campaign.runs.worker import trials_of
 from boresight.campaign.store import TABLES, RunFolder
-from boresight.campaign.trial.kind import Bench, Record, Records, Trials, Witnessed
+from boresight.campaign.trial.kind import Record, Records, Trials, Witnessed, WorkerContext
 from boresight.reports.schema.tables import schema
 from boresight.scenarios.errors import BoresightError
 
@@ -130,9 +130,9 @@ def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
 
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
     """Run one case again, observed; one whose method was stopped in the stored run is not."""
-    bench = Bench(folder.path, jobs=1, keep_images=False)
+    context = WorkerContext(folder.path, jobs=1, keep_images=False)
     shown: list[Witnessed] = []
-    watched = trials_of(campaign, case.scenario, bench).watched(case.estimator, shown.append)
+    watched = trials_of(campaign, case.scenario, context).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
     return Recomputed(case, watched, records, shown[-1] if shown else None, folder)

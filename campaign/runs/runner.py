@@ -17,8 +17,8 @@ from boresight.campaign.runs.requirements import remember
 from boresight.campaign.runs.worker import Losses, run_block
 from boresight.campaign.store import RunFolder, RunLock
 from boresight.campaign.store.folder import Block, BlockState, blocks
-from boresight.campaign.trial.kind import Bench, Records, kind_named
-from boresight.campaign.trial.methods import missing
+from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
+from boresight.campaign.trial.methods import unbuilt_products
 from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.errors import BoresightError
 
@@ -100,7 +100,7 @@ def build_products(
     for scenario in campaign.scenarios:
         place = request.out / "products"
         assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft)
-        products += missing(scenario, kind.methods(campaign, scenario))
+        products += unbuilt_products(scenario, kind.methods(campaign, scenario))
         products += [] if kind.prepare is None else kind.prepare(campaign, scenario, assets)
     return products
 
@@ -140,11 +140,11 @@ def _computed(
         there = blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
         yield from zip(todo, there, strict=True)
         return
-    bench = Bench(request.out, request.jobs, request.keep_images, request.limit_s)
+    context = WorkerContext(request.out, request.jobs, request.keep_images, request.limit_s)
     results = in_order(
         request.jobs,
         run_block,
-        ((campaign, block, bench, {}) for block in todo),
+        ((campaign, block, context, {}) for block in todo),
         apart=request.limit_s is not None,
         renew_after=kind_named(campaign.spec.experiment).process_blocks,
         after_death=Losses(listener.message).after,

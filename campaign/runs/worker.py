@@ -18,7 +18,7 @@ from boresight.campaign.store import TABLES
 from boresight.campaign.store.folder import Block
 from boresight.campaign.threads import use_threads
 from boresight.campaign.trial.image_trials import part_of
-from boresight.campaign.trial.kind import Bench, Records, Trials, kind_named
+from boresight.campaign.trial.kind import Records, Trials, WorkerContext, kind_named
 
 T = TypeVar("T")
 
@@ -79,38 +79,38 @@ def _holds(arguments: Arguments, call: Call) -> bool:
 
 
 def _without(arguments: Arguments, call: Call, trace: str) -> Arguments:
-    campaign, block, bench, known = arguments
-    if not (isinstance(bench, Bench) and isinstance(known, dict)):
+    campaign, block, context, known = arguments
+    if not (isinstance(context, WorkerContext) and isinstance(known, dict)):
         raise TypeError(f"{arguments!r} are not the arguments of a block")
-    loss = Loss(over_time(bench.limit_s) if trace else ENDED, trace)
-    return campaign, block, bench, {**known, call: loss}
+    loss = Loss(over_time(context.limit_s) if trace else ENDED, trace)
+    return campaign, block, context, {**known, call: loss}
 
 
 def run_block(
-    campaign: ResolvedCampaign, block: Block, bench: Bench, lost: Mapping[Call, Loss] = MappingProxyType({})
+    campaign: ResolvedCampaign, block: Block, context: WorkerContext, lost: Mapping[Call, Loss] = MappingProxyType({})
 ) -> Records:
     """Run every trial of a block: the records of each table, in the order of trials and estimators.
 
     ``lost`` are those that ended the process that they were in: they are not tried again.
     """
-    with guarding(limit_s=bench.limit_s, lost=lost):
-        found = trials_of(campaign, block.scenario, bench).run(range(block.first, block.last))
+    with guarding(limit_s=context.limit_s, lost=lost):
+        found = trials_of(campaign, block.scenario, context).run(range(block.first, block.last))
     return {name: found.get(name, []) for name in TABLES}
 
 
 @lru_cache(maxsize=1)
-def trials_of(campaign: ResolvedCampaign, scenario_name: str, bench: Bench) -> Trials:
+def trials_of(campaign: ResolvedCampaign, scenario_name: str, context: WorkerContext) -> Trials:
     """Open the trials once per process and scenario, with the threads that rows are worked out with.
 
     Whoever works a trial out again needs them as well: matrices multiplied by more threads differ in their last bits.
     """
-    use_threads(bench.jobs)
-    return kind_named(campaign.spec.experiment).open(campaign, campaign.scenario(scenario_name), bench)
+    use_threads(context.jobs)
+    return kind_named(campaign.spec.experiment).open(campaign, campaign.scenario(scenario_name), context)
 
 
 def opened(campaign: ResolvedCampaign, scenario: str, run: Path, kind: type[T], trial: int = 0) -> T:
     """Open the trials of a stored run that one trial is of, which are of a class that their kind knows."""
-    trials = trials_of(campaign, scenario, Bench(run, 1, keep_images=False))
+    trials = trials_of(campaign, scenario, WorkerContext(run, 1, keep_images=False))
     found = part_of(trials, kind, trial)
     if found is None:
         raise TypeError(f"{run} holds trials of {type(trials).__name__}, not of {kind.__name__}")

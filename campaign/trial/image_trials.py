@@ -1,4 +1,4 @@
-"""Trials that have several data bases, or worlds of craters, in turn: trial t has number t modulo their count."""
+"""Trials with several data bases or worlds of craters: trial t uses number t modulo their count."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ class Part(Protocol):
     """The trials with one data base."""
 
     def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one method, shown to a witness."""
+        """Return the trials of one method, which pass its stages to a witness."""
         ...
 
     def trial(self, trial: int) -> Records:
-        """Run one trial: the records of each stored table."""
+        """Run one trial; return the records of each stored table."""
         ...
 
     def flush(self) -> None:
-        """Keep what was rendered."""
+        """Store the rendered images."""
         ...
 
 
@@ -63,21 +63,21 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InTurn(Generic[PartT]):
+class PerDatabase(Generic[PartT]):
     """Trials of one scenario with each of its data bases; most have one."""
 
     parts: tuple[PartT, ...]
 
     def of(self, trial: int) -> PartT:
-        """Return those with the data base of a trial."""
+        """Return the trials that share the data base of one trial."""
         return self.parts[trial % len(self.parts)]
 
-    def watched(self, label: str, witness: Witness) -> InTurn[PartT]:
-        """Return the same trials of one method, shown to a witness."""
-        return InTurn(tuple(part.watched(label, witness) for part in self.parts))
+    def watched(self, label: str, witness: Witness) -> PerDatabase[PartT]:
+        """Return the trials of one method, which pass its stages to a witness."""
+        return PerDatabase(tuple(part.watched(label, witness) for part in self.parts))
 
     def run(self, trials: range) -> Records:
-        """Run trials, in their order."""
+        """Run trials in their order."""
         records: Records = {}
         for number, trial in enumerate(trials):
             add_records(records, self.of(trial).trial(trial))
@@ -89,5 +89,5 @@ class InTurn(Generic[PartT]):
 
 def part_of(trials: Trials, kind: type[T], trial: int) -> T | None:
     """Return the trials that one trial is of; None where they are of another class."""
-    own = trials.of(trial) if isinstance(trials, InTurn) else trials
+    own = trials.of(trial) if isinstance(trials, PerDatabase) else trials
     return own if isinstance(own, kind) else None

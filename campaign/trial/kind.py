@@ -1,4 +1,4 @@
-"""A kind of trial: what a run needs of it, and where it is found by its name."""
+"""Kinds of trial: their interface, and the look-up by name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Records = dict[str, list[Record]]
 
 
 class Witnessed(Protocol):
-    """What came about in a trial of one method. The types are those of the kind of trial."""
+    """A trial of one method with its truth, observation and estimate. The types are those of the kind of trial."""
 
     @property
     def image(self) -> NDArray[np.float32] | None:
@@ -35,22 +35,22 @@ class Witnessed(Protocol):
 
     @property
     def truth(self) -> object:
-        """What is true."""
+        """The truth."""
         ...
 
     @property
     def observation(self) -> object:
-        """What the method saw."""
+        """Input of the method."""
         ...
 
     @property
     def estimate(self) -> object | None:
-        """What the method returned; None where it raised or broke its contract."""
+        """Result of the method; None if it raised or broke its contract."""
         ...
 
 
 Witness = Callable[[Witnessed], None]
-"""Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
+"""Called with each trial of one method, for inspection."""
 
 Prepare = Callable[["ResolvedCampaign", "LoadedScenario", "BuiltAssets"], "Sequence[BuiltProduct | MissingProduct]"]
 
@@ -84,10 +84,10 @@ def each_trial(trials: Sequence[int], scenario: str, one: Callable[[int], Mappin
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
-    """Where and how a worker works; nothing here may change a row, but that a method over ``limit_s`` is stopped.
+class WorkerContext:
+    """Run folder and settings of a worker. Rows do not depend on them, but a method over ``limit_s`` is stopped.
 
-    ``limit_s`` is the time that a method may take for a trial, None for as long as it likes.
+    ``limit_s`` is the time limit of a method in a trial, s; None: no limit.
     """
 
     run: Path
@@ -97,12 +97,12 @@ class Bench:
 
 
 class Trials(Protocol):
-    """The trials of one scenario in a worker: the only code that sees truth and estimate together."""
+    """The trials of one scenario in a worker: the only code with access to both truth and estimate."""
 
     def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one method alone, all of whose stages ``witness`` is shown.
+        """Return the trials of one method alone, which pass all of its stages to ``witness``.
 
-        Its records are those of a run bit for bit. A kind that has nothing to show never calls the witness.
+        The records equal those of a run bit for bit. A kind that has nothing to show never calls the witness.
         """
         ...
 
@@ -118,26 +118,26 @@ class Kind:
     Parameters
     ----------
     name
-        As campaigns give it under ``experiment``.
+        The value of ``experiment`` in a campaign.
     version
-        Part of every run's digest: raise it when rows change for another reason than the parts they are made of.
+        Part of every run's digest; raised when rows change and no version of a method or renderer does.
     block_trials
-        How many trials are computed, stored and resumed together.
+        Number of trials that are computed, stored and resumed together.
     method_version
         Returns the version of a method (an estimator) by its name; raises BoresightError if it is unknown.
     check_scenario
-        Raises BoresightError for a scenario that its trials cannot have.
+        Raises BoresightError for a scenario on which its trials cannot run.
     methods
         Builds the methods that need no assets, by their labels; raises BoresightError for options that cannot run.
     prepare
-        Builds what the trials need, before any of them; a product that cannot be made leaves its method without trials.
+        Builds the products of the trials before the first; a method whose product cannot be built has no trials.
         None if there is nothing to build.
     open
-        Makes the trials of a scenario ready in a worker.
+        Opens the trials of a scenario in a worker.
     databases
-        Whether trials may have several data bases, or worlds of craters, in turn.
+        Whether trials may use several data bases or worlds of craters.
     process_trials
-        How many trials a worker process runs before it is replaced, which bounds what libraries leak. Mitsuba has been
+        Restart a worker after this many trials, to bound memory leaks of libraries. Mitsuba has been
         reported to fail after some thousands of renderings in one process.
     """
 
@@ -147,7 +147,7 @@ class Kind:
     method_version: Callable[[str], int]
     check_scenario: Callable[[LoadedScenario], object]
     methods: Callable[[ResolvedCampaign, LoadedScenario], Mapping[str, object]]
-    open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
+    open: Callable[[ResolvedCampaign, LoadedScenario, WorkerContext], Trials]
     prepare: Prepare | None = None
     databases: bool = False
     process_trials: int = 1000

@@ -1,4 +1,4 @@
-"""Methods as a campaign builds them: wrong options are refused first, what cannot be built costs its own rows alone."""
+"""Build the methods of a campaign: wrong options are refused, a method that cannot be built fails in its own rows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Unbuilt:
-    """Why a method cannot be built in a scenario, and the trace of that."""
+    """Reason and traceback of a method that could not be built for a scenario."""
 
     reason: str
     trace: str
@@ -36,17 +36,17 @@ class Unbuilt:
 def methods(
     campaign: ResolvedCampaign, scenario: LoadedScenario, make: Callable[[EstimatorSpec], T]
 ) -> dict[str, T | Unbuilt]:
-    """Build the methods of a campaign by their labels, where they are lent nothing; wrong options are refused."""
+    """Build the methods of a campaign that need no assets, by their labels; refuse wrong options."""
     found: dict[str, T | Unbuilt] = {}
     for entry in campaign.spec.estimators:
         with located(campaign, entry.label):
-            found[entry.label] = built(entry, scenario.spec.name, partial(make, entry), BoresightError)
+            found[entry.label] = try_build(entry, scenario.spec.name, partial(make, entry), BoresightError)
     return found
 
 
 @contextmanager
 def located(campaign: ResolvedCampaign, label: str) -> Iterator[None]:
-    """Put file and line before what is raised about an estimator of a campaign, or its options."""
+    """Add file and line to errors about an estimator of a campaign, or its options."""
     try:
         yield
     except (MachineError, NoProductError):
@@ -61,10 +61,10 @@ def located(campaign: ResolvedCampaign, label: str) -> Iterator[None]:
         raise BoresightError(f"{one.place}: {error}") from error
 
 
-def built(
+def try_build(
     entry: EstimatorSpec, scenario: str, make: Callable[[], T], refused: type[BoresightError] = MachineError
 ) -> T | Unbuilt:
-    """Build a method for a scenario, or say why it cannot be.
+    """Build a method for a scenario; return the reason if it cannot be built.
 
     Raises
     ------
@@ -84,14 +84,14 @@ def built(
         return Unbuilt(reason, _trace(error))
 
 
-def able(method: T | Unbuilt) -> T:
-    """Return a method.
+def require_built(method: T | Unbuilt) -> T:
+    """Return a method that was built.
 
     Raises
     ------
     NoProductError
-        If there is none, with the trace of why. It is another one each time: the traceback of one that is raised again
-        grows with each trial.
+        If it could not be built, with the traceback as a note. Each call raises a new exception: the traceback of one
+        that is raised again would grow with each trial.
     """
     if not isinstance(method, Unbuilt):
         return method
@@ -100,53 +100,53 @@ def able(method: T | Unbuilt) -> T:
     raise error
 
 
-def missing(scenario: LoadedScenario, found: Mapping[str, object]) -> list[MissingProduct]:
+def unbuilt_products(scenario: LoadedScenario, found: Mapping[str, object]) -> list[MissingProduct]:
     """List the methods, by their labels, that could not be built."""
     name = scenario.spec.name
     return [MissingProduct(name, label, one.reason) for label, one in found.items() if isinstance(one, Unbuilt)]
 
 
 def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario) -> None:
-    """Refuse wrong options of estimators, before anything is built that one of them asks for.
+    """Refuse wrong options of estimators before any product is built.
 
-    An estimator reads its options before it asks for a shape, a renderer or a product. What it raises later, or what is
-    no `BoresightError`, is told when it is built.
+    An estimator reads its options before it requests a shape, a renderer or a product. Later errors, and those that are
+    no `BoresightError`, are reported when the estimator is built.
     """
     for entry in campaign.spec.estimators:
-        nothing = _NothingYet(onboard_camera(scenario.spec))
+        assets = _CameraAlone(onboard_camera(scenario.spec))
         try:
             with unmoved(), located(campaign, entry.label):
-                estimator_class(entry.name).from_options(entry.options, nothing)
+                estimator_class(entry.name).from_options(entry.options, assets)
         except KeyboardInterrupt:
             raise
         except BoresightError as error:
-            if not (nothing.asked or isinstance(error, NoProductError)):
+            if not (assets.requested or isinstance(error, NoProductError)):
                 raise
-        except BaseException:  # noqa: BLE001, S112  it comes again when the estimator is built
+        except BaseException:  # noqa: BLE001, S112  raised again when the estimator is built
             continue
 
 
-class _NothingYet:
-    """Assets of which only the camera can be lent yet; ``asked`` tells whether another was asked for."""
+class _CameraAlone:
+    """Assets with only the camera; ``requested``: whether anything else was requested."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self.asked = False
+        self.requested = False
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Lend nothing."""
+        """Refuse."""
         self._refuse()
 
     def shape(self) -> TriangleMesh:
-        """Lend nothing."""
+        """Refuse."""
         self._refuse()
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Lend nothing."""
+        """Refuse."""
         self._refuse()
 
     def _refuse(self) -> NoReturn:
-        self.asked = True
+        self.requested = True
         raise NoProductError("options are checked before anything is built")
 
 

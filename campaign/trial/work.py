@@ -1,4 +1,4 @@
-"""A method at work in a trial: what goes wrong in it is stored as a result, what goes wrong in scoring is not."""
+"""Run a method in a trial: its faults are stored as results, faults of scoring are raised."""
 
 from __future__ import annotations
 
@@ -20,108 +20,109 @@ _MOST_CHARACTERS = 300
 _ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
 
 
-def _to_nobody(answer: object) -> None:
-    """Show an answer where there is no witness."""
-    del answer
+def _not_shown(result: object) -> None:
+    """Ignore a result: there is no witness."""
+    del result
 
 
 class GaveUpError(Exception):
-    """What ``Work.judged`` takes for a failure with a reason, not for a fault."""
+    """A failure with a reason, which is not an error of the method."""
 
 
-class _RubbishError(Exception):
-    """An answer breaks the contract; its cause is what the check raised."""
+class _InvalidResultError(Exception):
+    """A result breaks the contract; the cause is the exception of the check."""
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What a method is to do in a trial.
+    """A method in a trial.
 
     Parameters
     ----------
     call
-        Which trial and whose.
+        The trial and the label of the method.
     method
-        What it is called: an estimator, a detector.
+        Its sort, for messages: an estimator, a detector.
     row
-        What the trial's row says whatever becomes of it.
+        Columns of the trial's row that do not depend on the result.
     """
 
     call: Call
     method: str
     row: Record
 
-    def judged(
+    def run(
         self,
         work: Callable[[], T],
         check: Callable[[T], None],
         score: Callable[[T], Records],
-        show: Callable[[T | None], None] = _to_nobody,
+        show: Callable[[T | None], None] = _not_shown,
     ) -> Records:
-        """Let the method work, check what it answers, score that, and show it; what it says is a table ``said``.
+        """Run the method, then validate and score its result; its output is stored in the table ``said``.
 
         Parameters
         ----------
         work
-            Asks the method; may raise `GaveUpError`.
+            Calls the method; may raise `GaveUpError`.
         check
-            Raises if the answer breaks the contract, and lets nothing pass on which scoring could fail.
+            Raises if the result breaks the contract. Scoring must not fail on a result that passes.
         score
-            Returns the records of an answer, without their key.
+            Returns the records of a result, without their key.
         show
-            Is shown the answer in the end, also of a trial that goes wrong; None where there was none, or one that
-            breaks the contract.
+            Called with the result at the end; with None if there is none, or an invalid one.
 
         Raises
         ------
         Exception
-            What scoring raises: a fault of boresight, of which no row may be made.
+            Raised by scoring: an error of boresight, which must not be stored as a row.
         """
-        sound: T | None = None
+        valid: T | None = None
         captured = CapturedOutput()
         try:
             with unmoved(), captured.capturing():
-                sound = self._sound(work, check)
+                valid = self._valid(work, check)
         except GaveUpError as failure:
             row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
             found: Records = {"rows": [row]}
-        except _RubbishError as rubbish:
-            found = self._fault(str(rubbish), rubbish.__cause__ or rubbish)
+        except _InvalidResultError as error:
+            found = self._fault(str(error), error.__cause__ or error)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # noqa: BLE001  the one place: a method's fault is a result
+        except BaseException as error:  # noqa: BLE001  here alone: an error of a method is a result
             found = self._fault(_why(error), error)
         else:
-            found = self._scored(sound, score)
+            found = self._scored(valid, score)
         finally:
-            show(sound)
+            show(valid)
         for row in found["rows"]:
             row["reason"] = printable(str(row["reason"]))
         return found | captured.records()
 
-    def _sound(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
-        """Return an answer that keeps the contract; nobody else sees one that does not."""
-        answer = guarded(self.call, work)
+    def _valid(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
+        """Return a result that keeps the contract."""
+        result = guarded(self.call, work)
         try:
-            check(answer)
+            check(result)
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise _RubbishError(f"returned rubbish: {error if type(error) is ValueError else _named(error)}") from error
-        return answer
+            raise _InvalidResultError(
+                f"returned an invalid result: {error if type(error) is ValueError else _named(error)}"
+            ) from error
+        return result
 
-    def _scored(self, answer: T, score: Callable[[T], Records]) -> Records:
+    def _scored(self, result: T, score: Callable[[T], Records]) -> Records:
         try:
-            return score(answer)
+            return score(result)
         except Exception as error:
-            error.add_note(f"while scoring {self.call}: this is a fault of boresight, and nothing is stored of it")
+            error.add_note(f"while scoring {self.call}: this is an error of boresight, and no row is stored")
             raise
 
     def _fault(self, what: str, error: BaseException) -> Records:
-        """Complete the row of a trial in which the method did something wrong, and keep the trace."""
-        # Addresses are others in every process, and rows are to be the same.
-        said = _ADDRESS.sub("0x...", " ".join(f"the {self.method} {what}".split()))
-        row: Record = {**self.row, "status": "error", "reason": said[:_MOST_CHARACTERS], "n_landmarks": 0}
+        """Return the row of a trial in which the method raised or returned something invalid, and its traceback."""
+        # Addresses differ between processes, and rows must not.
+        reason = _ADDRESS.sub("0x...", " ".join(f"the {self.method} {what}".split()))
+        row: Record = {**self.row, "status": "error", "reason": reason[:_MOST_CHARACTERS], "n_landmarks": 0}
         return {"rows": [row], "tracebacks": [{"traceback": "".join(traceback.format_exception(error))}]}
 
 

@@ -16,7 +16,7 @@ IMAGE_KEY: Columns = (
 KEY: Columns = (*IMAGE_KEY, text("estimator", "label of the estimator"))
 COMMON_ROW: Columns = (
     *KEY,
-    text("status", "ok, failed (the estimator says why) or error (it raised, was stopped or returned rubbish)"),
+    text("status", "ok, failed (with a reason) or error (it raised, was stopped or returned an invalid result)"),
     text("reason", "why it is not ok; empty when ok"),
     count("n_landmarks", "landmarks that the estimate rests on; 0 where it uses none", "landmarks an image"),
 )

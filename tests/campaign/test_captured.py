@@ -201,5 +201,5 @@ def test_a_warning_that_is_to_be_an_error_stays_one():
         warnings.warn("no more", UserWarning, stacklevel=1)
         return np.ones(1)
 
-    found = Work(Call("scene", 0, "mine"), "estimator", {}).judged(work, lambda _: None, lambda _: {"rows": [{}]})
+    found = Work(Call("scene", 0, "mine"), "estimator", {}).run(work, lambda _: None, lambda _: {"rows": [{}]})
     assert found["rows"][0]["reason"] == "the estimator raised UserWarning: no more"

@@ -20,7 +20,7 @@ from boresight.campaign.kinds.crater_matching.trial import (
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.trial.crater_score import check_listed
-from boresight.campaign.trial.kind import Bench
+from boresight.campaign.trial.kind import WorkerContext
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from boresight.reports.run.data import read_run
@@ -55,7 +55,7 @@ def campaign_file(tmp_path_factory) -> Path:
 
 def _opened(path: Path, run: Path) -> CraterMatching:
     campaign = resolve(str(path))
-    return CraterMatching.open(campaign, campaign.scenarios[0], Bench(run, 1, keep_images=False))
+    return CraterMatching.open(campaign, campaign.scenarios[0], WorkerContext(run, 1, keep_images=False))
 
 
 def test_trials_depend_on_their_number_alone(campaign_file, tmp_path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
 from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.trial.kind import Bench
+from boresight.campaign.trial.kind import WorkerContext
 from boresight.estimators.craters.navigation.rounds import CraterNavigation
 from boresight.estimators.craters.navigation.trajectory import Trajectory
 from boresight.renderers.mitsuba3 import choose_variant
@@ -35,7 +35,7 @@ def test_two_dozen_rendered_images_a_day_come_to_orbits(tmp_path):
     pair of images is believed: 0.47, 0.29, 0.58 and 0.58 of what was known before.
     """
     campaign = resolve("cheng2003-endtoend", SHORT, seed=SEED, variant=choose_variant().name)
-    trials = CraterNavigationTrials.open(campaign, campaign.scenarios[0], Bench(tmp_path, 1, keep_images=False))
+    trials = CraterNavigationTrials.open(campaign, campaign.scenarios[0], WorkerContext(tmp_path, 1, keep_images=False))
     seen = []
     every = CraterNavigation.from_options(EVERY_PAIR)
     chains = {**trials.navigators, "every-pair-optical-alone": every}

@@ -36,29 +36,31 @@ def opencv_pixels(experiment: SingleImage, points_cam: np.ndarray) -> np.ndarray
 
 
 def test_an_estimator_sees_what_an_ideal_lens_would_have_seen(experiment):
-    sight = experiment.world.source.trial_image(5, 0)
-    observation = observe(experiment.world, sight, experiment.seed, 0)
+    trial_image = experiment.world.source.trial_image(5, 0)
+    observation = observe(experiment.world, trial_image, experiment.seed, 0)
     assert observation.camera.distortion is None
-    assert sight.view.camera.distortion is not None
-    ideal = experiment.world.renderer.render(View(observation.camera, sight.view.T_cam_body, sight.view.sun_dir_body))
+    assert trial_image.view.camera.distortion is not None
+    ideal = experiment.world.renderer.render(
+        View(observation.camera, trial_image.view.T_cam_body, trial_image.view.sun_dir_body)
+    )
     inside = cv2.erode((ideal > 0).astype(np.uint8), np.ones((5, 5))) > 0
     seen = observation.frame.image
     assert np.median(np.abs(seen - ideal)[inside]) < 0.005 * ideal.max()
-    assert np.abs(seen - ideal)[inside].mean() < 0.3 * np.abs(sight.image - ideal)[inside].mean()
+    assert np.abs(seen - ideal)[inside].mean() < 0.3 * np.abs(trial_image.image - ideal)[inside].mean()
 
 
 def test_landmarks_in_rectified_pixels_are_scored_at_the_points_that_they_show(experiment):
     """Surface points projected by OpenCV's pinhole: the error of a landmark there is that of the ray tracer."""
-    sight = experiment.world.source.trial_image(5, 1)
+    trial_image = experiment.world.source.trial_image(5, 1)
     uv = np.random.default_rng(0).uniform([40, 30], [120, 90], (60, 2))
-    hits = experiment.world.renderer.surface(sight.view, uv)
+    hits = experiment.world.renderer.surface(trial_image.view, uv)
     points = hits.points_body_m[hits.hit]
-    pixels = opencv_pixels(experiment, sight.view.T_cam_body.transform(points))
+    pixels = opencv_pixels(experiment, trial_image.view.T_cam_body.transform(points))
     unit = np.ones(len(points))
     table = {"landmark": np.arange(len(points)), "u_px": pixels[:, 0], "v_px": pixels[:, 1]}
     table |= dict(zip(("x_m", "y_m", "z_m"), points.T, strict=True))
     table |= {f"s{axes}_m2": unit * (axes[0] == axes[1]) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")}
-    errors = [record["error_m"] for record in experiment._landmarks(table, sight)]
+    errors = [record["error_m"] for record in experiment._landmarks(table, trial_image)]
     assert len(errors) > 30
     assert np.median(errors) < 1e-3
 
@@ -67,6 +69,6 @@ def test_a_lens_that_the_spacecraft_does_not_know_of_displaces_what_it_sees(tmp_
     file = tmp_path / "unknown.yaml"
     file.write_text(SCENE + "onboard: {distortion_error: -1}\n")
     experiment = SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
-    sight = experiment.world.source.trial_image(5, 0)
-    seen = observe(experiment.world, sight, experiment.seed, 0).frame.image
-    np.testing.assert_allclose(seen, sight.image, atol=1e-5)
+    trial_image = experiment.world.source.trial_image(5, 0)
+    seen = observe(experiment.world, trial_image, experiment.seed, 0).frame.image
+    np.testing.assert_allclose(seen, trial_image.image, atol=1e-5)

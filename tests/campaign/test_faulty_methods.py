@@ -14,7 +14,7 @@ from boresight.campaign.kinds.sequence.score import check_sequence
 from boresight.campaign.kinds.single_image.score import check
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.trial.crater_score import check_detections
-from boresight.campaign.trial.methods import built
+from boresight.campaign.trial.methods import try_build
 from boresight.campaign.trial.work import GaveUpError, Work
 from boresight.estimators.contract import Estimate, Stage
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
@@ -162,7 +162,7 @@ def test_what_a_method_raises_is_a_row_with_its_reason(error, reason):
     def work():
         raise error
 
-    records = WORK.judged(work, lambda answer: None, _never)
+    records = WORK.run(work, lambda answer: None, _never)
     assert records["rows"] == [{"range_m": 5.0, "status": "error", "reason": reason, "n_landmarks": 0}]
     assert "in work\n    raise error\n" in records["tracebacks"][0]["traceback"]
 
@@ -171,7 +171,7 @@ def test_why_a_method_cannot_be_built_is_one_printable_line():
     def make():
         raise ValueError("\x1b[2J\ngone")
 
-    unbuilt = built(EstimatorSpec(name="mine", label="mine"), "scene", make)
+    unbuilt = try_build(EstimatorSpec(name="mine", label="mine"), "scene", make)
     assert unbuilt.reason.startswith(r"mine cannot be built for scene: ValueError: \x1b[2J gone; ")
 
 
@@ -181,7 +181,7 @@ def test_an_interruption_stays_one():
 
     for do, check_it in ((work, lambda answer: None), (lambda: 1, lambda answer: work())):
         with pytest.raises(KeyboardInterrupt):
-            WORK.judged(do, check_it, _never)
+            WORK.run(do, check_it, _never)
 
 
 def test_what_breaks_the_contract_is_rubbish_whatever_the_check_raises():
@@ -191,9 +191,9 @@ def test_what_breaks_the_contract_is_rubbish_whatever_the_check_raises():
         def refuse(answer, error=error):
             raise error
 
-        (row,) = WORK.judged(lambda: 1, refuse, _never)["rows"]
+        (row,) = WORK.run(lambda: 1, refuse, _never)["rows"]
         assert row["status"] == "error"
-        assert row["reason"].startswith(f"the estimator returned rubbish: {said}")
+        assert row["reason"].startswith(f"the estimator returned an invalid result: {said}")
 
 
 def test_a_witness_is_shown_what_keeps_the_contract_alone():
@@ -204,7 +204,7 @@ def test_a_witness_is_shown_what_keeps_the_contract_alone():
             raise ValueError(answer)
 
     for answer in ("rubbish", "sound"):
-        WORK.judged(lambda answer=answer: answer, refuse, lambda answer: {"rows": []}, shown.append)
+        WORK.run(lambda answer=answer: answer, refuse, lambda answer: {"rows": []}, shown.append)
     assert shown == [None, "sound"]
 
 
@@ -212,7 +212,7 @@ def test_a_method_may_give_up():
     def work():
         raise GaveUpError("too\x1b[2J dark")
 
-    records = WORK.judged(work, lambda answer: None, _never)
+    records = WORK.run(work, lambda answer: None, _never)
     assert records["rows"] == [{"range_m": 5.0, "status": "failed", "reason": r"too\x1b[2J dark", "n_landmarks": 0}]
     assert "tracebacks" not in records
 
@@ -222,7 +222,7 @@ def test_a_fault_of_scoring_is_not_the_methods():
         raise KeyError("of our own")
 
     with pytest.raises(KeyError) as caught:
-        WORK.judged(lambda: 1, lambda answer: None, score)
+        WORK.run(lambda: 1, lambda answer: None, score)
     (note,) = caught.value.__notes__
     assert "scenario='scene', trial=7, label='mine'" in note
-    assert "a fault of boresight" in note
+    assert "an error of boresight" in note

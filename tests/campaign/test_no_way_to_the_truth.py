@@ -31,7 +31,7 @@ from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.methods import able
+from boresight.campaign.trial.methods import require_built
 from boresight.estimators.craters.matching.vote import VoteMatcher
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.mitsuba3 import choose_variant
@@ -206,7 +206,7 @@ class Recorder:
 def all_that_is_given(monkeypatch, module, file, out, trials=1):
     """Run a campaign; return, for each call of a method, the method and what it was given."""
     given: list[tuple[object, ...]] = []
-    monkeypatch.setattr(module, "able", lambda method: Recorder(able(method), given))
+    monkeypatch.setattr(module, "require_built", lambda method: Recorder(require_built(method), given))
     if module is single_image:  # the one kind whose methods get assets when they are built
         monkeypatch.setattr(module, "estimator_class", lambda name: Recorder(estimator_class(name), given))
     campaign = resolve(str(file), seed=SEED, variant=choose_variant().name)

@@ -17,7 +17,7 @@ from boresight.campaign.kinds.pose_convergence.trial import (
 )
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.kind import Bench
+from boresight.campaign.trial.kind import WorkerContext
 from boresight.campaign.trial.pose_score import pose_error, pose_errors
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
@@ -57,7 +57,7 @@ def stored(file):
 @pytest.fixture(scope="module")
 def experiment(file, stored):
     campaign = resolve(str(file), variant=choose_variant().name)
-    return PoseConvergence.open(campaign, campaign.scenarios[0], Bench(stored.path, 1, keep_images=False))
+    return PoseConvergence.open(campaign, campaign.scenarios[0], WorkerContext(stored.path, 1, keep_images=False))
 
 
 def test_what_adapts_reaches_the_minimum_and_a_fixed_lambda_does_not(stored):

@@ -126,7 +126,7 @@ def test_rubbish_ends_no_command(group, worst, cache, tmp_path, monkeypatch, cap
     assert run(file, out, "--worst", worst) == 3
     rows = pd.read_parquet(f"{out}/rows").set_index("estimator")
     assert rows.loc[names, "status"].eq("error").all()
-    assert rows.loc[names, "reason"].str.startswith("the estimator returned rubbish: ").all()
+    assert rows.loc[names, "reason"].str.startswith("the estimator returned an invalid result: ").all()
     for name in ("matrix", "falls" if group == "estimators" else "generator"):
         assert main(["inspect", out, "--trial", "0", "--estimator", name]) == 0
     assert not list(Path(out, "inspect").glob("*/estimate.json")), "nothing of it is kept as an answer"

@@ -86,13 +86,13 @@ def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
     for trial in range(3):
-        sight = experiment.world.source.trial_image(5, trial)
-        frame = observe(experiment.world, sight, experiment.seed, trial).frame
+        trial_image = experiment.world.source.trial_image(5, trial)
+        frame = observe(experiment.world, trial_image, experiment.seed, trial).frame
         row = rows[(rows["trial"] == trial) & (rows["estimator"] == "landmark-harris")].iloc[0]
-        for name, value in pose_error(frame.prior_T_cam_body, sight.view.T_cam_body).items():
+        for name, value in pose_error(frame.prior_T_cam_body, trial_image.view.T_cam_body).items():
             assert row[f"prior_{name}"] == value
         assert row["range_m"] == pytest.approx(2000.0)
-        assert row["phase_deg"] == pytest.approx(np.degrees(sight.view.phase_angle_rad))
+        assert row["phase_deg"] == pytest.approx(np.degrees(trial_image.view.phase_angle_rad))
         mine = stages[stages["trial"] == trial]
         assert mine["stage"].tolist() == ["centroid", "recognition"]
         assert mine.iloc[-1]["position_error_m"] == row["position_error_m"]

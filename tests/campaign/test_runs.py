@@ -36,7 +36,7 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.worker import run_block
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.campaign.store.folder import blocks
-from boresight.campaign.trial.kind import Bench
+from boresight.campaign.trial.kind import WorkerContext
 from boresight.renderers.mitsuba3 import choose_variant
 
 LONG = 60
@@ -62,7 +62,7 @@ def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
 
 def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
-    bench = Bench(tiny_run.folder, jobs=1, keep_images=False)
+    bench = WorkerContext(tiny_run.folder, jobs=1, keep_images=False)
     folder = RunFolder(tmp_path)
     for block in reversed(list(blocks(["scene"], TRIALS, KIND.block_trials))):
         folder.write_block(block, run_block(campaign, block, bench), campaign.spec.experiment)

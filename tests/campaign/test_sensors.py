@@ -28,8 +28,11 @@ def test_a_reading_is_the_true_range_with_its_noise(tmp_path):
     ranging = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
     errors_m = []
     for trial in range(TRIALS):
-        sight = ranging.world.source.trial_image(5, trial)
-        pose, reading = sight.view.T_cam_body, observe(ranging.world, sight, ranging.seed, trial).frame.altimeter
+        trial_image = ranging.world.source.trial_image(5, trial)
+        pose, reading = (
+            trial_image.view.T_cam_body,
+            observe(ranging.world, trial_image, ranging.seed, trial).frame.altimeter,
+        )
         assert reading.sigma_m == 5.0
         errors_m.append(reading.range_m - boresight_range(ranging.world.body.mesh, pose).range_m)
     assert kstest(errors_m, "norm", (0.0, 5.0)).pvalue > 1e-3
@@ -40,9 +43,9 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
     seen = []
     for sensors in ("", "sensors: {altimeter: {sigma_m: 5}}\n"):
         trials = experiment(tmp_path, sensors)
-        sight = trials.world.source.trial_image(5, 3)
-        frame = observe(trials.world, sight, trials.seed, 3).frame
-        seen.append((sight.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
+        trial_image = trials.world.source.trial_image(5, 3)
+        frame = observe(trials.world, trial_image, trials.seed, 3).frame
+        seen.append((trial_image.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
         assert (frame.altimeter is None) == (sensors == "")
     for without, with_it in zip(*seen, strict=True):
         np.testing.assert_array_equal(without, with_it)
@@ -50,10 +53,10 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
 
 def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
     trials = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
-    sight = trials.world.source.trial_image(5, 0)
-    aside = sight.view.T_cam_body.perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
-    past = View(sight.view.camera, aside, sight.view.sun_dir_body)
-    moved = type(sight)(sight.image, past, {})
+    trial_image = trials.world.source.trial_image(5, 0)
+    aside = trial_image.view.T_cam_body.perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
+    past = View(trial_image.view.camera, aside, trial_image.view.sun_dir_body)
+    moved = type(trial_image)(trial_image.image, past, {})
     assert observe(trials.world, moved, trials.seed, 0).frame.altimeter is None
 
 

@@ -205,7 +205,7 @@ def test_rubbish_is_an_error_with_a_traceback_and_the_others_go_on(package, tmp_
         assert len(said) == TRIALS
         assert said.str.contains(message, regex=False).all(), f"{name}: {said.iloc[0]}"
         reasons = rows[rows["estimator"] == name]["reason"]
-        assert reasons.str.match("the estimator (raised|returned rubbish: ).*[a-z]").all(), reasons.iloc[0]
+        assert reasons.str.match("the estimator (raised|returned an invalid result: ).*[a-z]").all(), reasons.iloc[0]
     numbers = rows.select_dtypes("number")
     assert not np.isinf(numbers).any(axis=None)
     doubtful = [column for column in numbers if column.endswith(("_sigma_m", "_sigma_deg", "_bound_m", "_bound_deg"))]

@@ -18,7 +18,7 @@ from boresight.campaign.pool.guard import ENDED, Call, Loss, StoppedError, guard
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.runs.worker import Losses
 from boresight.campaign.store.folder import Block
-from boresight.campaign.trial.kind import Bench, kind_named, kind_names
+from boresight.campaign.trial.kind import WorkerContext, kind_named, kind_names
 from boresight.campaign.trial.work import Work
 from boresight.scenarios.errors import BoresightError
 
@@ -83,7 +83,7 @@ def test_what_took_its_process_along_is_not_tried_again():
 
 
 def arguments(first: int, lost: dict[Call, Loss] | None = None) -> tuple[object, ...]:
-    return None, Block("scene", first, first + 2, first // 2), Bench(None, 1, False, limit_s=1.0), lost or {}
+    return None, Block("scene", first, first + 2, first // 2), WorkerContext(None, 1, False, limit_s=1.0), lost or {}
 
 
 def test_a_process_may_end_once_under_a_method_and_not_twice(tmp_path):
@@ -127,7 +127,7 @@ def spinning_trial(scenario: str, trial: int):
             deque(itertools.repeat(None), maxlen=0)
         return os.getpid()
 
-    judged = Work(Call(scenario, trial, "mine"), "estimator", {"trial": trial}).judged(
+    judged = Work(Call(scenario, trial, "mine"), "estimator", {"trial": trial}).run(
         work, lambda pid: None, lambda pid: {"rows": [{"trial": trial, "status": "ok", "reason": ""}], "pid": [pid]}
     )
     return judged["rows"][0], judged.get("pid"), judged.get("tracebacks")

@@ -19,9 +19,9 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
-from boresight.campaign.trial.image_trials import ImageSink, InTurn, image_sink
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records
-from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.image_trials import ImageSink, PerDatabase, image_sink
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records
+from boresight.campaign.trial.methods import Unbuilt, methods, require_built
 from boresight.campaign.trial.work import GaveUpError, Work
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
@@ -38,7 +38,7 @@ from boresight.scenarios.observation import Frame, Observation
 class DetectedImage:
     """A trial of one detector as a witness is shown it; ``estimate`` is None where the detector raised or gave up."""
 
-    sight: TrialImage
+    trial_image: TrialImage
     observation: Observation
     truth: CraterTruth
     estimate: CraterDetections | None
@@ -46,7 +46,7 @@ class DetectedImage:
     @property
     def image(self) -> NDArray[np.float32]:
         """The image, as the camera took it."""
-        return self.sight.image
+        return self.trial_image.image
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +105,16 @@ class CraterDetection:
         return []
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[CraterDetection]:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
+    ) -> PerDatabase[CraterDetection]:
         """Open the worlds and build the detectors."""
-        sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
+        sink = image_sink(context.run / "images" / scenario.spec.name) if context.keep_images else None
         detectors, several = cls.methods(campaign, scenario), campaign.spec.databases > 1
         worlds = [
             open_world(with_database_craters(scenario, i), campaign.variant) for i in range(campaign.spec.databases)
         ]
-        return InTurn(
+        return PerDatabase(
             tuple(
                 cls(world, detectors, campaign.seed, sink, database=i if several else None)
                 for i, world in enumerate(worlds)
@@ -130,45 +132,45 @@ class CraterDetection:
     def trial(self, trial: int) -> Records:
         """Run one trial: the records that it adds to each stored table."""
         started = time.perf_counter()
-        sight = self.world.source.trial_image(self.seed, trial)
-        observation = observe(self.world, sight, self.seed, trial)
+        trial_image = self.world.source.trial_image(self.seed, trial)
+        observation = observe(self.world, trial_image, self.seed, trial)
         frame, camera = observation.frame, observation.camera
         image_seconds = time.perf_counter() - started
         if self.keep_image is not None:
-            self.keep_image(trial, sight.image)
-        truth = self.truth(sight)
+            self.keep_image(trial, trial_image.image)
+        truth = self.truth(trial_image)
         image_key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name}
         records: Records = {
-            "crater_images": [{**image_key, **_image_facts(sight, truth)}],
+            "crater_images": [{**image_key, **_image_facts(trial_image, truth)}],
             "craters": [{**image_key, **row} for row in _truth_rows(truth)],
         }
-        stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+        stage = STORED_IMAGE if trial_image.from_store else FRESH_IMAGE
 
         def show(found: tuple[CraterDetections, float] | None) -> None:
             if self.witness is not None:
-                self.witness(DetectedImage(sight, observation, truth, None if found is None else found[0]))
+                self.witness(DetectedImage(trial_image, observation, truth, None if found is None else found[0]))
 
         for label, detector in self.detectors.items():
             call = Call(self.world.scenario.spec.name, trial, label)
-            judged = Work(call, "detector", _circumstances(sight)).judged(
+            judged = Work(call, "detector", _circumstances(trial_image)).run(
                 partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth), show
             )
             judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
-            judged["rows"][0] = {**_circumstances(sight), **judged["rows"][0], "database": self.database}
+            judged["rows"][0] = {**_circumstances(trial_image), **judged["rows"][0], "database": self.database}
             add_records(records, judged, {**image_key, "estimator": label})
         return records
 
-    def truth(self, sight: TrialImage) -> CraterTruth:
+    def truth(self, trial_image: TrialImage) -> CraterTruth:
         """Find what is true of an image."""
         ground, renderer = self.world.ground, self.world.renderer
         if ground is None or not isinstance(renderer, TiledRenderer):
             raise BoresightError(f"{self.world.scenario.path}: craters: missing, so there is no crater to detect")
-        return crater_truth(ground.rims, sight.view, renderer)
+        return crater_truth(ground.rims, trial_image.view, renderer)
 
 
 def _detected(detector: CraterDetector | Unbuilt, frame: Frame, camera: Camera) -> tuple[CraterDetections, float]:
     """Let a detector work; return what it finds and the seconds that it took."""
-    finder = able(detector)
+    finder = require_built(detector)
     started = time.perf_counter()
     try:
         found = finder.detect(own_copy(frame), own_copy(camera))
@@ -251,11 +253,11 @@ def _truth_rows(truth: CraterTruth) -> list[Record]:
     ]
 
 
-def _image_facts(sight: TrialImage, truth: CraterTruth) -> Record:
+def _image_facts(trial_image: TrialImage, truth: CraterTruth) -> Record:
     """Describe an image and how many craters it shows."""
-    lit = sight.image > sight.image.min() + 0.05 * float(np.ptp(sight.image))
+    lit = trial_image.image > trial_image.image.min() + 0.05 * float(np.ptp(trial_image.image))
     return {
-        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
         "lit_share": float(lit.mean()),
         "n_craters": len(truth),
         "n_detectable": int(truth.detectable.sum()),
@@ -263,10 +265,10 @@ def _image_facts(sight: TrialImage, truth: CraterTruth) -> Record:
     }
 
 
-def _circumstances(sight: TrialImage) -> Record:
+def _circumstances(trial_image: TrialImage) -> Record:
     """Fill the columns of a row that no detector can change, or that detection has no number for."""
     return {
-        "image": sight.image_name,
-        "range_m": float(np.linalg.norm(sight.view.T_cam_body.translation_m)),
-        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        "image": trial_image.image_name,
+        "range_m": float(np.linalg.norm(trial_image.view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
     }

@@ -12,7 +12,7 @@ import numpy as np
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.imaging.image_store import Imager
 from boresight.campaign.trial.crater_score import check_detections, match_detections
-from boresight.campaign.trial.methods import Unbuilt, able, built
+from boresight.campaign.trial.methods import Unbuilt, require_built, try_build
 from boresight.estimators.craters.contract import CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
@@ -54,7 +54,7 @@ class MatcherGround(Handle):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
+class ImagePairDraw:
     """A trial before any detector has seen it.
 
     Parameters
@@ -72,7 +72,7 @@ class Looks:
 class PairSource(Protocol):
     """Gives the two looks of a trial."""
 
-    def looks(self, seed: int, trial: int) -> Looks:
+    def looks(self, seed: int, trial: int) -> ImagePairDraw:
         """Draw the two looks of a trial, the same for all detectors."""
         ...
 
@@ -91,10 +91,10 @@ class SimulatedPairs:
     ground: MeshGround
     craters: PlaneCraters
 
-    def looks(self, seed: int, trial: int) -> Looks:
+    def looks(self, seed: int, trial: int) -> ImagePairDraw:
         """Draw the pair of a trial."""
         pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (seed, trial))
-        return Looks(pair.first.view, lambda detector: pair)
+        return ImagePairDraw(pair.first.view, lambda detector: pair)
 
     def flush(self) -> None:
         """Do nothing: no image was rendered."""
@@ -118,7 +118,7 @@ class RenderedPairs:
     imager: Imager
     finders: Mapping[str, CraterDetector | Unbuilt]
 
-    def looks(self, seed: int, trial: int) -> Looks:
+    def looks(self, seed: int, trial: int) -> ImagePairDraw:
         """Draw the views of a trial and render them once."""
         views, angles = draw_views(self.spec, self.camera, self.ground, generator(seed, Stream.TRUTH, trial))
         priors, noise = generator(seed, Stream.POSE_ERROR, trial), generator(seed, Stream.DETECTOR, trial)
@@ -129,11 +129,11 @@ class RenderedPairs:
             seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
 
         def seen_by(detector: str) -> CraterPair:
-            first, second = (self._look(able(self.finders[detector]), *one) for one in seen)
+            first, second = (self._look(require_built(self.finders[detector]), *one) for one in seen)
             return CraterPair(first, second, *angles)
 
         # Matchers that share a detector see the same craters, which are looked for once.
-        return Looks(views[0], cache(seen_by))
+        return ImagePairDraw(views[0], cache(seen_by))
 
     def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterView:
         rims = _found(finder, frame, self.camera)[: self.images.most_detections]
@@ -212,4 +212,6 @@ def open_pairs(
 
 
 def _finder(name: str, scenario: str) -> CraterDetector | Unbuilt:
-    return built(EstimatorSpec(name=name, label=name), scenario, lambda: crater_detector_class(name).from_options({}))
+    return try_build(
+        EstimatorSpec(name=name, label=name), scenario, lambda: crater_detector_class(name).from_options({})
+    )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from boresight.campaign.handles import own_copy
 from boresight.campaign.kinds.crater_matching.pairs import (
     BY_GEOMETRY,
-    Looks,
+    ImagePairDraw,
     MatcherGround,
     PairSource,
     check_detector,
@@ -23,8 +23,8 @@ from boresight.campaign.kinds.crater_matching.pairs import (
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import check_array, check_indices, check_reason
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from boresight.campaign.trial.methods import Unbuilt, able, located, methods
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
+from boresight.campaign.trial.methods import Unbuilt, located, methods, require_built
 from boresight.campaign.trial.work import Work
 from boresight.estimators.craters.contract import (
     CraterDetections,
@@ -119,9 +119,9 @@ class CraterMatching:
         return methods(campaign, scenario, make)
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> CraterMatching:
         """Load the shapes, draw the craters and build the matchers."""
-        del bench
+        del context
         spec = scenario.spec
         known = MeshGround(load_body(onboard_spec(spec).body, scenario.search_dirs).mesh)
         detectors = _detectors(campaign)
@@ -143,13 +143,13 @@ class CraterMatching:
         looks = self.source.looks(self.seed, trial)
         return {label: self._judged(Call(self.name, trial, label), one, looks) for label, one in self.matchers.items()}
 
-    def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: Looks) -> Records:
+    def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: ImagePairDraw) -> Records:
         """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
         circumstances = _circumstances(looks.first)
         answers: list[_Answer] = []
 
         def work() -> _Answer:
-            able_matcher = able(matcher)
+            able_matcher = require_built(matcher)
             answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
             first, second = own_copy(self.images(answers[0].pair))
             answers[0].match(able_matcher, first, second, MatcherGround(self.known))
@@ -161,7 +161,7 @@ class CraterMatching:
                 self.witness(MatchedPair(pair, self.images(pair), None if sound is None else sound.matches))
 
         score = partial(self._scored, circumstances)
-        return Work(call, "matcher", circumstances).judged(work, self._check, score, show)
+        return Work(call, "matcher", circumstances).run(work, self._check, score, show)
 
     def _check(self, answer: _Answer) -> None:
         check_matches(answer.matches, *self.images(answer.pair))

@@ -39,8 +39,8 @@ from boresight.campaign.kinds.orbit_determination.trial import (
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import check_listed
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
+from boresight.campaign.trial.methods import Unbuilt, methods, require_built
 from boresight.campaign.trial.work import GaveUpError, Work
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
 from boresight.estimators.craters.navigation.stages import StageFiles
@@ -127,11 +127,13 @@ class CraterNavigationTrials:
         return methods(campaign, scenario, lambda entry: CraterNavigation.from_options(entry.options))
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterNavigationTrials:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
+    ) -> CraterNavigationTrials:
         """Open the world and build the chains."""
         world = open_orbit_world(scenario, campaign.seed)
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
-        folder = bench.run / _FOLDER / scenario.spec.name
+        folder = context.run / _FOLDER / scenario.spec.name
         return cls(scenario.spec.name, world, sights, cls.methods(campaign, scenario), campaign.seed, folder)
 
     def watched(self, label: str, witness: Witness) -> Self:
@@ -162,7 +164,7 @@ class CraterNavigationTrials:
         row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
 
         def work() -> _Answer:
-            navigator = able(one)
+            navigator = require_built(one)
             task = own_copy(taken.task)
             searched = taken.search(navigator, task, stages)
             try:
@@ -173,10 +175,10 @@ class CraterNavigationTrials:
             return _Answer(searched, navigation, *at_times(last.estimate, last.data, taken.task.wanted_s))
 
         def score(answer: _Answer) -> Records:
-            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(able(one), stages))}
+            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(require_built(one), stages))}
             return self._scored(answer, taken, row) | timings
 
-        return Work(call, "chain", row).judged(work, lambda answer: check_orbit(answer.estimate, answer.data), score)
+        return Work(call, "chain", row).run(work, lambda answer: check_orbit(answer.estimate, answer.data), score)
 
     def _scored(self, answer: _Answer, taken: NavigationTrial, row: Record) -> Records:
         """Score images, matches, landmarks and the orbit."""

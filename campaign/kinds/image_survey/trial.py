@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from boresight.campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
 from boresight.campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
 from boresight.campaign.trial.methods import located
 from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
@@ -128,13 +128,13 @@ class ImageSurvey:
         return {}
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> ImageSurvey:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> ImageSurvey:
         """Open the world."""
         world = open_orbit_world(scenario, campaign.seed)
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         if not isinstance(sights, DrawnSights):
             raise TypeError("the sights of drawn detections are not drawn")
-        folder = bench.run / "plans" / scenario.spec.name
+        folder = context.run / "plans" / scenario.spec.name
         return cls(scenario.spec.name, world, sights, campaign.labels, campaign.seed, folder)
 
     def watched(self, label: str, witness: Witness) -> Self:

@@ -14,7 +14,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct, landmark_data
 from boresight.campaign.products.database_images import IN_THIS_PROCESS
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext
 from boresight.campaign.trial.methods import located
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
@@ -78,9 +78,9 @@ class DatabaseTrials:
         return products
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> DatabaseTrials:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> DatabaseTrials:
         """Take the options; the world is opened with the first image."""
-        del bench
+        del context
         makers = {
             label: at_trial(options, campaign.seed, 0) for label, options in cls.methods(campaign, scenario).items()
         }

@@ -19,9 +19,9 @@ from boresight.campaign.kinds.orbit_determination.score import (
 )
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.image_trials import InTurn
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.image_trials import PerDatabase
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
+from boresight.campaign.trial.methods import Unbuilt, methods, require_built
 from boresight.campaign.trial.work import Work
 from boresight.estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from boresight.estimators.orbit.registry import orbit_estimator_class
@@ -87,12 +87,14 @@ class OrbitTrials:
         return methods(campaign, scenario, lambda entry: orbit_estimator_class(entry.name).from_options(entry.options))
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[OrbitTrials]:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
+    ) -> PerDatabase[OrbitTrials]:
         """Lay the craters, work the gravity out and build the estimators."""
-        del bench
+        del context
         estimators, count = cls.methods(campaign, scenario), campaign.spec.databases
         worlds = [open_orbit_world(scenario, campaign.seed, number) for number in range(count)]
-        return InTurn(
+        return PerDatabase(
             tuple(
                 cls(scenario.spec.name, world, estimators, campaign.seed, database=number if count > 1 else None)
                 for number, world in enumerate(worlds)
@@ -134,8 +136,11 @@ class OrbitTrials:
             if self.witness is not None:
                 self.witness(DeterminedOrbit(self.world, truth, data, drawable(estimate, data)))
 
-        return Work(call, "estimator", row).judged(
-            lambda: able(estimator).determine(own_copy(data)), lambda estimate: check_orbit(estimate, data), score, show
+        return Work(call, "estimator", row).run(
+            lambda: require_built(estimator).determine(own_copy(data)),
+            lambda estimate: check_orbit(estimate, data),
+            score,
+            show,
         )
 
     def _row(self) -> Record:

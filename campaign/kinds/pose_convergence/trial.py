@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext
 from boresight.campaign.trial.methods import located
 from boresight.campaign.trial.pose_score import pose_errors
 from boresight.estimators.landmark.database import LandmarkDatabase
@@ -175,10 +175,10 @@ class PoseConvergence:
         return assets.products_of(NAME)
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> PoseConvergence:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> PoseConvergence:
         """Read the data base."""
         solvers = cls.methods(campaign, scenario)
-        assets = BuiltAssets(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
+        assets = BuiltAssets(scenario, context.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
         return cls(scenario, _database(solvers, assets), solvers, campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:

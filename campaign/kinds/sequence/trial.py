@@ -20,8 +20,8 @@ from boresight.campaign.kinds.sequence.score import (
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
-from boresight.campaign.trial.methods import Unbuilt, able, methods
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records, each_trial
+from boresight.campaign.trial.methods import Unbuilt, methods, require_built
 from boresight.campaign.trial.work import Work
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from boresight.estimators.slam.registry import sequence_estimator_class
@@ -121,9 +121,9 @@ class SequenceTrials:
         )
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SequenceTrials:
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> SequenceTrials:
         """Lay the ground and build the estimators."""
-        del bench
+        del context
         section = _section(scenario)
         camera = scenario.spec.camera.camera().pinhole
         name = scenario.spec.name
@@ -173,8 +173,8 @@ class SequenceTrials:
             if self.witness is not None:
                 self.witness(FollowedSequence(seen_by_then(), estimate))
 
-        return Work(call, "estimator", circumstances).judged(
-            lambda: able(estimator).follow(own_copy(view.sequence)),
+        return Work(call, "estimator", circumstances).run(
+            lambda: require_built(estimator).follow(own_copy(view.sequence)),
             lambda estimate: check_sequence(estimate, seen_by_then().sequence),
             score,
             show,

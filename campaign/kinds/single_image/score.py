@@ -1,4 +1,4 @@
-"""What an estimate must be before it is scored: rubbish would poison the statistics."""
+"""Validation of an estimate before it is scored: an invalid one would distort the statistics."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def check(estimate: Estimate) -> None:
         _check_pose(stage.T_cam_body, f"the pose after {stage.name}")
     check_numbers(estimate.diagnostics, "diagnostics", texts=True)
     if isinstance(estimate.diagnostics.get("n_landmarks"), str):
-        raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  all rubbish is a ValueError
+        raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  every invalid result is a ValueError
     check_seconds(estimate.timings_s, "timings_s")
     _check_details(estimate.details)
     _check_solution(estimate)

@@ -77,7 +77,7 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
     """Draw the body at the prior, at the estimate and at the truth."""
     frame, camera = shown.observation.frame, shown.observation.camera
     image = frame.image.astype(np.float64)
-    truth = shown.sight.view.T_cam_body
+    truth = shown.trial_image.view.T_cam_body
     poses = {"prior": ("prior", frame.prior_T_cam_body)}
     reached = _reached(shown.estimate)
     if reached is not None:
@@ -132,7 +132,7 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
     (estimator,) = experiment.estimators.values()
     if not isinstance(estimator, LandmarkRecognizer) or shown.estimate is None:
         return
-    look: SecondLook = recognised_again(estimator, shown.observation, shown.sight.image_name)
+    look: SecondLook = recognised_again(estimator, shown.observation, shown.trial_image.image_name)
     fit, aligned = fit_of(look), alignment_of(look)
     alt = "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
     before = (
@@ -281,9 +281,9 @@ def posed(shown: object, case: Case) -> PosedFrames | None:
             for names in (("u_px", "v_px"), ("x_m", "y_m", "z_m"))
         )
     one = PosedFrame(
-        shown.sight.image_name or f"{case.trial:07d}.tiff",
-        frame.time_s if shown.sight.image_name else float(case.trial),
-        shown.sight.view.T_cam_body,
+        shown.trial_image.image_name or f"{case.trial:07d}.tiff",
+        frame.time_s if shown.trial_image.image_name else float(case.trial),
+        shown.trial_image.view.T_cam_body,
         estimate.pose,
         numbers,
         uv,

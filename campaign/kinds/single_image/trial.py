@@ -19,9 +19,9 @@ from boresight.campaign.pool.guard import Call
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.image_trials import ImageSink, InTurn, image_sink
-from boresight.campaign.trial.kind import Bench, Record, Records, Witness, add_records
-from boresight.campaign.trial.methods import Unbuilt, able, built, check_options, missing
+from boresight.campaign.trial.image_trials import ImageSink, PerDatabase, image_sink
+from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records
+from boresight.campaign.trial.methods import Unbuilt, check_options, require_built, try_build, unbuilt_products
 from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
 from boresight.campaign.trial.work import Work
 from boresight.estimators.contract import Estimate, Estimator, Table
@@ -44,19 +44,19 @@ Method = Estimator | Unbuilt
 class EstimatedImage:
     """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
 
-    sight: TrialImage
+    trial_image: TrialImage
     observation: Observation
     estimate: Estimate | None
 
     @property
     def image(self) -> NDArray[np.float32]:
         """The image, as the camera took it."""
-        return self.sight.image
+        return self.trial_image.image
 
     @property
     def truth(self) -> View:
         """The true view; of real images that of the reference pose."""
-        return self.sight.view
+        return self.trial_image.view
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,25 +115,29 @@ class SingleImage:
             asked = assets.for_database(number)
             method = _method(entry, scenario, asked)
             products += asked.products_of(entry.label)
-            products += missing(scenario, {entry.label: method})
+            products += unbuilt_products(scenario, {entry.label: method})
         return products
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[SingleImage]:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
+    ) -> PerDatabase[SingleImage]:
         """Open the world and build the estimators, with each of their data bases."""
-        return InTurn(tuple(cls._with_database(campaign, scenario, bench, i) for i in range(campaign.spec.databases)))
+        return PerDatabase(
+            tuple(cls._with_database(campaign, scenario, context, i) for i in range(campaign.spec.databases))
+        )
 
     @classmethod
     def _with_database(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench, database: int
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, database: int
     ) -> SingleImage:
-        assets = BuiltAssets(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
+        assets = BuiltAssets(scenario, context.run / "products", 0, campaign.variant, None, campaign.draft, database)
         assets_by_label = {entry.label: assets.for_database(database) for entry in campaign.spec.estimators}
         estimators = {
             entry.label: _method(entry, scenario, assets_by_label[entry.label]) for entry in campaign.spec.estimators
         }
         having = frozenset(label for label, asked in assets_by_label.items() if asked.depends_on_database)
-        sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
+        sink = image_sink(context.run / "images" / scenario.spec.name) if context.keep_images else None
         world = open_world(with_database_craters(scenario, database), campaign.variant)
         return cls(world, estimators, campaign.seed, sink, None, database, having)
 
@@ -148,38 +152,38 @@ class SingleImage:
     def trial(self, trial: int) -> Records:
         """Run one trial: the records that it adds to each stored table."""
         started = time.perf_counter()
-        sight = self.world.source.trial_image(self.seed, trial)
+        trial_image = self.world.source.trial_image(self.seed, trial)
         image_seconds = time.perf_counter() - started
         if self.keep_image is not None:
-            self.keep_image(trial, sight.image)
-        observation = observe(self.world, sight, self.seed, trial)
+            self.keep_image(trial, trial_image.image)
+        observation = observe(self.world, trial_image, self.seed, trial)
         records: Records = {}
         for label, estimator in self.estimators.items():
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
             call = Call(self.world.scenario.spec.name, trial, label)
-            found = self._judged(call, estimator, observation, sight)
+            found = self._judged(call, estimator, observation, trial_image)
             found["rows"][0]["database"] = self.database if label in self.with_database else None
             add_records(records, found, key)
-            stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+            stage = STORED_IMAGE if trial_image.from_store else FRESH_IMAGE
             add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
         return records
 
-    def _judged(self, call: Call, estimator: Method, observation: Observation, sight: TrialImage) -> Records:
+    def _judged(self, call: Call, estimator: Method, observation: Observation, trial_image: TrialImage) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = estimator_generator(self.seed, call.trial)
-        row = _circumstances(observation, sight)
+        row = _circumstances(observation, trial_image)
 
         def work() -> Estimate:
-            return able(estimator).estimate(own_copy(observation), rng=rng)
+            return require_built(estimator).estimate(own_copy(observation), rng=rng)
 
         def show(found: Estimate | None) -> None:
             if self.witness is not None:
-                self.witness(EstimatedImage(sight, observation, found))
+                self.witness(EstimatedImage(trial_image, observation, found))
 
-        return Work(call, "estimator", row).judged(work, check, lambda found: self._scored(found, row, sight), show)
+        return Work(call, "estimator", row).run(work, check, lambda found: self._scored(found, row, trial_image), show)
 
-    def _scored(self, estimate: Estimate, circumstances: Record, sight: TrialImage) -> Records:
-        true = sight.view.T_cam_body
+    def _scored(self, estimate: Estimate, circumstances: Record, trial_image: TrialImage) -> Records:
+        true = trial_image.view.T_cam_body
         final = estimate.pose if estimate.status == "ok" else None
         row = {**circumstances}
         if final is not None:
@@ -193,14 +197,14 @@ class SingleImage:
         numbers = {name: float(value) for name, value in estimate.diagnostics.items() if not isinstance(value, str)}
         return {
             "stages": [{"stage": str(s.name), **pose_error(s.T_cam_body, true)} for s in estimate.stages],
-            "references": _references(final, sight),
-            "landmarks": self._landmarks(estimate.details.get("landmarks"), sight),
+            "references": _references(final, trial_image),
+            "landmarks": self._landmarks(estimate.details.get("landmarks"), trial_image),
             "diagnostics": [{"name": str(name), "value": value} for name, value in numbers.items()],
             "timings": [{"stage": str(name), "seconds": float(value)} for name, value in estimate.timings_s.items()],
             "rows": [row],
         }
 
-    def _landmarks(self, table: Table | None, sight: TrialImage) -> list[Record]:
+    def _landmarks(self, table: Table | None, trial_image: TrialImage) -> list[Record]:
         """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
 
         Rowell et al. (2015), section 4.2.2. Corners whose line of sight misses the body have no error: None.
@@ -209,7 +213,7 @@ class SingleImage:
             return []
         uv = _columns(table, "u_px", "v_px")
         on_detector = onboard_camera(self.world.scenario.spec).distorted(uv)
-        seen = self.world.renderer.surface(sight.view, on_detector).points_body_m
+        seen = self.world.renderer.surface(trial_image.view, on_detector).points_body_m
         offset = seen - _columns(table, "x_m", "y_m", "z_m")
         names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
         covariance = _columns(table, *(f"{name}_m2" for name in names)).reshape(-1, 3, 3)
@@ -230,21 +234,21 @@ class SingleImage:
 
 def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: BuiltAssets) -> Method:
     given = assets.for_estimator()
-    return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, given))
+    return try_build(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, given))
 
 
-def _circumstances(observation: Observation, sight: TrialImage) -> Record:
+def _circumstances(observation: Observation, trial_image: TrialImage) -> Record:
     """Describe a trial as far as no estimator can change it."""
-    true = sight.view.T_cam_body
+    true = trial_image.view.T_cam_body
     x, y, z = true.camera_position_m
     prior = pose_error(observation.frame.prior_T_cam_body, true)
     return {
         **{f"prior_{name}": value for name, value in prior.items()},
-        "image": sight.image_name,
+        "image": trial_image.image_name,
         "range_m": float(np.linalg.norm(true.translation_m)),
         "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
-        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
-        "time_s": sight.time_s,
+        "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
+        "time_s": trial_image.time_s,
         **pose_columns(true, "true_"),
     }
 
@@ -253,7 +257,7 @@ def _columns(table: Table, *names: str) -> NDArray[np.float64]:
     return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
 
-def _references(final: Pose | None, sight: TrialImage) -> list[Record]:
+def _references(final: Pose | None, trial_image: TrialImage) -> list[Record]:
     if final is None:
         return []
-    return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in sight.further.items()]
+    return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in trial_image.further.items()]

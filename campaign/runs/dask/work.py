@@ -21,7 +21,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.dask.bundle import CAMPAIGN, DATA, RUN, Fetch, asset_file, from_scheduler
 from boresight.campaign.runs.worker import Losses, run_block
 from boresight.campaign.store.folder import Block
-from boresight.campaign.trial.kind import Bench, Records, kind_named
+from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 
 # Scenes, meshes and estimators belong to a process and are used by one block at a time, however many threads there are.
 _ALONE = threading.Lock()
@@ -46,11 +46,11 @@ def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float
         this = get_worker()
         campaign, folder = opened(bundle, from_scheduler, Path(this.local_directory))
         workers = max(1, cores() // max(1, this.state.nthreads))
-        bench = Bench(folder / RUN, workers, keep_images=False, limit_s=limit_s)
+        context = WorkerContext(folder / RUN, workers, keep_images=False, limit_s=limit_s)
         if limit_s is None:
-            return run_block(campaign, block, bench)
+            return run_block(campaign, block, context)
         again = kind_named(campaign.spec.experiment).process_blocks
-        calls: list[tuple[object, ...]] = [(campaign, block, bench, {})]
+        calls: list[tuple[object, ...]] = [(campaign, block, context, {})]
         # All of it is taken, as what is broken off costs the process.
         (found,) = in_order(1, run_block, calls, apart=True, renew_after=again, after_death=Losses().after)
         return found
