@@ -1,1 +1,1 @@
-"""Who runs it: named campaigns, runner, store and command line."""
+"""Named campaigns, the runner, the run folder and the command line."""

@@ -33,7 +33,7 @@ _TARGETS: WeakKeyDictionary[Handle, Any] = WeakKeyDictionary()
 
 
 def target_of(handle: Handle) -> Any:
-    """Return what a handle stands for."""
+    """Return the object behind a handle."""
     return _TARGETS[handle]
 
 

@@ -75,7 +75,7 @@ def _is_docstring(node: ast.stmt) -> bool:
 
 
 class Locator:
-    """Tells Numba the folder of the machine code; its name stands for the sources, so a file has no stamp nor line."""
+    """Gives Numba the cache folder, whose name identifies the sources in place of a time stamp."""
 
     def __init__(self, place: str, file: str) -> None:
         self._place, self._py_file = place, file  # Numba names the file in a warning

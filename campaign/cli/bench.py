@@ -1,4 +1,4 @@
-"""``bench``: our speed beside that of others, and what a campaign costs on one core, stage by stage."""
+"""``bench``: compare our speed with other software, and measure the cost of a campaign on one core."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``compare``: estimators, scenarios or whole runs beside each other, after they have run."""
+"""``compare``: compare estimators, scenarios or runs after they have been run."""
 
 from __future__ import annotations
 

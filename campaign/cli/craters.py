@@ -1,4 +1,4 @@
-"""``craters``: detect craters in a real image and draw them beside the places where named ones should be."""
+"""``craters``: detect craters in a real image and draw them with the expected places of named ones."""
 
 from __future__ import annotations
 

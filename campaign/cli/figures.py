@@ -41,7 +41,7 @@ _IN_PART = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """How much of campaigns is to be run, and where.
+    """Options for running the campaigns of a paper.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Wanted:
 
 
 def run_missing(names: Sequence[str], wanted: Wanted, jobs: int | None) -> None:
-    """Run campaigns, or go on with them; those that cannot be run, for want of their data, are told and left out.
+    """Run or continue campaigns; report those that lack data, and leave them out.
 
     A draft has so few trials of each that most of its time is spent where one campaign alone keeps one core busy, with
     what is built before trials, and behind its last ones; so campaigns are drafted side by side.
@@ -88,7 +88,7 @@ def run_missing(names: Sequence[str], wanted: Wanted, jobs: int | None) -> None:
 
 
 def _run(name: str, wanted: Wanted, variant: str, jobs: int, lanes: int) -> None:
-    """Run a campaign, with its share of the cores where others run beside it, which then show no progress but steps."""
+    """Run a campaign with its share of the cores; print steps in place of progress bars if others run beside it."""
     lines, began = NamedLines(console(), name), time.monotonic()
     try:
         campaign, request = wanted.of(name, variant, jobs)
@@ -152,7 +152,7 @@ def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """What is printed of the page of a paper that has been written; ``runs`` is the number of runs behind it."""
+    """Printed summary of a paper's page; ``runs`` is the number of runs that it uses."""
 
     paper: str
     page: Path
@@ -166,7 +166,7 @@ class _Written:
 def _written(
     name: str, folder: Path, runs: Path, jobs: int | None, scale: float, embedded: bool, among: int
 ) -> _Written:
-    """Write the page of a paper, beside the pages of others."""
+    """Write the page of a paper."""
     with sharing_cores(among):
         page = paper_page(paper_called(name), runs, jobs, scale, embedded=embedded)
     try:

@@ -12,7 +12,7 @@ _WIDTH = 160
 
 
 class _Plain(Console):
-    """Prints texts as they are: what stands in a file neither styles the line nor steers the terminal."""
+    """Ignores markup and control characters in printed text."""
 
     def print(self, *objects: Any, **how: Any) -> None:
         super().print(*(_shown(one) if isinstance(one, str) else one for one in objects), **how)

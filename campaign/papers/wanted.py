@@ -1,4 +1,4 @@
-"""Data sets that a paper, a campaign or a name stands for."""
+"""Data sets of a paper, a campaign or a name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far long work is: told where it is done, which may be in a worker process, and heard where it is shown."""
+"""Progress of long computations, passed from worker processes to the listener that shows it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HEAR: ContextVar[Hear | None] = ContextVar("hear", default=None)
 
 @contextmanager
 def heard_by(hear: Hear) -> Iterator[None]:
-    """Call a function with what is told inside the context, here and in workers that are waited for here."""
+    """Call a function with the progress of this process and its workers inside the context."""
     token = _HEAR.set(hear)
     try:
         yield
@@ -39,7 +39,7 @@ def heard_by(hear: Hear) -> Iterator[None]:
 
 
 def hearer() -> Hear | None:
-    """Return the function that is called with what is told here; None if nobody listens."""
+    """Return the current listener; None if there is none."""
     return _HEAR.get()
 
 
@@ -52,7 +52,7 @@ def tell(what: str, done: int, total: int) -> None:
 
 @contextmanager
 def written_to(file: Path) -> Iterator[None]:
-    """Write what is told inside the context into a file, now and then; it is gone at the end."""
+    """Write the progress inside the context to a file at intervals, and remove the file at the end."""
     written = -_WRITTEN_S
 
     def write(_: int | None, step: Step) -> None:

@@ -129,7 +129,7 @@ def _spread(
 
 
 def _wait_for_one(workers: Sequence[_Worker]) -> None:
-    """Wait until a call has ended, and pass on meanwhile how far workers are, if somebody listens."""
+    """Wait until a call has ended, passing the progress of the workers to the listener."""
     futures, hear = [future for worker in workers for _, future in worker.in_flight], hearer()
     while not wait(futures, None if hear is None else _LOOK_S, FIRST_COMPLETED).done:
         for worker in workers:

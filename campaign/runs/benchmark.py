@@ -1,4 +1,4 @@
-"""What a campaign costs on one core: every stage of a trial beside a yardstick, in one process.
+"""Cost of a campaign on one core: time of each stage of a trial, relative to a yardstick of the same process.
 
 A time by itself says as much of the machine and its other guests as of the program. So after each block of trials a
 fixed piece of work is timed, the yardstick, and a stage is told by its ratio to it as well.

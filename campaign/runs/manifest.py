@@ -72,7 +72,7 @@ def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, obje
 
 
 def now(manifest: Mapping[str, object] | None = None) -> str:
-    """Return the time in UTC, to the second; not before what a manifest tells of, should a clock be set back."""
+    """Return the UTC time to the second, never earlier than in the previous manifest."""
     before = [str((manifest or {}).get(key) or "") for key in ("created", "finished", "updated")]
     return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
 
@@ -102,7 +102,7 @@ def _embedded_notes(campaign: ResolvedCampaign) -> list[str]:
 
 
 def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:
-    """Describe the campaign's grid: axes with their levels, and where each scenario stands in it."""
+    """Describe the campaign's grid: axes, their levels, and the levels of each scenario."""
     grid = campaign.spec.grid
     if grid is None:
         return None

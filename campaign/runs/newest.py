@@ -14,7 +14,7 @@ KEY = "start"
 
 
 def next_start(folder: Path) -> int:
-    """Return the number of the start of a run: one more than any of the runs beside it has."""
+    """Return the number of the start of a run: one more than that of any other run in the folder."""
     return 1 + max((start_of(path.parent) for path in folder.absolute().parent.glob("*/manifest.json")), default=0)
 
 

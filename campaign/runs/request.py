@@ -1,4 +1,4 @@
-"""How a campaign is to be run."""
+"""Settings of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RUNS = Path("runs")
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Which Dask cluster: the address of a scheduler, or so many worker processes of this machine."""
+    """A Dask cluster: the address of a scheduler, or a number of worker processes on this machine."""
 
     scheduler: str = ""
     local: int = 0
@@ -19,7 +19,7 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """Where and how to run; nothing here but ``trials``, and ``limit_s`` where it is passed, changes what is stored.
+    """Settings of a run. Of them only ``trials``, and ``limit_s`` if a method exceeds it, change the stored rows.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class Need:
 
     @property
     def word(self) -> str:
-        """What it is in one word: ``data``, ``images``, or the name of a package."""
+        """Its name in one word: ``data``, ``images``, or that of a package."""
         return {"": self.name, "images": "images"}.get(self.kind, "data")
 
 
@@ -111,7 +111,7 @@ def remember(name: str, trials: int, seconds: float, jobs: int) -> None:
 
 
 def rate_of(name: str) -> Rate | None:
-    """Return the rate of a campaign; None where it has not been run here, or nobody can read how long it took."""
+    """Return the rate of a campaign; None if it has no readable run here."""
     kept = default_cache().find(_KIND, name) if _NAME.fullmatch(name) else None
     try:
         return None if kept is None else Rate(float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"]))

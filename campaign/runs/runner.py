@@ -24,7 +24,7 @@ from boresight.scenarios.errors import BoresightError
 
 
 class Listener(Protocol):
-    """Is told how a run goes."""
+    """Receives the progress of a run."""
 
     def message(self, text: str) -> None:
         """Hear of a step."""

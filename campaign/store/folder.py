@@ -72,7 +72,7 @@ class RunLock:
 
 
 class _Entries(BaseModel):
-    """What every manifest has from its first writing on, and the kinds of what boresight reads of the rest."""
+    """Required entries of a manifest, and the types of the optional ones that boresight reads."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -151,7 +151,7 @@ class Block:
 
 
 class BlockState(Enum):
-    """What is stored of a block."""
+    """State of a stored block."""
 
     ABSENT = "nothing, or not yet its rows"
     SHORT = "rows of fewer trials than are wanted"
@@ -188,14 +188,14 @@ def _write_bytes(path: Path, content: bytes) -> None:
 
 
 class RunFolder:
-    """A run on the disk. It keeps no state beside its path, which is absolute."""
+    """A run folder. Its only state is its absolute path."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
 
     @property
     def manifest_path(self) -> Path:
-        """Where the manifest is."""
+        """Path of the manifest."""
         return self.path / "manifest.json"
 
     def read_manifest(self) -> dict[str, Any] | None:

@@ -1,1 +1,1 @@
-"""What all kinds of trial share: the methods under test, their limits and faults, and scores."""
+"""Shared parts of the kinds of trial: building and running methods, and scores."""

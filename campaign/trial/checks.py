@@ -1,4 +1,4 @@
-"""What answers of all kinds are checked for before they are scored: types, shapes, finite numbers of a possible size.
+"""Validation of results before they are scored: types, shapes, and finite numbers of a possible size.
 
 Scoring must not fail on what passes here, and what it works out must be finite: its own faults are no estimator's.
 Types are exact: the methods of a subclass could read the truth while scoring compares it with the answer.

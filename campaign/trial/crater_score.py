@@ -1,4 +1,4 @@
-"""Where detections of craters meet the truth: matches, duplicates, false alarms, and errors of ellipses."""
+"""Scores of crater detections: matches, duplicates, false alarms, and errors of ellipses."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def check_listed(scenario: LoadedScenario) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionMatches:
-    """What each of m detections is.
+    """Classification of each of m detections.
 
     Parameters
     ----------

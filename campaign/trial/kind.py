@@ -154,7 +154,7 @@ class Kind:
 
     @property
     def process_blocks(self) -> int:
-        """How many blocks a worker process runs before it is replaced."""
+        """Number of blocks that a worker process runs before it is replaced."""
         return max(1, self.process_trials // self.block_trials)
 
 

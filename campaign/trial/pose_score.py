@@ -1,4 +1,4 @@
-"""Where truth and estimate meet: the errors of a pose."""
+"""Scores of a pose."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:
 def consistency(
     estimated: Pose, true: Pose, covariance: FloatArray | None, bound: FloatArray | None
 ) -> dict[str, float | None]:
-    """Set what an estimator says of its error beside the error.
+    """Compare an estimate's covariance with its error.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ class GaussNewtonStep:
 
 @dataclass(frozen=True, slots=True)
 class StoppingCriteria:
-    """When to stop: after ``steps``, or if the predicted decrease is less than ``tolerance + share * cost``."""
+    """Stop after ``steps``, or if the predicted decrease is less than ``tolerance + share * cost``."""
 
     steps: int
     tolerance: float

@@ -91,7 +91,7 @@ def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A number of each trial: an error, or what a method reports beside its result.
+    """A number of each trial: an error, or a diagnostic of the method.
 
     Parameters
     ----------

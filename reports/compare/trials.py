@@ -67,7 +67,7 @@ def value_at(spec: Mapping[str, Any], key: str) -> object:
 
 
 def level_text(spec: Mapping[str, Any], factor: str) -> str:
-    """Print a scenario's value of a key: a section by its kind, and by what is set in it beside."""
+    """Print a scenario's value of a key: a section by its kind and its other keys."""
     value = value_at(spec, factor)
     if not isinstance(value, Mapping):
         return str(value)

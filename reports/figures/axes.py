@@ -49,7 +49,7 @@ def band_label(trials: int) -> str:
 
 
 def mark_decades(axis: Axis) -> None:
-    """Label the decades of a logarithmic axis whose limits are set, and 2 and 5 of each where there is room."""
+    """Label the decades of a logarithmic axis, and 2 and 5 of each if the labels fit; the limits must be set."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

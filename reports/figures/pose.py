@@ -92,7 +92,7 @@ def draw_method_errors(
 
 
 def _row_height_in(methods: int) -> float:
-    """Return the height of a row, with room below the panels for a legend that is too long to stand in them."""
+    """Return the height of a row, including space below the panels for a long legend."""
     return 2.9 if methods <= _METHODS_INSIDE else 2.9 + 0.18 * methods
 
 

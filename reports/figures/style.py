@@ -308,5 +308,5 @@ def mark_on_axis(axes: Axes, value: float, colour: str) -> None:
 
 
 def raise_top(axes: Axes, lines: int) -> None:
-    """Leave room above the data for a legend of ``lines`` lines."""
+    """Extend the axis above the data for a legend of ``lines`` lines."""
     axes.set_ylim(0, axes.get_ylim()[1] * (1.02 + 0.085 * lines))

@@ -1,4 +1,4 @@
-"""What a report tells of a kind of trial, and where it is found by the name of the kind."""
+"""Reports of the kinds of trial, and their look-up by name."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def brief_grids(content: Content) -> list[Grid]:
 
 
 def _headed(run: RunData, grids: list[Grid]) -> list[Grid]:
-    """Put what was known on board beside the headline: the first table, if it does not say so already."""
+    """Add the a priori knowledge to the first table, unless it already states it."""
     if not grids or grids[0].known:
         return grids
     return [replace(grids[0], known=short_line(run)), *grids[1:]]
@@ -78,7 +78,7 @@ class Content:
     notes: tuple[str, ...]
 
     def table(self) -> pd.DataFrame:
-        """Every measured number, beside the published one where there is one."""
+        """All measured numbers, with the published ones if there are any."""
         beside = {id(c.ours): c for c in self.compared if c.ours is not None}
         lines = []
         for record in self.records:
@@ -98,7 +98,7 @@ Tables = Sequence[Grid | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportKind:
-    """What a report tells of a kind of trial.
+    """Tables and figures of a kind of trial.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class ReportKind:
 
 
 def report_kind(run: RunData) -> ReportKind:
-    """Look up what a report tells of the trials of a run."""
+    """Return the report kind of a run."""
     module = f"{_KINDS}.{run.manifest.experiment.replace('-', '_')}"
     found = module if run.manifest.experiment and find_spec(module) else f"{_KINDS}.{_USUAL.replace('-', '_')}"
     return cast("ReportKind", import_module(found).REPORT)

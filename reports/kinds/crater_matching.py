@@ -1,4 +1,4 @@
-"""What a report tells of matching craters: correct, wrong and missed by how far two looks differ."""
+"""Report of crater matching: correct, wrong and missed matches by the difference of the two views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a report tells of the chain of crater navigation, before the orbit: images, craters, matches and landmarks."""
+"""Report of crater navigation before the orbit: images, craters, matches and landmarks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NOTE = (
 
 
 def navigation_records(run: RunData) -> list[Record]:
-    """Measure what the chains come to, under the stage ``navigation``."""
+    """Compute error statistics of the navigation runs, under the stage ``navigation``."""
     records: list[Record] = []
     if run.table("navigation").empty:
         return records

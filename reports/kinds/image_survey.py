@@ -1,4 +1,4 @@
-"""What a report tells of an arc of planned images: what they cover, and the craters that they show."""
+"""Report of an arc of planned images: their coverage, and the craters in them."""
 
 from __future__ import annotations
 

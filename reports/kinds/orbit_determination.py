@@ -1,4 +1,4 @@
-"""What a report tells of orbit determination: errors in inertial space, and the residuals over time."""
+"""Report of orbit determination: errors in inertial space, and residuals over time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NOTE = (
 
 
 def orbit_records(run: RunData, comparison: Comparison | None) -> list[Record]:
-    """Measure what the trials come to, under the stage ``orbit``, and in how many a paper's bound is kept."""
+    """Compute error statistics under the stage ``orbit``, and the share of trials within a paper's bound."""
     records: list[Record] = []
     if run.table("orbits").empty:
         return records
@@ -159,7 +159,7 @@ def reference_scenarios(run: RunData) -> list[str]:
 
 
 def _is_reference(run: RunData, scenario: str) -> bool:
-    """Tell whether a scenario of a grid stands at the first level of every axis."""
+    """Return whether a scenario of a grid has the first level of every axis."""
     design = run.manifest.grid
     levels = next((one.levels for one in design.scenarios if one.name == scenario), None) if design else None
     return levels is None or all(levels[axis.name] == axis.levels[0] for axis in (design.axes if design else ()))

@@ -93,7 +93,7 @@ def _line(run: RunData, out: Path) -> tuple[str, ...]:
 
 
 def _estimators(run: RunData, metric: Metric) -> list[tuple[str, str, str, str]]:
-    """List each estimator with its trials, its median and that of its priors; the control stands for the priors."""
+    """List each estimator with its trials, its median and that of its priors; the control has the priors."""
     trials = tabulate_trials([run], metric, (ESTIMATOR,))
     told = []
     for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):

@@ -254,7 +254,7 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
 
 
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
-    """Write the report as Markdown, with its figures beside it."""
+    """Write the report as Markdown, with its figures in the same folder."""
     manifest = content.run.manifest
     return Document(
         product="boresight report",

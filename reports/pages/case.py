@@ -1,4 +1,4 @@
-"""The page of one inspected case: self-contained, with its figures as PNG and PDF beside it."""
+"""Page of an inspected case: self-contained, with its figures as files in the same folder."""
 
 from __future__ import annotations
 

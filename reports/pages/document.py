@@ -62,7 +62,7 @@ class Document:
         return [replace(grid, known="") if said else grid for grid in self.grids]
 
     def markdown(self) -> str:
-        """Write the page as Markdown, with its figures beside it."""
+        """Write the page as Markdown, with its figures in the same folder."""
         tables = [grid.markdown() for grid in self.grids]
         figures = [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in self.drawn()]
         led = len(figures) - len(self.figures)

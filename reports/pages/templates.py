@@ -21,7 +21,7 @@ def fill_template(template: str, **values: object) -> str:
 
 
 def template_text(name: str) -> str:
-    """Read a file that lies beside the templates."""
+    """Read a file of the templates' folder."""
     return resources.files("boresight.reports.pages").joinpath(name).read_text(encoding="utf-8")
 
 

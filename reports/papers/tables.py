@@ -55,7 +55,7 @@ def _rule(axes: Axes, lines: int, width_in: float) -> None:
 
 
 def table_number(line: PaperLine) -> str:
-    """Return the number of the table of the paper in which a number is printed; '' if it stands elsewhere."""
+    """Return the number of the paper's table in which a number is printed; '' if it is not in a table."""
     found = _PLACE.match(line.place)
     return found[1] if found else ""
 

@@ -91,7 +91,7 @@ class PublishedValue(_Model):
 
     @property
     def quoted(self) -> str:
-        """What the paper prints, or says with our reading of it."""
+        """The printed number, or the paper's words with our reading of them."""
         bound = "" if self.at_most is None else f", at most {self.at_most:g}"
         return f'"{self.words}" (read as {self.printed}{bound})' if self.words else self.printed
 

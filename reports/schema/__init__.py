@@ -1,1 +1,1 @@
-"""What the numbers of a report are: their names, units and labels, and one line of the tidy table."""
+"""Measures of a report: names, units and labels, and a line of the tidy table."""

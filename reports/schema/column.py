@@ -92,7 +92,7 @@ def names(columns: Iterable[Measure]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KindSchema:
-    """What a kind of trial stores and reports.
+    """Stored columns and reported measures of a kind of trial.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ TABLES: Mapping[str, Columns] = {
 
 
 def share(name: str, label: str = "", *, error: bool = False, detail: bool = True) -> Measure:
-    """Make a measure in per cent; one without a label stands in a table of its kind."""
+    """Make a measure in per cent; one without a label is only in the table of its kind."""
     return Measure(name=name, label=label, unit="%", error=error, detail=detail and bool(label))
 
 

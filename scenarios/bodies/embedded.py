@@ -270,7 +270,7 @@ def sphere() -> TriangleMesh:
 
 
 def apophis_sphere() -> TriangleMesh:
-    """Make the sphere of 190 m radius that stands for (99942) Apophis in Delpech et al. (2015): 5,120 facets."""
+    """Make the sphere of 190 m radius that represents (99942) Apophis in Delpech et al. (2015): 5,120 facets."""
     return icosphere(_SPHERE_ROUNDS, 190.0)
 
 

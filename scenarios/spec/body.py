@@ -111,7 +111,7 @@ class HeightErrorSpec(SpecModel):
 
 
 class BodySpec(SpecModel):
-    """A shape file (beside the scenario file, or under BORESIGHT_DATA) or an embedded body by name."""
+    """A shape file (in the scenario's folder or under BORESIGHT_DATA), or an embedded body by name."""
 
     shape: str = Field("contact-binary", description="A file name, or an embedded body: contact-binary")
     unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the shape file")
@@ -135,7 +135,7 @@ class BodySpec(SpecModel):
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")
 
     def embedded(self) -> BodySpec:
-        """Return the body with the built-in shape that stands for its file; the same if there is none."""
+        """Return the body with the built-in replacement of its shape file; the same body if there is none."""
         if self.shape not in STAND_INS:
             return self
         reading = {key: BodySpec.model_fields[key].default for key in ("unit", "format", "longitude")}

@@ -1,4 +1,4 @@
-"""Where pairs of looks at craters come from: drawn by geometry, or rendered and seen by detectors."""
+"""Sources of pairs of crater views: drawn by geometry, or rendered and detected."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ class CraterMatching:
 
 @dataclass(slots=True, eq=False)
 class _Answer:
-    """What became of a pair so far."""
+    """Intermediate results of a pair."""
 
     pair: CraterPair
     matches: CraterMatches | None = None

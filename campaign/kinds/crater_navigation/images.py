@@ -48,7 +48,7 @@ from boresight.scenarios.spec.orbit import ImagingSpec
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Which image of which trial; streams of its own follow from it."""
+    """Seed, trial and image number, from which the random streams of an image are derived."""
 
     seed: int
     trial: int

@@ -1,4 +1,4 @@
-"""Where the chain of crater navigation meets the truth: images, matches, numbers and landmarks."""
+"""Scores of crater navigation before the orbit: images, matches, numbers and landmarks."""
 
 from __future__ import annotations
 

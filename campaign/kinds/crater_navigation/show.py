@@ -1,4 +1,4 @@
-"""The displays of crater navigation: those of the orbit that the chain comes to."""
+"""Displays of crater navigation: those of the resulting orbit."""
 
 from __future__ import annotations
 

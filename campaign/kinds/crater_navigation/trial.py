@@ -63,7 +63,7 @@ _FOLDER = "chain"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answer:
-    """What a chain comes to: its images, all rounds, and the orbit of the last at the times that are scored."""
+    """Result of a chain: its images, all rounds, and the last round's orbit at the scored times."""
 
     searched: Sequence[SearchedImage]
     navigation: NavigationResult
@@ -160,7 +160,7 @@ class CraterNavigationTrials:
     def _judged(
         self, call: Call, one: CraterNavigation | Unbuilt, taken: NavigationTrial, stages: StageFiles
     ) -> Records:
-        """Let a chain work and score what it comes to: records without their key, whatever goes wrong."""
+        """Run a chain and score its result; return unkeyed records, error rows for failures."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
 
         def work() -> _Answer:

@@ -46,7 +46,7 @@ _SIDE = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """How many others of n images cover an image's area, (n,), and how many of these in similar light."""
+    """Number of other images that overlap each of n images, (n,), and of those in similar light."""
 
     overlapping: NDArray[np.int64]
     similar: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""The landmark-database experiment: what data bases come out of independent sets of images (section 4.1)."""
+"""The landmark-database experiment: data bases of independent sets of images (section 4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where truth and estimate of an orbit meet: errors in inertial space, at the epoch, over the arc and predicted.
+"""Scores of an orbit: errors in inertial space, at the epoch, over the arc and predicted.
 
 The phase of the body's rotation and the landmarks' longitudes are one unknown by two names; inertial positions do not
 depend on which of them is wrong.
@@ -55,7 +55,7 @@ def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
 
 
 def drawable(estimate: OrbitEstimate | None, data: OrbitData) -> OrbitEstimate | None:
-    """Leave out the orbit of a failure that nobody can draw; the orbit of an estimate that is ok is sound."""
+    """Remove the orbit of a failure if it cannot be drawn; that of a successful estimate is valid."""
     if estimate is None or estimate.status == "ok" or estimate.orbit is None:
         return estimate
     try:
@@ -150,7 +150,7 @@ def orbit_summary(estimate: OrbitEstimate, orbit: Orbit, truth: OrbitTruth, data
 
 
 def wrong_sightings(orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> NDArray[np.bool_]:
-    """(K,): sightings of another crater than those that their number stands for.
+    """(K,): sightings of another crater than the one of their number.
 
     A number stands for the crater that most of its sightings are of, and for the next one as well where the estimate
     has two landmarks of it.

@@ -89,7 +89,7 @@ def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: 
 
 
 def landmark_errors(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame) -> FloatArray:
-    """(L',) m from each landmark to the crater that its number stands for; NaN where the truth has none.
+    """(L',) distance, m, of each landmark from the crater of its number; NaN if the truth has none.
 
     A number stands for the crater that most of its sightings are of, and for the next one as well where the solution
     has two landmarks of it.

@@ -52,7 +52,7 @@ class DeterminedOrbit:
 
     @property
     def observation(self) -> OrbitData:
-        """What the method saw."""
+        """Input of the method."""
         return self.data
 
 

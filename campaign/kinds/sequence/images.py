@@ -30,7 +30,7 @@ _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The features of an image, the true surface point (M, 3) of each (NaN beside the body), and the time it took."""
+    """Features of an image, their true surface points (M, 3) (NaN off the body), and the computing time."""
 
     features: ImageFeatures
     points_m: FloatArray
@@ -122,7 +122,7 @@ class OrbitImages:
         return self._pairs[before, after]
 
     def points_m(self, slot: int, uv_px: FloatArray) -> FloatArray:
-        """(n, 3) true surface points at pixels of the pinhole; NaN beside the body."""
+        """(n, 3) true surface points at pixels of the pinhole; NaN off the body."""
         view = self.views[slot]
         return self.imager.renderer.surface(view, view.camera.distorted(uv_px)).points_body_m
 

@@ -1,4 +1,4 @@
-"""Where truth and estimate of a sequence meet: the errors of every frame, and what they come to in a trial."""
+"""Scores of a sequence: the errors of every frame, and their summary in a trial."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class FollowedSequence:
 
     @property
     def observation(self) -> TrackSequence:
-        """What the method saw."""
+        """Input of the method."""
         return self.seen.sequence
 
 

@@ -62,7 +62,7 @@ def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Se
 
 
 def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:
-    """Recognise the landmarks of an observation and keep all that comes about in between."""
+    """Recognise the landmarks of an observation and keep the intermediate results."""
     frame = observation.frame
     found = estimator.recognise(frame, observation.camera)
     return SecondLook(frame.image, image_name, observation.camera, estimator.database, found)

@@ -113,7 +113,7 @@ def _reached(estimate: Estimate | None) -> tuple[str, Pose] | None:
 def _look(
     renderer: BodyRenderer, camera: Camera, sun_dir_cam: FloatArray, image: FloatArray, posed: tuple[str, str, Pose]
 ) -> PoseRendering:
-    """Render the true body at a pose; the Sun stands still in the camera, as it is known to."""
+    """Render the true body at a pose, with the known direction of the Sun in the camera."""
     name, heading, T_cam_body = posed
     view = View(camera, T_cam_body, sun_dir_cam @ T_cam_body.rotation)
     body, window = np.zeros(image.shape, dtype=np.bool_), body_window(view, renderer.outline_m)

@@ -101,7 +101,7 @@ class SingleImage:
 
     @classmethod
     def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, Method]:
-        """Refuse wrong options; estimators are built with what they are lent."""
+        """Refuse wrong options; estimators are built later, with their assets."""
         check_options(campaign, scenario)
         return {}
 

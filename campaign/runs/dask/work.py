@@ -1,4 +1,4 @@
-"""What a worker of a cluster does with a block: lay out its bundle once, then what any worker does."""
+"""Computation of a block on a worker of a cluster: unpack the bundle once, then run as a local worker does."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Retained:
-    """What remains in a window, as masks: views (V,), landmarks (L,), pixels (k,) and distances (m,)."""
+    """Masks of the variables and measurements that remain in a window."""
 
     views: BoolArray
     points: BoolArray

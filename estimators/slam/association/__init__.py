@@ -1,1 +1,1 @@
-"""Which pixel is of which landmark: predictions with their covariance, gates, and rejection of outliers."""
+"""Data association: predicted pixels with their covariance, gates, and outlier rejection."""

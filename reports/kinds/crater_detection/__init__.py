@@ -1,4 +1,4 @@
-"""What a report tells of trials of crater detection."""
+"""Report of crater detection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well detectors of craters find what is there: rates with intervals over images, and errors in pixels."""
+"""Performance of crater detectors: rates with intervals over images, and errors in pixels."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _NOTE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectorResults:
-    """What one detector was shown and found: images, true craters with what was found of each, and detections.
+    """Results of one detector: images, true craters with their matches, and detections.
 
     Craters and detections have the columns ``kept``: whether by the detector's own threshold; ``world``: within which
     a crater has one number; ``unit``: what is independent of all others, the world where there are several, else the

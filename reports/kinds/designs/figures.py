@@ -1,4 +1,4 @@
-"""What a report tells of a grid of scenarios."""
+"""Figures of a grid of scenarios."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a grid of scenarios shows: errors by level, and changes between levels trial by trial.
+"""Tables of a grid of scenarios: errors by level, and paired changes between levels.
 
 A change is the ratio of geometric means over the same trials, whose views and priors are the same in every scenario:
 ``exp(mean_t(ln e_t - ln e'_t))``. It is paired, one bad trial does not decide it, and the effects of several axes
@@ -33,7 +33,7 @@ _REPORTED = "diagnostics"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one.
+    """Quantity compared between scenarios: an error of an estimator after a stage, '' for the final one.
 
     The stage ``diagnostics`` stands for numbers that the estimator reports, ``sequence`` for what a trial of a sequence
     comes to.

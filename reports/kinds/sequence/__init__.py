@@ -1,4 +1,4 @@
-"""What a report tells of trials of sequences."""
+"""Report of sequences."""
 
 from __future__ import annotations
 

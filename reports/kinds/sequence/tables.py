@@ -1,4 +1,4 @@
-"""What a report tells of sequences: errors after whole revolutions, and along the frames."""
+"""Tables of sequences: errors after whole revolutions, and along the frames."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
 
 
 def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
-    """Leave out the scenarios that a pool stands for."""
+    """Leave out the scenarios that are pooled."""
     pooled = pooled_scenarios(run)
     return [record for record in records if record.scenario not in pooled]
 
@@ -108,7 +108,7 @@ def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
 
 
 def sequence_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate what the trials of sequences come to; None if there are none."""
+    """Tabulate the results of sequences; None if there are none."""
     lines = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name]
     heads = ("scenario", "estimator", "number", "median [95 %]", "mean +- deviation", "RMS", "95 %", "unit", "trials")
     rows = tuple(

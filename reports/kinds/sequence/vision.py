@@ -1,4 +1,4 @@
-"""What the vision layer of a sequence of images was like: features, repeatability, matches and tracks."""
+"""Statistics of the vision layer of a sequence of images: features, repeatability, matches and tracks."""
 
 from __future__ import annotations
 

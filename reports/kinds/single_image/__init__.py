@@ -1,4 +1,4 @@
-"""What a report tells of trials of single images."""
+"""Report of single images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to make a data base beside each other: its size, and the errors that follow from it."""
+"""Comparison of ways to build a data base: its size, and the resulting errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What accuracy costs: error, failures, time an image and size of the data base, estimator by estimator."""
+"""Accuracy and cost of each estimator: error, failures, time an image and size of the data base."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def prior_medians(run: RunData, scenario: str) -> dict[str, float]:
 
 
 def trade_grid(run: RunData) -> Grid | None:
-    """Tabulate accuracy beside its cost; None where nothing is to be traded."""
+    """Tabulate accuracy and cost; None without two estimators of which one has a data base."""
     rows = tuple(tuple(_cells(cost)) for cost in costs(run))
     heads = (
         "scenario", "estimator", "ok", "position m [95 %]", "attitude deg [95 %]", "failures % [95 %]",
