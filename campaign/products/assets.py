@@ -158,7 +158,7 @@ class BuiltAssets:
     folder
         ``RUN/products``, with one folder for each product, so that a run is self-contained.
     jobs
-        Number of workers for builds; 0 where nothing may be built (in a worker).
+        Number of workers for builds; None: nothing is built, and a missing product is an error (in a worker).
     variant
         The Mitsuba variant.
     report
@@ -173,7 +173,7 @@ class BuiltAssets:
         self,
         scenario: LoadedScenario,
         folder: Path,
-        jobs: int,
+        jobs: int | None,
         variant: str,
         report: Callable[[str], None] | None = None,
         draft: float = 1.0,
@@ -263,7 +263,8 @@ class BuiltAssets:
         return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._used]
 
     def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
-        if self.jobs == 0:
+        jobs = self.jobs
+        if jobs is None:
             raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
         product, start_s = product_kind(kind), time.perf_counter()
 
@@ -275,7 +276,7 @@ class BuiltAssets:
             try:
                 # With one job it is built in this process, with more partly here and partly in workers.
                 with one_blas_thread():
-                    facts = product.build(self._scenario, options, place, self.jobs, self._variant) or {}
+                    facts = product.build(self._scenario, options, place, jobs, self._variant) or {}
             except NoProductError as error:
                 (place / _FAILURE).write_text(str(error), encoding="utf-8")
                 return

@@ -24,19 +24,16 @@ from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 T = TypeVar("T")
 
-IN_THIS_PROCESS = 0
-"""Value of ``jobs`` inside a worker process, whose number of threads is already set."""
-
 _CHUNK_IMAGES = 10
 
 
-def map_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
+def map_images(jobs: int | None, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
     """Apply ``function(*arguments, numbers)`` to chunks of image numbers in workers; return all results in order.
 
     Parameters
     ----------
     jobs
-        Number of workers, or ``IN_THIS_PROCESS``.
+        Number of workers; None: in this process, a worker with its number of threads already set.
     images
         Number of images, which are numbered from 0.
     function
@@ -45,7 +42,7 @@ def map_images(jobs: int, images: int, function: Callable[..., list[T]], *argume
         Its first arguments, the same for all chunks.
     """
     chunks = [range(i, min(i + _CHUNK_IMAGES, images)) for i in range(0, images, _CHUNK_IMAGES)]
-    if jobs == IN_THIS_PROCESS:
+    if jobs is None:
         return [result for chunk in chunks for result in function(*arguments, chunk)]
     calls = ((jobs, function, arguments, chunk) for chunk in chunks)
     found: list[T] = []

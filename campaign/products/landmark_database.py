@@ -47,7 +47,7 @@ class LandmarkCandidates:
 
 
 def landmark_candidates(
-    scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str
+    scenario: LoadedScenario, options: CandidateOptions, jobs: int | None, variant: str
 ) -> LandmarkCandidates:
     """Return the candidates of ``scenario``, from the cache if they are there.
 
@@ -60,7 +60,7 @@ def landmark_candidates(
     options
         Options of images and corners; further fields of a derived model are ignored.
     jobs
-        Number of workers, or ``IN_THIS_PROCESS``.
+        Number of workers; None: in this process, see `map_images`.
     variant
         The Mitsuba variant.
     """

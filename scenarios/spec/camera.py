@@ -68,10 +68,12 @@ class CameraSpec(SpecModel):
 
     def camera(self) -> Camera:
         """Return the camera as a value."""
-        if self.focal_px is not None:
+        if self.fov_deg is not None:
+            fx = fy = 0.5 * self.width_px / np.tan(0.5 * np.radians(self.fov_deg))
+        elif self.focal_px is not None:
             fx, fy = self.focal_px
         else:
-            fx = fy = 0.5 * self.width_px / np.tan(0.5 * np.radians(self.fov_deg or 0.0))
+            raise ValueError("the camera has neither fov_deg nor focal_px")
         cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
         lens = None if self.distortion is None else RadialDistortion(self.distortion.k1, self.distortion.k2)
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
 from boresight.campaign.products import BuiltAssets, landmark_database, product_key
-from boresight.campaign.products.database_images import IN_THIS_PROCESS
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.threads import use_threads
 from boresight.estimators.landmark.build import DatabaseOptions
@@ -93,7 +92,7 @@ def test_range_and_camera_of_the_data_base_stand_for_those_of_the_scenario(tmp_p
 
     def candidates(loaded, options):
         options = DatabaseOptions.model_validate(options)
-        return landmark_candidates(loaded, options, IN_THIS_PROCESS, variant).by_image
+        return landmark_candidates(loaded, options, None, variant).by_image
 
     ours = candidates(scene(tmp_path), {**few, **option})
     theirs = candidates(scene(tmp_path, override), few)
@@ -185,7 +184,7 @@ def test_landmarks_lie_on_the_body(tiny_run, tmp_path):
 
 def test_a_worker_builds_nothing(tmp_path):
     with pytest.raises(BoresightError, match="the product is missing from the run folder: run the campaign again"):
-        scenario_assets(scene(tmp_path), tmp_path / "run", jobs=0).product(KIND, DATABASE)
+        scenario_assets(scene(tmp_path), tmp_path / "run", jobs=None).product(KIND, DATABASE)
     assert not (tmp_path / "run").exists()
 
 

@@ -101,7 +101,7 @@ class CraterDetection:
         """Build the surfaces, which workers then only read."""
         worlds = (with_database_craters(scenario, number).spec for number in range(campaign.spec.databases))
         populations = [spec.craters for spec in worlds if spec.craters is not None]
-        build_surfaces(scenario.spec.body, populations, scenario.search_dirs, assets.jobs, assets.report)
+        build_surfaces(scenario.spec.body, populations, scenario.search_dirs, assets.jobs or 1, assets.report)
         return []
 
     @classmethod

@@ -11,7 +11,6 @@ from boresight.campaign.draft import drafted
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.imaging.world import believed, check_views
 from boresight.campaign.products import BuiltAssets, BuiltProduct, landmark_database
-from boresight.campaign.products.database_images import IN_THIS_PROCESS
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext
@@ -105,7 +104,7 @@ class DatabaseTrials:
     def _made(self, options: DatabaseOptions) -> tuple[Record, dict[str, float]]:
         # Images of a hundred data bases would drive all others out of the store, and their candidates are kept.
         with store_switched(False):
-            candidates = landmark_candidates(self.scenario, options, IN_THIS_PROCESS, self.variant)
+            candidates = landmark_candidates(self.scenario, options, None, self.variant)
         row: Record = {**_nothing(), "status": "ok", "reason": ""}
         try:
             return row, counts(build_database(candidates.by_image, options), options)

@@ -178,7 +178,9 @@ class PoseConvergence:
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> PoseConvergence:
         """Read the data base."""
         solvers = cls.methods(campaign, scenario)
-        assets = BuiltAssets(scenario, context.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
+        assets = BuiltAssets(
+            scenario, context.run / "products", jobs=None, variant=campaign.variant, draft=campaign.draft
+        )
         return cls(scenario, _database(solvers, assets), solvers, campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:

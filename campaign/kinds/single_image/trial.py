@@ -131,7 +131,7 @@ class SingleImage:
     def _with_database(
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, database: int
     ) -> SingleImage:
-        assets = BuiltAssets(scenario, context.run / "products", 0, campaign.variant, None, campaign.draft, database)
+        assets = BuiltAssets(scenario, context.run / "products", None, campaign.variant, None, campaign.draft, database)
         assets_by_label = {entry.label: assets.for_database(database) for entry in campaign.spec.estimators}
         estimators = {
             entry.label: _method(entry, scenario, assets_by_label[entry.label]) for entry in campaign.spec.estimators

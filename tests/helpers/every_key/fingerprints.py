@@ -44,7 +44,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         return imaging_fingerprint(scenario) if imaged else orbit_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
-    parts = [*lent(BuiltAssets(scenario, file.parent / "products", 0, variant))]
+    parts = [*lent(BuiltAssets(scenario, file.parent / "products", None, variant))]
     if world.ground is not None:
         parts.append(world.ground.rims.crest_m.tobytes())
     for trial in range(3):
