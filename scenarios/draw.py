@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from enum import IntEnum
 from typing import Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
-from boresight.scenarios.spec.distribution import Vector3
+from boresight.scenarios.spec.distribution import Uniform, Vector3
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
@@ -162,9 +163,11 @@ def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Came
     south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
     camera_dir_body = draw_direction((south_rad, north_rad), rng)
     roll_rad = np.radians(viewpoint.roll_deg.draw(rng))
-    T_cam_body = look_at(viewpoint.range_m * camera_dir_body, float(roll_rad))
     phase_rad = draw_phase(lighting, rng)
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
+    # Last, so that all else of a view is the same at every range.
+    range_m = viewpoint.range_m if isinstance(viewpoint.range_m, float) else viewpoint.range_m.draw(rng)
+    T_cam_body = look_at(range_m * camera_dir_body, float(roll_rad))
     # In camera axes the body's origin is at +z, so that the camera lies towards -z from it.
     across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards_camera_cam = np.array([0.0, 0.0, -1.0])
@@ -183,7 +186,9 @@ def draw_direction(latitudes_rad: tuple[float, float], rng: np.random.Generator)
 
 
 def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
-    """Draw a phase angle, rad: uniform in its cosine (the solid angle) or in itself."""
+    """Draw a phase angle, rad: if it is uniform, in its cosine (the solid angle) or in itself; else by its law."""
+    if not isinstance(lighting.phase_deg, Uniform):
+        return math.radians(lighting.phase_deg.draw(rng))
     low, high = np.radians(lighting.phase_deg.uniform)
     if lighting.measure == "angle":
         return float(rng.uniform(low, high))
@@ -218,14 +223,16 @@ def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> Flo
     """
     attitude = spec.attitude
     if attitude.rotation_vector_deg is not None:
-        rotation_deg2 = attitude.rotation_vector_deg.second_moments
+        rotation_deg2 = attitude.rotation_vector_deg.second_moment
     else:
         angle = attitude.angle_deg
         # E[angle^2 n n^T] = E[angle^2] / 3 I for an isotropic axis n.
-        rotation_deg2 = np.full(3, 0.0 if angle is None else angle.second_moment / 3.0)
+        rotation_deg2 = np.eye(3) * (0.0 if angle is None else angle.second_moment / 3.0)
     position, scale_m = _position(spec, range_m, camera)
-    rotation_rad2 = rotation_deg2 * np.radians(1.0) ** 2
-    return np.diag(np.concatenate([rotation_rad2, position.second_moments * scale_m**2]))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = rotation_deg2 * np.radians(1.0) ** 2
+    covariance[3:, 3:] = position.second_moment * scale_m**2
+    return covariance
 
 
 def _shift(spec: PoseErrorSpec, range_m: float, camera: Camera, rng: np.random.Generator) -> FloatArray:

@@ -195,10 +195,10 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:
-    """Range of a scenario's views, m: that of its viewpoint, or the median over its real images."""
+    """Range of a scenario's views, m: the median of that of its viewpoint, or over its real images."""
     spec = scenario.spec
     if spec.viewpoint is not None:
-        return spec.viewpoint.range_m
+        return spec.viewpoint.median_range_m
     images = open_images(scenario)
     return float(np.median([np.linalg.norm(images.view(i).T_cam_body.translation_m) for i in range(len(images))]))
 
@@ -237,8 +237,8 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
     south_deg, north_deg = viewpoint.latitude_deg.uniform
     below = (latitudes_deg >= south_deg) & (latitudes_deg <= north_deg)
     reach_m = float(np.linalg.norm(mesh.vertices_m[below], axis=1).max(initial=0.0))
-    if viewpoint.range_m <= reach_m:
+    if viewpoint.least_range_m <= reach_m:
         raise BoresightError(
-            f"{scenario.path}: viewpoint.range_m: {viewpoint.range_m:g} m leads into the body, which reaches"
+            f"{scenario.path}: viewpoint.range_m: {viewpoint.least_range_m:g} m leads into the body, which reaches"
             f" {reach_m:.6g} m from its origin at those latitudes: choose a larger range"
         )

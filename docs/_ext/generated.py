@@ -28,6 +28,16 @@ from boresight.scenarios import catalog
 from boresight.scenarios.load.keys import Key, as_yaml, keys_of, words_of
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.distribution import (
+    Choice,
+    Correlated3,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Normal3,
+    Uniform,
+    Uniform3,
+)
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 KEY_TYPES = {"scenario-key": "key of scenarios", "campaign-key": "key of campaigns", "option-key": "option"}
@@ -86,6 +96,11 @@ def _pages() -> Iterator[tuple[str, str]]:
             "A file with `extends: NAME` starts from another scenario: a file or a name from `boresight list`."
             " `NAME` may be a list; later ones override earlier ones.",
             *_keys(ScenarioSpec, "scenario-key"),
+            "## Distributions",
+            "A key whose type is a distribution takes a number, which is a constant, or one of these:",
+            "\n".join(f"- {words_of(law)}" for law in (Uniform, Normal, LogUniform, LogNormal, Choice)),
+            "Those of pose errors have three components, in camera axes:",
+            "\n".join(f"- {words_of(law)}" for law in (Uniform3, Normal3, Correlated3)),
         ),
     )
     yield (

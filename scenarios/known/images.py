@@ -10,7 +10,7 @@ from boresight.scenarios.known.record import Item, Known, item, listed
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
-from boresight.scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
+from boresight.scenarios.spec.distribution import Law, Law3
 from boresight.scenarios.spec.images import ImageSetSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
@@ -171,16 +171,11 @@ def _pose(spec: ScenarioSpec) -> Iterator[Item]:
     yield Item("pose", "not")
 
 
-def _nothing(law: Scalar | Vector3 | None) -> bool:
+def _nothing(law: Law | Law3 | None) -> bool:
     """Return whether a distribution draws only zeros."""
-    return law is None or not np.any(law.normal if isinstance(law, Normal | Normal3) else law.uniform)
+    return law is None or not np.any(law.second_moment)
 
 
-def _spread(law: Scalar | None) -> str:
+def _spread(law: Law | None) -> str:
     """Format the distribution of an angle."""
-    if law is None:
-        return ""
-    if isinstance(law, Normal):
-        return f"{law.normal:g} deg, 1 sigma"
-    low, high = law.uniform
-    return f"{low:g} to {high:g} deg"
+    return "" if law is None else law.text("deg")

@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 from boresight.scenarios.load.explain import bounds_of, interval
 from boresight.scenarios.load.merge import Models
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.distribution import Law, Law3
 
 # The ends of names, longest first, so that `_m_s2` is not taken for `_s2`.
 _UNITS = {
@@ -89,7 +90,7 @@ def _key(name: str, field: FieldInfo, model: type[SpecModel]) -> Key:
 
 def _law(annotation: Any) -> bool:
     """Whether an annotation is the model of a distribution: a value in a file, not a section."""
-    return isinstance(annotation, type) and bool({"uniform", "normal"} & set(getattr(annotation, "model_fields", ())))
+    return isinstance(annotation, type) and issubclass(annotation, Law | Law3)
 
 
 def _sections(annotation: Any) -> Models:
@@ -123,6 +124,8 @@ def _type(annotation: Any, bounds: str = "", metadata: Sequence[Any] = ()) -> st
         return _either([str(part) for part in parts])
     if origin in (Union, UnionType):
         told = [_type(part, bounds) for part in parts if part is not NoneType]
+        if any("{choice:" in one for one in told):  # every law of a number, which the reference lists once
+            told = [*(one for one in told if not one.startswith("{")), "distribution"]
         return _either(list(dict.fromkeys(told)))
     if origin in (tuple, list):
         return _list(parts, bounds)

@@ -1,17 +1,26 @@
-"""Distributions in scenario files: uniform or normal; equal bounds of a uniform one make a constant."""
+"""Distributions in scenario files, each named by its key; a number is a constant.
+
+Each law draws values and knows their second moment, so that a prior's covariance follows from the law of its errors.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+import math
+from statistics import NormalDist
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
+from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, is_none
 
 Bounds = tuple[float, float]
 NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+
+_STANDARD = NormalDist()
+_EVERYWHERE = (-math.inf, math.inf)
 
 
 def _check_order(low: float, high: float) -> None:
@@ -19,18 +28,35 @@ def _check_order(low: float, high: float) -> None:
         raise ValueError(f"the lower bound {low:g} is above the upper bound {high:g}")
 
 
-def _law(value: object) -> str | None:
-    """Return the kind of distribution of a value, by its key."""
-    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
-    return next((law for law in ("normal", "uniform") if law in keys), None)
+class Law(SpecModel):
+    """Distribution of one number."""
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one value."""
+        raise NotImplementedError
+
+    @property
+    def support(self) -> Bounds:
+        """Least and largest value, infinite where there is none."""
+        raise NotImplementedError
+
+    @property
+    def median(self) -> float:
+        """The median."""
+        raise NotImplementedError
+
+    @property
+    def second_moment(self) -> float:
+        """Mean of the square."""
+        raise NotImplementedError
+
+    def text(self, unit: str) -> str:
+        """Return the law in words, with the unit of its values."""
+        raise NotImplementedError
 
 
-def _either(pattern: str) -> Discriminator:
-    return Discriminator(_law, custom_error_type="no_law", custom_error_message=f"is no distribution: write {pattern}")
-
-
-class Uniform(SpecModel):
-    """Uniform between two bounds: ``{uniform: [low, high]}``."""
+class Uniform(Law):
+    """Uniform between two bounds: ``{uniform: [low, high]}``; equal bounds make a constant."""
 
     uniform: Bounds = Field(description="[low, high]")
 
@@ -44,35 +70,317 @@ class Uniform(SpecModel):
         return float(rng.uniform(*self.uniform))
 
     @property
+    def support(self) -> Bounds:
+        """The bounds."""
+        return self.uniform
+
+    @property
+    def median(self) -> float:
+        """The middle."""
+        return 0.5 * (self.uniform[0] + self.uniform[1])
+
+    @property
     def second_moment(self) -> float:
         """Mean of the square."""
         # E[x^2] = (high^3 - low^3) / (3 (high - low)), without the division by an empty interval.
         low, high = self.uniform
         return (low * low + low * high + high * high) / 3.0
 
+    def text(self, unit: str) -> str:
+        """Return the bounds with the unit."""
+        low, high = self.uniform
+        return f"{low:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
 
-class Normal(SpecModel):
-    """Gaussian about zero: ``{normal: sigma}``."""
 
-    normal: NonNegative = Field(description="Standard deviation")
+class _Gaussian(Law):
+    """Normal in some scale, between bounds if ``within`` is given: then drawn by the inverse distribution function."""
+
+    within: Bounds | None = Field(None, exclude_if=is_none, description="[low, high] that values are drawn within")
+
+    @model_validator(mode="after")
+    def _check_within(self) -> Self:
+        if self.within is None:
+            return self
+        _check_order(*self.within)
+        (low, high), (mean, sigma) = self._limits, self._normal
+        if not (low <= mean <= high if sigma == 0.0 else _STANDARD.cdf(high) - _STANDARD.cdf(low) > 1e-9):
+            raise ValueError(f"next to no value is within {list(self.within)}")
+        return self
+
+    @property
+    def _normal(self) -> tuple[float, float]:
+        """Mean and standard deviation in the scale that is normal."""
+        raise NotImplementedError
+
+    def _scaled(self, value: float) -> float:
+        """Return a value in the scale that is normal."""
+        return value
+
+    @property
+    def _limits(self) -> Bounds:
+        """Bounds in that scale, in standard deviations from the mean; as they are if the deviation is 0."""
+        if self.within is None:
+            return _EVERYWHERE
+        mean, sigma = self._normal
+        low, high = (self._scaled(bound) for bound in self.within)
+        return (low, high) if sigma == 0.0 else ((low - mean) / sigma, (high - mean) / sigma)
+
+    def _drawn(self, rng: np.random.Generator) -> float:
+        mean, sigma = self._normal
+        if self.within is None or sigma == 0.0:
+            return float(rng.normal(mean, sigma))
+        low, high = map(_STANDARD.cdf, self._limits)
+        # Neither 0 nor 1, which have no quantile.
+        return mean + sigma * _STANDARD.inv_cdf(min(max(rng.uniform(low, high), 5e-324), 1.0 - 2**-53))
+
+    @property
+    def _middle(self) -> float:
+        mean, sigma = self._normal
+        if self.within is None or sigma == 0.0:
+            return mean
+        low, high = map(_STANDARD.cdf, self._limits)
+        return mean + sigma * _STANDARD.inv_cdf(0.5 * (low + high))
+
+
+class Normal(_Gaussian):
+    """Normal about zero or a mean: ``{normal: sigma}``, ``{normal: [mean, sigma]}``; truncated by ``within``."""
+
+    normal: Annotated[
+        Annotated[NonNegative, Tag("sigma")] | Annotated[tuple[float, NonNegative], Tag("mean and sigma")],
+        Discriminator(lambda value: "mean and sigma" if isinstance(value, list | tuple) else "sigma"),
+    ] = Field(description="Standard deviation, or [mean, sigma]")
+
+    @property
+    def _normal(self) -> tuple[float, float]:
+        return self.normal if isinstance(self.normal, tuple) else (0.0, self.normal)
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw one value."""
-        return float(rng.normal(0.0, self.normal))
+        return self._drawn(rng)
+
+    @property
+    def support(self) -> Bounds:
+        """The bounds ``within``; the mean alone if the standard deviation is 0."""
+        mean, sigma = self._normal
+        return (mean, mean) if sigma == 0.0 else self.within or _EVERYWHERE
+
+    @property
+    def median(self) -> float:
+        """The median: the mean, unless the law is truncated on one side more than on the other."""
+        return self._middle
 
     @property
     def second_moment(self) -> float:
         """Mean of the square."""
-        return self.normal**2
+        mean, sigma = self._normal
+        if self.within is None or sigma == 0.0:
+            return mean**2 + sigma**2
+        low, high = self._limits
+        share = _STANDARD.cdf(high) - _STANDARD.cdf(low)
+        # Mean and mean square of the truncated standard normal law, by parts.
+        first = (_STANDARD.pdf(low) - _STANDARD.pdf(high)) / share
+        second = 1.0 + (low * _STANDARD.pdf(low) - high * _STANDARD.pdf(high)) / share
+        return mean**2 + 2.0 * mean * sigma * first + sigma**2 * second
 
+    def text(self, unit: str) -> str:
+        """Return standard deviation, mean and bounds with the unit."""
+        mean, sigma = self._normal
+        about = f" about {mean:g} {unit}" if mean else ""
+        cut = f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
+        return f"{sigma:g} {unit}, 1 sigma{about}{cut}"
+
+
+class LogNormal(_Gaussian):
+    """Log-normal: ``{log_normal: [median, sigma]}``, sigma of the natural logarithm; truncated by ``within``."""
+
+    log_normal: tuple[Positive, NonNegative] = Field(description="[median, sigma of ln]")
+
+    @model_validator(mode="after")
+    def _check_positive(self) -> Self:
+        if self.within is not None and self.within[0] < 0.0:
+            raise ValueError(f"within {list(self.within)} begins below 0, where there is no value")
+        return self
+
+    @property
+    def _normal(self) -> tuple[float, float]:
+        return math.log(self.log_normal[0]), self.log_normal[1]
+
+    def _scaled(self, value: float) -> float:
+        return math.log(value) if value > 0.0 else -math.inf
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one value."""
+        return math.exp(self._drawn(rng))
+
+    @property
+    def support(self) -> Bounds:
+        """The bounds ``within``; from 0 without them."""
+        median, sigma = self.log_normal
+        return (median, median) if sigma == 0.0 else self.within or (0.0, math.inf)
+
+    @property
+    def median(self) -> float:
+        """The median."""
+        return math.exp(self._middle)
+
+    @property
+    def second_moment(self) -> float:
+        """Mean of the square."""
+        median, sigma = self.log_normal
+        whole = (median * math.exp(sigma**2)) ** 2
+        if self.within is None or sigma == 0.0:
+            return whole
+        # x^2 times the density is the density of the law whose mean is larger by 2 sigma^2.
+        (low, high), cdf = self._limits, _STANDARD.cdf
+        return whole * (cdf(high - 2.0 * sigma) - cdf(low - 2.0 * sigma)) / (cdf(high) - cdf(low))
+
+    def text(self, unit: str) -> str:
+        """Return median, factor of one sigma and bounds with the unit."""
+        median, sigma = self.log_normal
+        cut = f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
+        return f"{median:g} {unit} times or over {math.exp(sigma):.3g}, 1 sigma{cut}"
+
+
+class LogUniform(Law):
+    """Uniform in the logarithm: ``{log_uniform: [low, high]}``, both above zero."""
+
+    log_uniform: tuple[Positive, Positive] = Field(description="[low, high]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_order(*self.log_uniform)
+        return self
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one value."""
+        low, high = self.log_uniform
+        return float(low * (high / low) ** rng.uniform())
+
+    @property
+    def support(self) -> Bounds:
+        """The bounds."""
+        return self.log_uniform
+
+    @property
+    def median(self) -> float:
+        """The geometric mean of the bounds."""
+        return math.sqrt(self.log_uniform[0] * self.log_uniform[1])
+
+    @property
+    def second_moment(self) -> float:
+        """Mean of the square."""
+        low, high = self.log_uniform
+        return low**2 if low == high else 0.5 * (high**2 - low**2) / math.log(high / low)
+
+    def text(self, unit: str) -> str:
+        """Return the bounds with the unit."""
+        return f"{self.log_uniform[0]:g} to {self.log_uniform[1]:g} {unit}, uniform in the logarithm"
+
+
+class Choice(Law):
+    """One of some values, all equally probable: ``{choice: [1, 2, 2, 5]}``; a repeated value is drawn as often."""
+
+    choice: tuple[float, ...] = Field(min_length=1, max_length=100_000, description="The values")
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one value."""
+        return self.choice[int(rng.integers(len(self.choice)))]
+
+    @property
+    def support(self) -> Bounds:
+        """Least and largest value."""
+        return min(self.choice), max(self.choice)
+
+    @property
+    def median(self) -> float:
+        """The median."""
+        return float(np.median(self.choice))
+
+    @property
+    def second_moment(self) -> float:
+        """Mean of the square."""
+        return float(np.mean(np.square(self.choice)))
+
+    def text(self, unit: str) -> str:
+        """Return the number of values and their bounds with the unit."""
+        low, high = self.support
+        return f"one of {len(self.choice)} values from {low:g} to {high:g} {unit}"
+
+
+def _law(value: object) -> str | None:
+    """Return the kind of distribution of a value, by its key."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return "number"
+    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
+    laws = ("normal", "uniform", "log_normal", "log_uniform", "choice", "covariance")
+    return next((law for law in laws if law in keys), None)
+
+
+def _either(pattern: str) -> Discriminator:
+    return Discriminator(_law, custom_error_type="no_law", custom_error_message=f"is no distribution: write {pattern}")
+
+
+def _constant(value: Any) -> Any:
+    # A tuple: what is read is checked strictly, and only JSON may have a list here.
+    return {"uniform": (value, value)} if _law(value) == "number" else value
+
+
+_SCALAR = (
+    "a number, uniform: [low, high], normal: sigma or [mean, sigma], log_uniform: [low, high],"
+    " log_normal: [median, sigma of ln] or choice: [a, b, ...]"
+)
 
 Scalar = Annotated[
-    Annotated[Uniform, Tag("uniform")] | Annotated[Normal, Tag("normal")],
-    _either("uniform: [low, high] or normal: sigma"),
+    Annotated[Uniform, BeforeValidator(_constant, json_schema_input_type=float), Tag("number")]
+    | Annotated[Uniform, Tag("uniform")]
+    | Annotated[Normal, Tag("normal")]
+    | Annotated[LogNormal, Tag("log_normal")]
+    | Annotated[LogUniform, Tag("log_uniform")]
+    | Annotated[Choice, Tag("choice")],
+    _either(_SCALAR),
 ]
 
+PositiveScalar = Annotated[
+    Annotated[float, Field(gt=0), Tag("number")]
+    | Annotated[Uniform, Tag("uniform")]
+    | Annotated[Normal, Tag("normal")]
+    | Annotated[LogNormal, Tag("log_normal")]
+    | Annotated[LogUniform, Tag("log_uniform")]
+    | Annotated[Choice, Tag("choice")],
+    _either(_SCALAR),
+]
+"""A number, or a distribution whose values `check_support` holds to be above zero. A number draws nothing at random."""
 
-class Uniform3(SpecModel):
+
+def check_support(key: str, law: Law, low: float, high: float = math.inf) -> None:
+    """Refuse a distribution with values outside [low, high].
+
+    Raises
+    ------
+    ValueError
+        With the key, the law's own bounds, and what to do.
+    """
+    least, most = law.support
+    if least < low or most > high:
+        allowed = f"within [{low:g}, {high:g}]" if math.isfinite(high) else f"of {low:g} and more"
+        hint = "" if math.isfinite(least) and math.isfinite(most) else "; bound it by within: [low, high]"
+        raise ValueError(f"{key} [{least:g}, {most:g}] is not {allowed}{hint}")
+
+
+class Law3(SpecModel):
+    """Distribution of a vector of three components."""
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Draw (3,) values."""
+        raise NotImplementedError
+
+    @property
+    def second_moment(self) -> FloatArray:
+        """(3, 3) mean of the outer product of a vector with itself."""
+        raise NotImplementedError
+
+
+class Uniform3(Law3):
     """Three independent uniform components: ``{uniform: [[low, high], [low, high], [low, high]]}``."""
 
     uniform: tuple[Bounds, Bounds, Bounds] = Field(description="[low, high] of x, y and z")
@@ -89,14 +397,17 @@ class Uniform3(SpecModel):
         return rng.uniform(bounds[:, 0], bounds[:, 1])
 
     @property
-    def second_moments(self) -> FloatArray:
-        """(3,) mean squares."""
+    def second_moment(self) -> FloatArray:
+        """(3, 3) mean of the outer product of a vector with itself."""
         low, high = np.array(self.uniform).T
-        return np.asarray((low * low + low * high + high * high) / 3.0, dtype=np.float64)
+        means = 0.5 * (low + high)
+        moments = np.outer(means, means)
+        np.fill_diagonal(moments, (low * low + low * high + high * high) / 3.0)
+        return np.asarray(moments, dtype=np.float64)
 
 
-class Normal3(SpecModel):
-    """Three independent Gaussian components about zero: ``{normal: [sx, sy, sz]}``."""
+class Normal3(Law3):
+    """Three independent normal components about zero: ``{normal: [sx, sy, sz]}``."""
 
     normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
 
@@ -105,12 +416,43 @@ class Normal3(SpecModel):
         return rng.normal(0.0, self.normal)
 
     @property
-    def second_moments(self) -> FloatArray:
-        """(3,) mean squares."""
-        return np.square(np.array(self.normal, dtype=np.float64))
+    def second_moment(self) -> FloatArray:
+        """(3, 3) mean of the outer product of a vector with itself."""
+        return np.diag(np.square(np.array(self.normal, dtype=np.float64)))
+
+
+Row3 = tuple[float, float, float]
+
+
+class Correlated3(Law3):
+    """Normal components about zero with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
+
+    covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        matrix = np.array(self.covariance)
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise ValueError("covariance is not symmetric")
+        values = np.linalg.eigvalsh(matrix)
+        if values[0] < -1e-9 * max(values[-1], 0.0) or values[-1] < 0.0:
+            raise ValueError(f"covariance has the negative eigenvalue {values[0]:g}")
+        return self
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Draw (3,) values."""
+        # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
+        values, vectors = np.linalg.eigh(np.array(self.covariance))
+        return np.asarray(vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(3)), dtype=np.float64)
+
+    @property
+    def second_moment(self) -> FloatArray:
+        """(3, 3) the covariance, as the mean is zero."""
+        matrix = np.array(self.covariance, dtype=np.float64)
+        return 0.5 * (matrix + matrix.T)
 
 
 Vector3 = Annotated[
-    Annotated[Uniform3, Tag("uniform")] | Annotated[Normal3, Tag("normal")],
-    _either("uniform: [[low, high], [low, high], [low, high]] or normal: [sx, sy, sz]"),
+    Annotated[Uniform3, Tag("uniform")] | Annotated[Normal3, Tag("normal")] | Annotated[Correlated3, Tag("covariance")],
+    _either("uniform: [[low, high], [low, high], [low, high]], normal: [sx, sy, sz] or covariance: 3 x 3"),
 ]

@@ -136,7 +136,7 @@ class ScenarioSpec(SpecModel):
     def m_per_px(self) -> float | None:
         """Length across the line of sight that a pixel covers at the origin of the body; None if no range is given."""
         if self.viewpoint is not None:
-            range_m = self.viewpoint.range_m
+            range_m = self.viewpoint.median_range_m
         elif self.crater_pairs is not None:
             range_m = self.crater_pairs.range_m
         elif self.orbit is not None:

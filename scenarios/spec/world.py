@@ -8,20 +8,15 @@ from pydantic import Field, model_validator
 
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import Rectangle
-from boresight.scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
-
-
-def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:
-    if bounds[0] < low or bounds[1] > high:
-        raise ValueError(f"{key} {list(bounds)} is not within [{low:g}, {high:g}]")
+from boresight.scenarios.spec.distribution import PositiveScalar, Scalar, Uniform, Uniform3, Vector3, check_support
 
 
 class ViewpointSpec(SpecModel):
-    """Random direction at a fixed range, boresight to the body's centre or to a target kind, random roll."""
+    """Random direction at a range, boresight to the body's centre or to a target kind, random roll."""
 
     kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
-    range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
-    roll_deg: Uniform = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
+    range_m: PositiveScalar = Field(description="Distance of the camera from the body's origin, one or drawn")
+    roll_deg: Scalar = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
     latitude_deg: Uniform = Field(
         Uniform(uniform=(-90.0, 90.0)),
         description="Body-fixed latitudes of the camera, within -90 to 90; uniform over the area",
@@ -40,21 +35,34 @@ class ViewpointSpec(SpecModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        _check_within("latitude_deg", self.latitude_deg.uniform, -90.0, 90.0)
+        check_support("latitude_deg", self.latitude_deg, -90.0, 90.0)
+        if not isinstance(self.range_m, float):
+            check_support("range_m", self.range_m, 1e-3)
         return self
+
+    @property
+    def least_range_m(self) -> float:
+        """The shortest range, m."""
+        return self.range_m if isinstance(self.range_m, float) else self.range_m.support[0]
+
+    @property
+    def median_range_m(self) -> float:
+        """The median of the range, m, at which data bases are built."""
+        return self.range_m if isinstance(self.range_m, float) else self.range_m.median
 
 
 class LightingSpec(SpecModel):
     """Direction to the Sun by the phase angle; its azimuth about the line of sight is uniform."""
 
-    phase_deg: Uniform = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
+    phase_deg: Scalar = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
     measure: Literal["solid-angle", "angle"] = Field(
-        "solid-angle", description="Uniform over the solid angle of the cap, or in the angle itself"
+        "solid-angle",
+        description="Uniform over the solid angle of the cap, or in the angle itself, for a uniform phase_deg",
     )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        _check_within("phase_deg", self.phase_deg.uniform, 0.0, 180.0)
+        check_support("phase_deg", self.phase_deg, 0.0, 180.0)
         return self
 
 

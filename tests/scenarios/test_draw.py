@@ -14,7 +14,16 @@ from boresight.scenarios.draw import Stream, degrade, draw_lit_view, draw_view, 
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.spec.distribution import Normal, Normal3, Uniform, Uniform3
+from boresight.scenarios.spec.distribution import (
+    Choice,
+    Correlated3,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Normal3,
+    Uniform,
+    Uniform3,
+)
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 FALSE_ALARM = 1e-4
@@ -183,6 +192,10 @@ def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
             position_cam_px=Uniform3(uniform=((-40, 40), (-40, 40), (-4, 4))),
             attitude=AttitudeErrorSpec(rotation_vector_deg=Uniform3(uniform=((-1, 1), (0, 1), (-2, 2)))),
         ),
+        PoseErrorSpec(
+            position_cam_m=Correlated3(covariance=((900, 600, -30), (600, 800, 0), (-30, 0, 25))),
+            attitude=AttitudeErrorSpec(angle_deg=Normal(normal=(1.0, 0.5), within=(0.0, 1.5))),
+        ),
     ],
 )
 def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_error):
@@ -191,11 +204,88 @@ def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_err
     turns, shifts = errors_of(pose_error, [pose] * N, camera)
     sample = np.hstack([turns, shifts])
     covariance = prior_covariance(pose_error, range_m, camera)
-    mean_squares = np.diag(covariance)
-    # Standard error of a mean square from the sample's own fourth moments; 4.5 sigma for six of them.
-    error = (sample**2).std(axis=0) / np.sqrt(N)
-    assert (np.abs((sample**2).mean(axis=0) - mean_squares) < 4.5 * error).all()
-    assert np.array_equal(covariance, np.diag(mean_squares))
+    products = sample[:, :, None] * sample[:, None, :]
+    # Standard error of a mean product from the sample itself; 5 sigma for 21 of them.
+    error = products.std(axis=0) / np.sqrt(N)
+    assert (np.abs(products.mean(axis=0) - covariance) < 5.0 * error + 1e-15).all()
+    assert np.array_equal(covariance, covariance.T)
+    assert not covariance[:3, 3:].any(), "shift and turn are independent"
+
+
+LAWS = {
+    Normal(normal=2.0): stats.norm(0.0, 2.0),
+    Normal(normal=(5.0, 2.0)): stats.norm(5.0, 2.0),
+    Normal(normal=(5.0, 2.0), within=(4.0, 9.0)): stats.truncnorm(-0.5, 2.0, 5.0, 2.0),
+    Normal(normal=(0.0, 1.0), within=(3.0, 4.0)): stats.truncnorm(3.0, 4.0),
+    Uniform(uniform=(-1.0, 3.0)): stats.uniform(-1.0, 4.0),
+    LogUniform(log_uniform=(10.0, 1000.0)): stats.loguniform(10.0, 1000.0),
+    LogNormal(log_normal=(100.0, 0.5)): stats.lognorm(0.5, scale=100.0),
+}
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.text("m"))
+def test_a_law_is_that_of_scipy(law):
+    theirs, rng = LAWS[law], np.random.default_rng(8)
+    assert stats.kstest([law.draw(rng) for _ in range(4000)], theirs.cdf).pvalue > 1e-3
+    assert law.median == pytest.approx(theirs.median(), abs=1e-9, rel=1e-9)
+    assert law.second_moment == pytest.approx(theirs.expect(lambda x: x * x), rel=1e-6)
+    if law.support != (0.0, np.inf):
+        assert law.support == pytest.approx(theirs.support())
+
+
+def test_a_truncated_log_normal_law_is_the_part_of_the_whole():
+    law, whole = LogNormal(log_normal=(100.0, 0.5), within=(80.0, 300.0)), stats.lognorm(0.5, scale=100.0)
+    share = whole.cdf(300.0) - whole.cdf(80.0)
+    rng = np.random.default_rng(9)
+    drawn = [law.draw(rng) for _ in range(4000)]
+    assert stats.kstest(drawn, lambda x: np.clip((whole.cdf(x) - whole.cdf(80.0)) / share, 0.0, 1.0)).pvalue > 1e-3
+    assert law.second_moment == pytest.approx(whole.expect(lambda x: x * x, lb=80.0, ub=300.0) / share, rel=1e-9)
+    assert whole.cdf(law.median) == pytest.approx(whole.cdf(80.0) + 0.5 * share)
+
+
+def test_a_choice_draws_each_of_its_values_as_often_as_it_stands_there():
+    law, rng = Choice(choice=(1.0, 2.0, 2.0, 5.0)), np.random.default_rng(10)
+    values, counts = np.unique([law.draw(rng) for _ in range(4000)], return_counts=True)
+    assert values.tolist() == [1.0, 2.0, 5.0]
+    assert stats.chisquare(counts, [1000, 2000, 1000]).pvalue > 1e-3
+    assert (law.median, law.second_moment, law.support) == (2.0, 8.5, (1.0, 5.0))
+
+
+def test_a_law_without_spread_is_its_middle():
+    for law in (Normal(normal=(5.0, 0.0)), Normal(normal=(5.0, 0.0), within=(4.0, 6.0)), Uniform(uniform=(5.0, 5.0)),
+                LogNormal(log_normal=(5.0, 0.0), within=(1.0, 9.0)), LogUniform(log_uniform=(5.0, 5.0))):  # fmt: skip
+        assert law.draw(np.random.default_rng(0)) == pytest.approx(5.0), law
+        assert law.support == pytest.approx((5.0, 5.0)), law
+        assert law.second_moment == pytest.approx(25.0), law
+
+
+def test_a_drawn_range_changes_nothing_else_of_a_view():
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(20.0, 60.0)))
+    drawn = ViewpointSpec(range_m=LogUniform(log_uniform=(1000.0, 4000.0)))
+    camera = load_scenario("quickstart").spec.camera.camera()
+    ranges = []
+    for trial in range(200):
+        one, other = (
+            draw_lit_view(viewpoint, lighting, camera, generator(1, Stream.TRUTH, trial))
+            for viewpoint in (ViewpointSpec(range_m=2000.0), drawn)
+        )
+        ranges.append(float(np.linalg.norm(other.T_cam_body.translation_m)))
+        np.testing.assert_allclose(one.T_cam_body.rotation, other.T_cam_body.rotation, atol=1e-14)
+        np.testing.assert_allclose(one.sun_dir_body, other.sun_dir_body, atol=1e-14)
+    assert stats.kstest(ranges, stats.loguniform(1000.0, 4000.0).cdf).pvalue > 1e-3
+    assert (drawn.least_range_m, drawn.median_range_m) == pytest.approx((1000.0, 2000.0))
+
+
+@pytest.mark.parametrize("law", [Normal(normal=(45.0, 10.0), within=(10.0, 80.0)), Choice(choice=(30.0, 90.0))])
+def test_a_phase_that_is_not_uniform_follows_its_law(law):
+    camera = load_scenario("quickstart").spec.camera.camera()
+    viewpoint, lighting = ViewpointSpec(range_m=2000.0), LightingSpec(phase_deg=law)
+    views = [draw_lit_view(viewpoint, lighting, camera, generator(1, Stream.TRUTH, t)) for t in range(500)]
+    phases = np.degrees([view.phase_angle_rad for view in views])
+    if isinstance(law, Choice):
+        assert set(np.round(phases, 6)) == {30.0, 90.0}
+    else:
+        assert stats.kstest(phases, stats.truncnorm(-3.5, 3.5, 45.0, 10.0).cdf).pvalue > 1e-3
 
 
 def test_errors_in_pixels_move_the_body_by_pixels():

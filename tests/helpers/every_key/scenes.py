@@ -20,10 +20,6 @@ OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
 HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
 MCEWEN = RENDERED + "brdf: {kind: mcewen}\n"
 OPPOSITION = HAPKE.replace("uniform: [20, 60]", "uniform: [0, 4]")
-GAUSSIAN = RENDERED + (
-    "pose_error: {position_cam_m: {normal: [9, 9, 2]}, attitude: {rotation_vector_deg: {normal: [1, 1, 1]}}}\n"
-)
-ANGLE = RENDERED + "pose_error: {position_cam_px: {normal: [9, 9, 2]}, attitude: {angle_deg: {normal: 1}}}\n"
 UNIFORM = RENDERED + (
     "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
     " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
