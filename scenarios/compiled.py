@@ -7,6 +7,8 @@ an architecture.
 from __future__ import annotations
 
 import ast
+import contextlib
+import fcntl
 import hashlib
 import os
 from collections.abc import Callable
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Self, TypeVar, cast
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 
 from boresight.scenarios.cache import default_cache
 
@@ -23,8 +26,8 @@ _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
     """Return a decorator for kernels whose sources, with those of all functions that they call, are in ``folder``.
 
-    A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache; if
-    that cannot be written, each process compiles.
+    A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache: of
+    several processes one compiles, and the others wait and read. If the cache cannot be written, each process compiles.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     place = (Path(chosen) if chosen else default_cache().root / "kernels") / source_key(folder)
@@ -36,13 +39,29 @@ def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
         try:
             # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
             # fused. nogil: other threads of Python go on meanwhile.
-            return cast("_Kernel", numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+            dispatcher = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+            dispatcher.compile = _one_at_a_time(dispatcher.compile, place / "lock")
+            return cast("_Kernel", dispatcher)
         except RuntimeError:  # the folder cannot be written
             return cast("_Kernel", numba.njit(error_model="numpy", nogil=True)(function))
         finally:
             numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 
     return kernel
+
+
+def _one_at_a_time(compile_kernel: Callable[[object], object], lock: Path) -> Callable[[object], object]:
+    """Let one process at a time compile or read kernels; each reads what another has compiled before."""
+
+    def compile_alone(signature: object) -> object:
+        if global_compiler_lock.is_locked():  # a kernel calls another
+            return compile_kernel(signature)
+        with global_compiler_lock, contextlib.ExitStack() as held:
+            with contextlib.suppress(OSError):  # the folder cannot be written any more, or knows no locks
+                fcntl.flock(held.enter_context(lock.open("a")), fcntl.LOCK_EX)
+            return compile_kernel(signature)
+
+    return compile_alone
 
 
 def source_key(folder: Path) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -89,15 +91,20 @@ def test_a_file_more_changes_the_key(tmp_path):
     assert source_key(tmp_path) != before
 
 
-def called(folder: Path, cache: Path) -> tuple[float, int]:
-    """Call the kernel in another process; return its result, and how many kernels were compiled rather than read."""
+def calling(folder: Path, cache: Path) -> dict[str, object]:
+    """Return what starts a process that calls the kernel; it prints the result and how many kernels it compiled."""
     code = (
-        "from kernels_of_test import times, twice\nprint(twice(10.0), sum(sum(one.stats.cache_misses.values())"
-        " for one in (times, twice)))"
+        "from kernels_of_test import times, twice\nprint('begin', flush=True)\n"
+        "print(twice(10.0), sum(sum(one.stats.cache_misses.values()) for one in (times, twice)))"
     )
     environment = {"PYTHONPATH": f"{folder}:{':'.join(sys.path)}", "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    result, compiled = done.stdout.split()
+    return {"args": [sys.executable, "-c", code], "env": environment, "text": True}
+
+
+def called(folder: Path, cache: Path) -> tuple[float, int]:
+    """Call the kernel in another process; return its result, and how many kernels were compiled rather than read."""
+    done = subprocess.run(**calling(folder, cache), capture_output=True, check=True)
+    _, result, compiled = done.stdout.split()
     return float(result), int(compiled)
 
 
@@ -107,6 +114,22 @@ def test_machine_code_is_read_after_a_comment_and_in_another_checkout_but_not_af
     assert called(write(tmp_path / "one", SAME["a comment"]), cache) == (20.0, 0)
     assert called(write(tmp_path / "two", SOURCE), cache) == (20.0, 0)
     assert called(write(tmp_path / "one", OTHER["a constant"]), cache) == (30.0, 2)
+
+
+def test_of_two_processes_one_compiles_and_the_other_reads(tmp_path):
+    """Both come to the first call while the lock is held by this process."""
+    folder, cache = write(tmp_path / "one", SOURCE), tmp_path / "cache"
+    place = cache / source_key(folder)
+    place.mkdir(parents=True)
+    with (place / "lock").open("a") as lock, ExitStack() as ended:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        both = [ended.enter_context(subprocess.Popen(**calling(folder, cache), stdout=subprocess.PIPE)) for _ in "ab"]
+        assert [process.stdout.readline() for process in both] == ["begin\n"] * 2
+        with pytest.raises(subprocess.TimeoutExpired):
+            both[0].wait(0.5)
+        fcntl.flock(lock, fcntl.LOCK_UN)
+        results = [process.communicate(timeout=60)[0].split() for process in both]
+    assert sorted(results) == [["20.0", "0"], ["20.0", "2"]]
 
 
 def borrowed(folder: Path) -> set[str]:
