@@ -6,7 +6,7 @@ import json
 import os
 import resource
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import cv2  # noqa: F401  has a BLAS of its own
@@ -37,6 +37,28 @@ if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and hasattr(os, "sched_seta
 
 TIMES = os.environ.get("BORESIGHT_TEST_TIMES", "")
 """Folder for the processor times of the tests, one file for each process (see ``tests/folder_times.py``)."""
+
+
+ORDER = (
+    *("estimators/test_slam_sequences.py", "scenarios/test_craters.py", "estimators/test_crater_classic.py"),
+    *("reports", "renderers", "scenarios", "estimators", "campaign"),
+)
+"""Files that compile most kernels, then folders that need few, then those whose tests need all."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the tests so that one worker of xdist seldom needs a kernel while the other compiles it."""
+    places = [f"tests/{name}" for name in ORDER]
+    items.sort(key=lambda item: next((k for k, place in enumerate(places) if item.nodeid.startswith(place)), -1))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Keep bodies, images and data bases away from the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("cache")
+        patch.setenv("BORESIGHT_CACHE", str(folder))
+        yield folder
 
 
 def processor_s() -> float:

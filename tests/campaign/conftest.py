@@ -1,8 +1,7 @@
-"""A cache of the tests' own, and one small run that many tests read."""
+"""Small runs that many tests read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,15 +17,6 @@ class TinyRun:
 
     file: Path
     folder: Path
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Keep bodies and data bases away from the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("cache")
-        patch.setenv("BORESIGHT_CACHE", str(folder))
-        yield folder
 
 
 @pytest.fixture(scope="session")
@@ -45,15 +35,19 @@ def tiny_file(cache: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def examples(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder that holds the files and the runs that examples of the manual and of pages name."""
+    """Return a folder that holds the files and the runs that examples of the manual and of pages name.
+
+    The run of the quickstart is one of the tiny campaign by that name.
+    """
     folder = tmp_path_factory.mktemp("examples")
     one = CAMPAIGN.replace("scenarios: [scene]", "scenarios: [scene]\ntrials: 2").replace(f"trials: {TRIALS}\n", "")
     write_campaign(folder, one).rename(folder / "my_campaign.yaml")
+    write_campaign(folder / "small").rename(folder / "small" / "quickstart.yaml")
     (folder / "before.json").write_text('{"stages": []}')
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for words in (
-            "quickstart --trials 9 --out runs/quickstart-1a2b3c4d",
+            "small/quickstart.yaml --trials 9 --out runs/quickstart-1a2b3c4d",
             "delpech2015-smoke --trials 2",
             "my_campaign.yaml --out runs/a",
             "my_campaign.yaml --out runs/b --set brdf.kind=lommel-seeliger",
