@@ -48,7 +48,7 @@ def examples(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         for words in (
             "small/quickstart.yaml --trials 9 --out runs/quickstart-1a2b3c4d",
-            "delpech2015-smoke --trials 2",
+            "delpech2015-smoke --trials 2 --set sequence.orbit.step_deg=6",
             "my_campaign.yaml --out runs/a",
             "my_campaign.yaml --out runs/b --set brdf.kind=lommel-seeliger",
         ):
