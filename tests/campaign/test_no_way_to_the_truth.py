@@ -299,7 +299,7 @@ def test_what_a_matcher_of_the_navigation_chain_is_given_leads_to_no_truth(tmp_p
         raise InterruptedError("seen enough")
 
     monkeypatch.setattr(VoteMatcher, "match", match)
-    records = _trials(tmp_path / "run", _world()).run(range(1))
+    records = _trials(tmp_path / "run", _world(imaging={"epochs": 8})).run(range(1))
     assert "InterruptedError" in records["rows"][0]["reason"]
     assert len(reached(*given)) > 50
     assert ways_to_the_truth(tmp_path / "run", *given) == []
