@@ -228,17 +228,19 @@ def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
     assert_same_results(tmp_path / "fresh", tmp_path / "after")
 
 
-def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
+def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path, capsys):
+    def said(*words):
+        assert main(["cache", *words]) == 0
+        return capsys.readouterr().out
+
     compute(write_campaign(tmp_path), tmp_path / "run")
-    listing = boresight("cache").stdout
-    assert "images: 7 entries" in listing  # three blocks of trials, four of the data base
-    assert "7 entries removed" in boresight("cache", "--clear", "images").stdout
-    left = boresight("cache").stdout
+    assert "images: 7 entries" in said()  # three blocks of trials, four of the data base
+    assert "7 entries removed" in said("--clear", "images")
+    left = said()
     assert "images:" not in left
     assert "landmark-database: 1 entries" in left
-    refused = boresight("cache", "--clear", "imagse")
-    assert refused.returncode == 2
-    held = re.search(r"imagse: the cache holds ([a-z, -]+)", refused.stderr)
+    assert main(["cache", "--clear", "imagse"]) == 2
+    held = re.search(r"imagse: the cache holds ([a-z, -]+)", capsys.readouterr().err)
     assert held is not None
     assert set(held[1].split(", ")) - {"kernels"} == {"bodies", "landmark-candidates", "landmark-database", "rates"}
 
