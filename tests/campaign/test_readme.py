@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -48,10 +49,13 @@ def test_the_page_is_one_page():
 
 
 def test_the_examples_of_the_page_run(examples: Path):
-    """With a small data base of landmarks, which is most of the work."""
+    """With smaller images and small data bases, which are most of the work."""
     file = examples / "short.yaml"
     text = (examples / "my_campaign.yaml").read_text()
-    file.write_text(text.replace("landmark-harris", "landmark-harris: {database: {images: 30, min_observations: 4}}"))
+    text = text.replace("landmark-harris", "landmark-harris: {database: {images: 30, min_observations: 4}}")
+    text = text.replace("lmaps", "lmaps: {maplets: {spacing_m: 8, side: 15}}")
+    smaller = {"camera.width_px": 256, "camera.height_px": 256, "body.detail.facets": 30000}
+    file.write_text(f"{text}set: {json.dumps(smaller)}\n")
     run(examples, "run", file.name, "--trials", "8", "--out", "short", "--no-report")
     rows = pd.read_parquet(examples / "short" / "rows")
     assert set(rows["estimator"]) == {"prior", "landmark-harris", "lmaps", "Correlate"}
