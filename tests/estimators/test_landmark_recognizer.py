@@ -48,7 +48,7 @@ class World:
         self.brdf = LambertSpec()
         self.body = load_body(spec, ())
         self.renderer = MitsubaRenderer(self.body.mesh, self.brdf)
-        self.asked = []
+        self.asked, self._recognised = [], {}
         options = LandmarkOptions(database=DATABASE).database
         candidates = []
         for index in range(options.images):
@@ -72,6 +72,13 @@ class World:
 
     def shape(self):
         return self.body.mesh
+
+    def recognised(self, trial, noise_dn=0.0):
+        """Return a view, its frame and the estimate of the recogniser with its default options, made once."""
+        if (trial, noise_dn) not in self._recognised:
+            view, frame = self.frame(trial, noise_dn)
+            self._recognised[trial, noise_dn] = view, frame, estimate(recogniser(self), frame)
+        return self._recognised[trial, noise_dn]
 
     def frame(self, trial, noise_dn=0.0):
         rng = np.random.default_rng(trial)
@@ -113,11 +120,9 @@ def test_the_mesh_of_the_landmarks_fits_the_body(world):
 
 @pytest.mark.parametrize("noise_dn", [0.0, 15.0], ids=["clean", "noisy"])
 def test_recognition_improves_on_the_prior(world, noise_dn):
-    estimator = recogniser(world)
     before, after, landmark_errors = [], [], []
     for trial in range(MANY):
-        view, frame = world.frame(trial, noise_dn)
-        result = estimate(estimator, frame)
+        view, frame, result = world.recognised(trial, noise_dn)
         assert result.status == "ok", result.reason
         before.append(errors(view, frame.prior_T_cam_body))
         after.append(errors(view, result.pose))
@@ -164,11 +169,11 @@ def _likeness(shape, frame, pose):
 
 def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
     """The alignment of centroids leaves the prior's attitude unchanged; that of the whole image corrects it."""
-    by_centroid, by_image = recogniser(world), WholeImageRecognizer.from_options({"database": DATABASE}, world)
+    by_image = WholeImageRecognizer.from_options({"database": DATABASE}, world)
     starts, gains = [], []
     for trial in range(TRIALS):
-        view, frame = world.frame(trial)
-        results = [estimate(estimator, frame) for estimator in (by_centroid, by_image)]
+        view, frame, by_centroid = world.recognised(trial)
+        results = [by_centroid, estimate(by_image, frame)]
         assert [result.status for result in results] == ["ok", "ok"]
         assert [stage.name for stage in results[1].stages] == ["registration", "recognition"]
         starts.append([errors(view, result.stages[0].T_cam_body)[0] for result in results])
@@ -216,8 +221,7 @@ def test_the_stages_can_be_looked_at(world):
 def test_the_centroid_brings_the_body_into_place(world):
     prior, moved = [], []
     for trial in range(TRIALS):
-        view, frame = world.frame(trial)
-        result = estimate(recogniser(world), frame)
+        view, frame, result = world.recognised(trial)
         truth = CAMERA.project(view.T_cam_body.translation_m)
         prior.append(np.linalg.norm(CAMERA.project(frame.prior_T_cam_body.translation_m) - truth))
         moved.append(np.linalg.norm(CAMERA.project(result.stages[0].T_cam_body.translation_m) - truth))
