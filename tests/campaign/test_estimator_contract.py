@@ -31,6 +31,7 @@ QUICK = {
     "whole-image": {"database": DATABASE},
     "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
     "landmark-altimeter": {"options": {"database": DATABASE}},
+    "lmaps": {"maplets": {"spacing_m": 15, "side": 15}},
 }
 # Need what the scene has not: their contract is tested with bodies that have craters.
 ELSEWHERE = {"crater-pose"}
