@@ -65,8 +65,8 @@ def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("arguments", [("--blocks", "0"), ("--against", "scene.yaml"), ("--against", "none.json")])
-def test_bad_input_is_one_line(times, arguments):
+def test_bad_input_is_one_line(times, monkeypatch, capsys, arguments):
     file, _, _ = times
-    done = boresight("bench", file, *arguments, cwd=file.parent)
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
+    monkeypatch.chdir(file.parent)
+    assert main(["bench", str(file), *arguments]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
