@@ -90,6 +90,14 @@ def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capfd):
     page = (out / "inspect" / "scene_loud_0000005" / "index.html").read_text()
     assert "What the method wrote" in page
     assert "LOUD 3" in page
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("default")
+def test_what_estimators_say_in_workers_is_kept_too(loud, tmp_path):
+    out = tmp_path / "run"
+    assert main(["run", str(loud), "--jobs", "1", "--no-report", "--out", str(out)]) == 3
+    said = pd.read_parquet(out / "said")
     done = boresight("run", loud, "--jobs", 2, "--out", tmp_path / "two", PYTHONPATH=str(tmp_path))
     assert done.returncode == 3, done.stderr
     assert "LOUD" not in done.stdout + done.stderr

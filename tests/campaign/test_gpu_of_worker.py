@@ -20,7 +20,9 @@ def told(wait_s: float) -> tuple[int, str | None]:
     return os.getpid(), os.environ.get(variant.VISIBLE_GPUS)
 
 
-@pytest.mark.parametrize(("chosen", "expected"), [("0,3", {"0", "3"}), ("2", {"2"})])
+@pytest.mark.parametrize(
+    ("chosen", "expected"), [("0,3", {"0", "3"}), pytest.param("2", {"2"}, marks=pytest.mark.long)]
+)
 def test_workers_share_the_gpus_out(monkeypatch, chosen, expected):
     rested = parallel._IdleWorkers()
     monkeypatch.setattr(parallel, "_idle_workers", lambda: rested)

@@ -91,6 +91,13 @@ def test_an_estimator_that_cannot_be_built_costs_its_own_rows_alone(cache, tmp_p
         assert traces[name].str.contains(f"in from_options\n(?s:.*){why}", regex=True).all()
     assert "Traceback" not in said.out + said.err
     assert main(["inspect", str(out), "--estimator", "late", "--trial", "1"]) == 0
+
+
+@pytest.mark.long
+def test_workers_store_the_same_of_what_cannot_be_built(cache, tmp_path, monkeypatch):
+    install(tmp_path, "estimators", MODULE, monkeypatch)
+    file, out = write(tmp_path, f"prior, value: {{mode: 7}}, {', '.join(list(RAISED)[1:])}"), tmp_path / "run"
+    assert run(file, out) == 3
     done = boresight("run", file, "--jobs", 2, "--out", tmp_path / "two", PYTHONPATH=str(tmp_path))
     assert done.returncode == 3, done.stderr
     assert_same_results(out, tmp_path / "two")
