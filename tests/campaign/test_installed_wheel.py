@@ -106,7 +106,7 @@ def test_modules_of_a_user_with_the_names_of_our_folders_are_in_nobodys_way(envi
     for name in ("reports", "scenarios", "estimators", "renderers"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError('mine')\n")
-    code = "import boresight; print(boresight.render('quickstart', overrides=['camera.fov_deg=20']).image.shape)"
+    code = "import boresight; print(boresight.render('quickstart', overrides=['body.detail=null']).image.shape)"
     (tmp_path / "mine.py").write_text(code)
     for words in (["-c", code], ["mine.py"]):
         assert checked(environment / "bin" / "python", *words, cwd=tmp_path) == "(512, 512)\n"
