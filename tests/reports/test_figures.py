@@ -106,7 +106,9 @@ FIGURES = {
 }
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == "cumulative of many" else name for name in FIGURES]
+)
 def test_files_are_drawn_and_the_same_each_time(name, tmp_path):
     png, pdf = save_figure(FIGURES[name](), tmp_path / "figure")
     pixels = np.asarray(Image.open(png).convert("RGB"))
