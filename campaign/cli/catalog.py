@@ -167,18 +167,22 @@ def as_yaml(read: CampaignFiles | LoadedScenario) -> str:
 def validate_command(arguments: argparse.Namespace) -> int:
     """Check a campaign or a scenario file as a run does before anything is built."""
     # Imported here: they load kinds of trial and estimators, 1.5 s, which the other commands do without.
-    from boresight.campaign.runs.check import check_campaign, check_scenario
+    from boresight.campaign.runs.check import check_campaign, check_scenario, preflight
     from boresight.campaign.runs.resolve import resolve
 
     if is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides, embedded=arguments.embedded)
         check_campaign(campaign, campaign.spec.trials)
-        what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
+        scenarios = campaign.scenarios
+        what = f"a campaign of {len(scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
     else:
         scenario = load_scenario(arguments.file, arguments.overrides)
         check_scenario(scenario)
+        scenarios = (scenario,)
         what = f"the scenario {scenario.spec.name}"
     console().print(f"{arguments.file}: ok, {what}")
+    for line in preflight(scenarios):
+        console().print(line)
     return 0
 
 

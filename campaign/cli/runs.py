@@ -9,6 +9,7 @@ from boresight.campaign.cli.printed import print_report, printed_before, source_
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
+from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.request import Cluster
 from boresight.campaign.runs.start import start
 from boresight.campaign.store import RunFolder
@@ -43,6 +44,8 @@ def run_command(arguments: argparse.Namespace) -> int:
     name, variant = campaign.spec.name, campaign.variant
     where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
     out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
+    for line in preflight(campaign.scenarios):
+        out.print(line)
     if campaign.embedded:
         out.print(f"values without verdicts: {', '.join(campaign.embedded)}")
     if begun.advice:

@@ -23,6 +23,8 @@ from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
+_LEAST_PX = 3.0
+"""Body across in the image at the median range: no method finds anything in less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,15 +232,45 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     return World(scenario, camera, body, renderer, source, ground)
 
 
+def views_in_words(scenario: LoadedScenario) -> str:
+    """Describe the field of view, a pixel and the body in images of a scenario; '' without a viewpoint section."""
+    viewpoint, camera = scenario.spec.viewpoint, scenario.spec.camera.camera()
+    if viewpoint is None:
+        return ""
+    size_m = _longest_m(load_body(scenario.spec.body, scenario.search_dirs).mesh)
+    fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
+    low, high = viewpoint.range_bounds_m
+    ends = [viewpoint.median_range_m] if low == high else [low, high if np.isfinite(high) else viewpoint.median_range_m]
+    told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
+        ends, [end / camera.fx_px for end in ends], [size_m / end * camera.fx_px for end in ends]
+    )]  # fmt: skip
+    return (
+        f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
+        f" body {told[2]} px long in {camera.width_px} x {camera.height_px}"
+    )
+
+
+def _longest_m(mesh: TriangleMesh) -> float:
+    """Return the longest side of a body's box, m."""
+    return float(np.ptp(mesh.vertices_m, axis=0).max())
+
+
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
-    """Refuse a range at which a drawn view could be inside the body."""
+    """Refuse a range at which a drawn view could be inside the body, or from which the body is a few pixels."""
+    size_m, range_m = _longest_m(mesh), viewpoint.median_range_m
+    across_px = size_m / range_m * scenario.spec.camera.camera().fx_px
+    if across_px < _LEAST_PX:
+        raise BoresightError(
+            f"{scenario.path}: viewpoint.range_m: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
+            f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
+        )
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
     south_deg, north_deg = viewpoint.latitude_deg.uniform
     below = (latitudes_deg >= south_deg) & (latitudes_deg <= north_deg)
     reach_m = float(np.linalg.norm(mesh.vertices_m[below], axis=1).max(initial=0.0))
-    if viewpoint.least_range_m <= reach_m:
+    if viewpoint.range_bounds_m[0] <= reach_m:
         raise BoresightError(
-            f"{scenario.path}: viewpoint.range_m: {viewpoint.least_range_m:g} m leads into the body, which reaches"
+            f"{scenario.path}: viewpoint.range_m: {viewpoint.range_bounds_m[0]:g} m leads into the body, which reaches"
             f" {reach_m:.6g} m from its origin at those latitudes: choose a larger range"
         )

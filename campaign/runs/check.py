@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.imaging.world import check_bodies, trial_limit
+from boresight.campaign.imaging.world import check_bodies, trial_limit, views_in_words
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
+from boresight.reports.schema.labels import count_of
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder, is_there
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.body import STAND_INS
+
+_MOST_LINES = 4
 
 _KINDS = {
     "viewpoint": "single-image",
@@ -85,6 +90,16 @@ def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int 
     limit, bodies = trial_limit(scenario), check_bodies(scenario)
     kind_named(experiment or kind_of(scenario)).check_scenario(scenario)
     return limit, bodies
+
+
+def preflight(scenarios: Sequence[LoadedScenario]) -> list[str]:
+    """Describe the images of scenarios in a few lines, the first name of those that are alike."""
+    names: dict[str, str] = {}
+    for scenario in scenarios:
+        names.setdefault(views_in_words(scenario), scenario.spec.name)
+    lines = [f"{name}: {words}" for words, name in names.items() if words]
+    left = len(lines) - _MOST_LINES
+    return lines if left <= 0 else [*lines[:_MOST_LINES], f"and {count_of(left, 'further scenario')} with other images"]
 
 
 def kind_of(scenario: LoadedScenario) -> str:

@@ -41,9 +41,9 @@ class ViewpointSpec(SpecModel):
         return self
 
     @property
-    def least_range_m(self) -> float:
-        """The shortest range, m."""
-        return self.range_m if isinstance(self.range_m, float) else self.range_m.support[0]
+    def range_bounds_m(self) -> tuple[float, float]:
+        """The shortest and the longest range, m; infinite where there is none."""
+        return (self.range_m, self.range_m) if isinstance(self.range_m, float) else self.range_m.support
 
     @property
     def median_range_m(self) -> float:

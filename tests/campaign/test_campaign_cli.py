@@ -34,6 +34,7 @@ from boresight.campaign.trial.kind import kind_named, kind_names
 from boresight.estimators.registry import estimator_names
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.published import load_published
+from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data import DATA_VARIABLE
 from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.load import load_campaign, load_scenario, scenario_names
@@ -177,9 +178,25 @@ def test_show_prints_a_scenario(capsys):
 
 def test_validate_tells_campaigns_from_scenarios(tiny_run, capsys):
     scene = tiny_run.file.parent / "scene.yaml"
-    assert said(capsys, "validate", str(scene)) == f"{scene}: ok, the scenario scene\n"
+    first, views = said(capsys, "validate", str(scene)).splitlines()
+    assert first == f"{scene}: ok, the scenario scene"
     text = said(capsys, "validate", str(tiny_run.file))
-    assert text == f"{tiny_run.file}: ok, a campaign of 1 scenario(s) and 2 estimator(s)\n"
+    assert text == f"{tiny_run.file}: ok, a campaign of 1 scenario(s) and 2 estimator(s)\n{views}\n"
+
+
+def test_validate_describes_the_images_before_any_is_made(tiny_run, capsys):
+    """Against the camera's own projection of the ends of the body's longest side."""
+    file = str(tiny_run.file.parent / "scene.yaml")
+    camera, mesh = load_scenario(file).spec.camera.camera(), load_body(load_scenario(file).spec.body, ()).mesh
+    side = 0.5 * float(np.ptp(mesh.vertices_m, axis=0).max())
+    for range_m, words in ((1500.0, "1500"), (3000.0, "{uniform: [1500, 3000]}")):
+        views = said(capsys, "validate", file, "--set", f"viewpoint.range_m={words}").splitlines()[1]
+        ends = camera.project(np.array([[-side, 0.0, range_m], [side, 0.0, range_m]]))
+        assert f"{float(ends[1, 0] - ends[0, 0]):.4g} px long in {camera.width_px} x {camera.height_px}" in views
+    assert "range 1500 to 3000 m, " in views
+    assert main(["validate", file, "--set", "viewpoint.range_m=9e5"]) == 2
+    assert "the body is " in (refused := capsys.readouterr().err)
+    assert len(refused.splitlines()) == 1
 
 
 def test_validate_tries_the_overrides(tiny_run, capsys):

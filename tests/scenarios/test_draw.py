@@ -273,7 +273,7 @@ def test_a_drawn_range_changes_nothing_else_of_a_view():
         np.testing.assert_allclose(one.T_cam_body.rotation, other.T_cam_body.rotation, atol=1e-14)
         np.testing.assert_allclose(one.sun_dir_body, other.sun_dir_body, atol=1e-14)
     assert stats.kstest(ranges, stats.loguniform(1000.0, 4000.0).cdf).pvalue > 1e-3
-    assert (drawn.least_range_m, drawn.median_range_m) == pytest.approx((1000.0, 2000.0))
+    assert (*drawn.range_bounds_m, drawn.median_range_m) == pytest.approx((1000.0, 4000.0, 2000.0))
 
 
 @pytest.mark.parametrize("law", [Normal(normal=(45.0, 10.0), within=(10.0, 80.0)), Choice(choice=(30.0, 90.0))])
