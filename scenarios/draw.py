@@ -11,7 +11,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, cross_matrix, look_at
 from boresight.scenarios.spec.distribution import Uniform, Vector3
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -202,22 +202,29 @@ def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.rando
     This is the error of Rowell et al. (2015), section 4.2. The translation is T of equation (4): the shift alone moves
     the body in the image, and the error of the camera's position in the body frame is the shift plus the attitude
     error times the range.
+
+    With ``position_body_m`` the camera's position in the body frame has that error, whatever the attitude's is.
     """
+    if spec.position_body_m is not None:
+        position_m = T_cam_body.camera_position_m + spec.position_body_m.draw(rng)
+        turned = T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), np.zeros(3)).rotation
+        return Pose(turned, -turned @ position_m)
     range_m = float(np.linalg.norm(T_cam_body.translation_m))
     # Drawn before the attitude: the order belongs to the stream.
     shift_m = _shift(spec, range_m, camera, rng)
     return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
 
 
-def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> FloatArray:
+def prior_covariance(spec: PoseErrorSpec, prior: Pose, camera: Camera) -> FloatArray:
     """Return the (6, 6) second moment of the error that ``degrade`` adds, [rotation_rad, translation_m] in camera axes.
 
     Parameters
     ----------
     spec
         The pose-error section.
-    range_m
-        Distance from the camera to the body's origin: scales errors that are given in pixel sizes.
+    prior
+        The degraded pose, as the spacecraft does not know the true one. Its range scales errors in pixel sizes, and an
+        error in body axes is turned by it, to first order.
     camera
         The camera: scales them as well.
     """
@@ -228,11 +235,17 @@ def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> Flo
         angle = attitude.angle_deg
         # E[angle^2 n n^T] = E[angle^2] / 3 I for an isotropic axis n.
         rotation_deg2 = np.eye(3) * (0.0 if angle is None else angle.second_moment / 3.0)
-    position, scale_m = _position(spec, range_m, camera)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = rotation_deg2 * np.radians(1.0) ** 2
-    covariance[3:, 3:] = position.second_moment * scale_m**2
-    return covariance
+    if spec.position_body_m is None:
+        position, scale_m = _position(spec, float(np.linalg.norm(prior.translation_m)), camera)
+        covariance[3:, 3:] = position.second_moment * scale_m**2
+        return covariance
+    # T = -R c: an error e of the camera's position c and a turn w of the attitude change T by w x T - R e.
+    covariance[3:, 3:] = spec.position_body_m.second_moment
+    by_error = np.block([[np.eye(3), np.zeros((3, 3))], [-cross_matrix(prior.translation_m), -prior.rotation]])
+    moved = by_error @ covariance @ by_error.T
+    return np.asarray(0.5 * (moved + moved.T), dtype=np.float64)
 
 
 def _shift(spec: PoseErrorSpec, range_m: float, camera: Camera, rng: np.random.Generator) -> FloatArray:
@@ -246,7 +259,7 @@ def _position(spec: PoseErrorSpec, range_m: float, camera: Camera) -> tuple[Vect
         return spec.position_cam_m, 1.0
     if spec.position_cam_px is not None:
         return spec.position_cam_px, range_m * camera.pixel_angle_rad
-    raise BoresightError("pose_error: give either position_cam_m or position_cam_px")
+    raise BoresightError("pose_error: give position_cam_m, position_cam_px or position_body_m")
 
 
 def _rotation_vector(spec: AttitudeErrorSpec, rng: np.random.Generator) -> FloatArray:

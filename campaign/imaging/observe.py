@@ -45,13 +45,12 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
     prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial))
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
     prior = onboard_attitude(prior, spec.onboard, knowledge)
-    range_m = float(np.linalg.norm(prior.translation_m))
     camera = onboard_camera(spec)
     frame = Frame(
         image=_read_only(rectify(trial_image.image, camera)),
         sun_dir_cam=_read_only(onboard_sun_dir(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
         prior_T_cam_body=prior,
-        prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, world.camera)),
+        prior_covariance=_read_only(prior_covariance(spec.pose_error, prior, world.camera)),
         time_s=trial_image.time_s,
         altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
     )

@@ -134,11 +134,11 @@ def observed_frame(
 ) -> Frame:
     """Make the frame of a view: image, Sun direction in camera axes and degraded prior pose."""
     true, camera = view.T_cam_body, view.camera
-    range_m = float(np.linalg.norm(true.translation_m))
+    prior = degrade(true, pose_error, camera, rng)
     return Frame(
         image,
         true.rotate(view.sun_dir_body),
-        degrade(true, pose_error, camera, rng),
-        prior_covariance(pose_error, range_m, camera),
+        prior,
+        prior_covariance(pose_error, prior, camera),
         time_s,
     )

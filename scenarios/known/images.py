@@ -161,7 +161,8 @@ def _pinhole(camera: CameraSpec) -> CameraSpec:
 def _pose(spec: ScenarioSpec) -> Iterator[Item]:
     """Yield the pose and the error distributions of its prior and of an altimeter."""
     wrong = spec.pose_error
-    laws = (wrong.position_cam_m, wrong.position_cam_px, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
+    places = (wrong.position_cam_m, wrong.position_cam_px, wrong.position_body_m)
+    laws = (*places, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
     if all(map(_nothing, laws)):
         yield Item("pose", "exactly")
         return

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import PositiveScalar, Scalar, Uniform, Uniform3, Vector3, check_support
 
@@ -80,14 +80,20 @@ class PoseErrorSpec(SpecModel):
     """Error of the prior pose given to estimators (Rowell et al. 2015, section 4.2).
 
     The translation T of equation (4) is shifted in camera axes (x, y across the line of sight, z along it)
-    and the attitude is rotated, independently.
+    and the attitude is rotated, independently. Or the camera's position has an error in body axes, as an orbit
+    determination has it, and the attitude one of its own, which then moves the body in the image.
     """
 
-    alternatives: ClassVar = (("position_cam_m", "position_cam_px"),)
+    alternatives: ClassVar = (("position_cam_m", "position_cam_px", "position_body_m"),)
 
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
     position_cam_px: Vector3 | None = Field(
         None, description="Shift in camera axes in pixel sizes at the body's range, instead of position_cam_m"
+    )
+    position_body_m: Vector3 | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Error of the camera's position about the body, body axes, instead of position_cam_m",
     )
     attitude: AttitudeErrorSpec = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
 

@@ -200,16 +200,37 @@ def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
 )
 def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_error):
     camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]))
-    range_m = float(np.linalg.norm(pose.translation_m))
     turns, shifts = errors_of(pose_error, [pose] * N, camera)
     sample = np.hstack([turns, shifts])
-    covariance = prior_covariance(pose_error, range_m, camera)
+    covariance = prior_covariance(pose_error, pose, camera)
     products = sample[:, :, None] * sample[:, None, :]
     # Standard error of a mean product from the sample itself; 5 sigma for 21 of them.
     error = products.std(axis=0) / np.sqrt(N)
     assert (np.abs(products.mean(axis=0) - covariance) < 5.0 * error + 1e-15).all()
     assert np.array_equal(covariance, covariance.T)
     assert not covariance[:3, 3:].any(), "shift and turn are independent"
+
+
+def test_an_error_in_body_axes_is_that_of_the_camera_whatever_the_attitude_is(paper):
+    """Position and attitude by themselves, and by the covariance in camera axes: NEES of six degrees of freedom."""
+    camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]), 0.7)
+    place = np.array([[900.0, 600.0, -30.0], [600.0, 800.0, 0.0], [-30.0, 0.0, 25.0]])
+    spec = PoseErrorSpec(
+        position_body_m=Correlated3(covariance=place.tolist()),
+        attitude=AttitudeErrorSpec(rotation_vector_deg=Normal3(normal=(0.02, 0.01, 0.05))),
+    )
+    priors = [degrade(pose, spec, camera, generator(3, Stream.POSE_ERROR, t)) for t in range(N)]
+    errors = np.array([prior.camera_position_m - pose.camera_position_m for prior in priors])
+    products = errors[:, :, None] * errors[:, None, :]
+    assert (np.abs(products.mean(axis=0) - place) < 5.0 * products.std(axis=0) / np.sqrt(N) + 1e-15).all()
+    turns = np.array([Rotation.from_matrix(prior.rotation @ pose.rotation.T).as_rotvec() for prior in priors])
+    assert np.abs(np.corrcoef(turns.T, errors.T)[:3, 3:]).max() < 5.0 / np.sqrt(N)
+    shifts = np.array([prior.translation_m - pose.translation_m for prior in priors])
+    off = np.hstack([turns, shifts])
+    weights = np.array([np.linalg.inv(prior_covariance(spec, prior, camera)) for prior in priors])
+    nees = np.einsum("ti,tij,tj->t", off, weights, off)
+    assert nees.mean() == pytest.approx(6.0, abs=5.0 * np.sqrt(12.0 / N))
+    assert stats.kstest(nees, stats.chi2(6).cdf).pvalue > 1e-3
 
 
 LAWS = {
@@ -323,6 +344,7 @@ CHANGES = {
     "lighting.measure": "lighting.measure=angle",
     "pose_error.position_cam_m": "pose_error.position_cam_m.uniform=[[-50, 50], [-50, 50], [-6, 5]]",
     "pose_error.position_cam_px": "pose_error.position_cam_px.uniform=[[-50, 50], [-50, 50], [-5, 5]]",
+    "pose_error.position_body_m": "pose_error.position_body_m.normal=[9, 9, 4]",
     "pose_error.attitude.angle_deg": "pose_error.attitude.angle_deg.uniform=[-2, 3]",
     "pose_error.attitude.rotation_vector_deg": "pose_error.attitude.rotation_vector_deg.normal=[1, 1, 1]",
     "camera.width_px": "camera.width_px=511",
@@ -344,7 +366,7 @@ def outcome(overrides=()):
     prior = degrade(view.T_cam_body, spec.pose_error, camera, generator(1, Stream.POSE_ERROR, 0))
     point = camera.project(view.T_cam_body.transform(np.array([30.0, 60.0, 90.0])))
     size = [camera.width_px, camera.height_px]
-    covariance = prior_covariance(spec.pose_error, 2000.0, camera).ravel()
+    covariance = prior_covariance(spec.pose_error, prior, camera).ravel()
     return np.concatenate([point, size, view.sun_dir_body, prior.rotation.ravel(), prior.translation_m, covariance])
 
 

@@ -114,6 +114,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "lighting.measure": (RENDERED, "angle"),
     "pose_error.position_cam_m": (RENDERED, "{uniform: [[-5, 5], [-5, 5], [-1, 1]]}"),
     "pose_error.position_cam_px": (UNIFORM, "{uniform: [[-9, 9], [-9, 9], [-1, 1]]}"),
+    "pose_error.position_body_m": (RENDERED, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
     "pose_error.attitude.angle_deg": (RENDERED, "{uniform: [-1, 1]}"),
     "pose_error.attitude.rotation_vector_deg": (UNIFORM, "{uniform: [[-1, 1], [-1, 1], [-2, 2]]}"),
     "body.even_facets": (BALL, "2000"),
