@@ -52,6 +52,7 @@ def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
     dx, dy = onboard.principal_point_error_px
     changes = {
         "fov_deg": None,
+        "optics": None,
         "focal_px": (true.fx_px * scale, true.fy_px * scale),
         "principal_point_px": (true.cx_px + dx, true.cy_px + dy),
     }

@@ -8,10 +8,11 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from boresight.scenarios.geometry import Camera, RadialDistortion
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, is_none
 
 # Far beyond any camera; the bounds keep derived quantities finite.
 FocalLength = Annotated[float, Field(ge=1, le=1e9)]
+Pitch = Annotated[float, Field(gt=0, le=1e4)]
 Coefficient = Annotated[float, Field(ge=-1e20, le=1e20)]
 ImagePosition = Annotated[float, Field(ge=-1e6, le=1e6)]
 
@@ -35,19 +36,35 @@ class DistortionSpec(SpecModel):
     k2: Coefficient = Field(0.0, description="Coefficient of r^4")
 
 
+class OpticsSpec(SpecModel):
+    """Focal length and pixels as a data sheet has them: ``{focal_mm: 120.8, pixel_um: 12}``."""
+
+    focal_mm: float = Field(gt=0, le=1e7, description="Focal length")
+    pixel_um: Pitch | tuple[Pitch, Pitch] = Field(description="Distance of pixels, one or [across, down]")
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths in pixels, across and down."""
+        across, down = self.pixel_um if isinstance(self.pixel_um, tuple) else (self.pixel_um, self.pixel_um)
+        return 1000.0 * self.focal_mm / across, 1000.0 * self.focal_mm / down
+
+
 class CameraSpec(SpecModel):
     """A pinhole or, with ``distortion``, a real lens.
 
-    Its field is either ``fov_deg`` (across the width, square pixels) or focal lengths in pixels.
+    Its field is ``fov_deg`` (across the width, square pixels), focal lengths in pixels, or ``optics``.
     """
 
-    alternatives: ClassVar = (("fov_deg", "focal_px"),)
+    alternatives: ClassVar = (("fov_deg", "focal_px", "optics"),)
 
     width_px: int = Field(512, ge=16, le=8192, description="Columns of the image")
     height_px: int = Field(512, ge=16, le=8192, description="Rows of the image")
     fov_deg: float | None = Field(None, ge=1e-4, lt=180, description="Full field of view across the width")
     focal_px: tuple[FocalLength, FocalLength] | None = Field(
         None, description="Focal lengths [fx, fy]; instead of fov_deg"
+    )
+    optics: OpticsSpec | None = Field(
+        None, exclude_if=is_none, description="Focal length and pixels in mm and um, instead of fov_deg"
     )
     principal_point_px: tuple[ImagePosition, ImagePosition] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
@@ -72,8 +89,10 @@ class CameraSpec(SpecModel):
             fx = fy = 0.5 * self.width_px / np.tan(0.5 * np.radians(self.fov_deg))
         elif self.focal_px is not None:
             fx, fy = self.focal_px
+        elif self.optics is not None:
+            fx, fy = self.optics.focal_px
         else:
-            raise ValueError("the camera has neither fov_deg nor focal_px")
+            raise ValueError("the camera has neither fov_deg, focal_px nor optics")
         cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
         lens = None if self.distortion is None else RadialDistortion(self.distortion.k1, self.distortion.k2)
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)

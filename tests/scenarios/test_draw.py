@@ -351,6 +351,7 @@ CHANGES = {
     "camera.height_px": "camera.height_px=511",
     "camera.fov_deg": "camera.fov_deg=18.4",
     "camera.focal_px": "camera.focal_px=[1589, 1600]",
+    "camera.optics": "camera.optics={focal_mm: 20, pixel_um: 12}",
     "camera.principal_point_px": "camera.principal_point_px=[250, 256]",
     "camera.distortion": "camera.distortion.k1=0.5",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from ruamel.yaml import YAML
@@ -12,6 +13,7 @@ from boresight import campaign
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import json_schema, load_campaign, load_scenario
 from boresight.scenarios.load.files import CATALOG
+from boresight.scenarios.spec.camera import CameraSpec
 
 CAMPAIGNS = Path(campaign.__file__).parent / "catalog"
 MINIMAL = {"camera": {"fov_deg": 20}, "viewpoint": {"range_m": 1000}}
@@ -119,3 +121,25 @@ def test_keys_are_described_for_the_editor():
     for name in ("CameraSpec", "DetectorSpec", "ViewpointSpec", "LightingSpec", "PoseErrorSpec", "ImageSetSpec"):
         for key, schema in definitions[name + "Part"]["properties"].items():
             assert key in {"kind", "attitude"} or schema.get("description"), f"{name}.{key} has no description"
+
+
+@pytest.mark.parametrize(
+    ("optics", "pixels", "field_deg"),
+    [
+        ({"focal_mm": 150.07, "pixel_um": 14.0}, 1024, 5.47),  # Framing Camera of Dawn, Sierks et al. (2011)
+        ({"focal_mm": 717.4, "pixel_um": 13.5}, 2048, 2.21),  # narrow-angle camera of OSIRIS, Keller et al. (2007)
+        ({"focal_mm": 120.8, "pixel_um": 12.0}, 1024, 5.83),  # AMICA, Ishiguro et al. (2010)
+    ],
+)
+def test_a_data_sheet_gives_the_field_of_view_of_the_camera(optics, pixels, field_deg):
+    camera = CameraSpec(width_px=pixels, height_px=pixels, optics=optics).camera()
+    assert np.degrees(2.0 * np.arctan(0.5 * pixels / camera.fx_px)) == pytest.approx(field_deg, abs=0.01)
+
+
+def test_pixels_need_not_be_square():
+    camera = CameraSpec(width_px=537, height_px=244, optics={"focal_mm": 167.35, "pixel_um": (16.0, 27.0)}).camera()
+    fields = np.degrees(2.0 * np.arctan([0.5 * 537 / camera.fx_px, 0.5 * 244 / camera.fy_px]))
+    assert fields == pytest.approx([2.93, 2.26], abs=0.015), "NEAR's imager, Hawkins et al. (1997)"
+    for wrong in ({"focal_mm": 0.0, "pixel_um": 1.0}, {"focal_mm": 1.0, "pixel_um": -1.0}, {"focal_mm": 1.0}):
+        with pytest.raises(ValueError, match=r"optics"):
+            CameraSpec(optics=wrong)

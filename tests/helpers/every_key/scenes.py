@@ -15,6 +15,7 @@ detector: {full_well_e: 3.0e+5, psf_sigma_px: 0.6}
 lighting: {phase_deg: {uniform: [20, 60]}}
 viewpoint: {range_m: 2000}
 """
+DATA_SHEET = RENDERED.replace("fov_deg: 18.3}", "optics: {focal_mm: 20.9, pixel_um: 140}}")
 LENS = RENDERED.replace("fov_deg: 18.3}", "fov_deg: 18.3, distortion: {k1: 1.5}}")
 OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
 HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
