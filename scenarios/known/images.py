@@ -174,7 +174,7 @@ def _pose(spec: ScenarioSpec) -> Iterator[Item]:
 
 def _nothing(law: Law | Law3 | None) -> bool:
     """Return whether a distribution draws only zeros."""
-    return law is None or not np.any(law.second_moment)
+    return law is None or not any(np.any(value) for name, value in law if name != "within")
 
 
 def _spread(law: Law | None) -> str:

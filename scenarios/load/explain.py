@@ -75,6 +75,8 @@ def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel
         if len(models) > 1:
             models = tuple(candidate for candidate in models if step == _TAG or _has_tag(candidate, str(step)))[:1]
             continue
+        if isinstance(step, str) and not models and not isinstance(entry.value, Mapping):
+            continue  # the tag of a plain value: a number or a pair
         keys.append(f"[{step}]" if isinstance(step, int) else f".{step}")
         entry = _child(entry, step)
         if isinstance(step, str):

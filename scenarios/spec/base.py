@@ -64,7 +64,7 @@ class SpecModel(BaseModel):
             if not given:
                 raise ValueError(f"give either {' or '.join(keys)}")
             if len(given) > 1:
-                raise ValueError(f"give either {' or '.join(keys)}, not both")
+                raise ValueError(f"give either {' or '.join(given)}, not both")
         return self
 
 

@@ -17,7 +17,9 @@ from boresight.scenarios.spec.base import SpecModel, is_none
 
 Bounds = tuple[float, float]
 NonNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
+# Bounds that keep logarithms and their exponentials finite.
+Positive = Annotated[float, Field(ge=1e-100, le=1e100)]
+Spread = Annotated[float, Field(ge=0, le=10)]
 
 _STANDARD = NormalDist()
 _EVERYWHERE = (-math.inf, math.inf)
@@ -174,13 +176,13 @@ class Normal(_Gaussian):
         """Mean of the square."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
-            return mean**2 + sigma**2
+            return mean * mean + sigma * sigma  # not **, which raises where these are infinite
         low, high = self._limits
         share = _STANDARD.cdf(high) - _STANDARD.cdf(low)
         # Mean and mean square of the truncated standard normal law, by parts.
         first = (_STANDARD.pdf(low) - _STANDARD.pdf(high)) / share
         second = 1.0 + (low * _STANDARD.pdf(low) - high * _STANDARD.pdf(high)) / share
-        return mean**2 + 2.0 * mean * sigma * first + sigma**2 * second
+        return mean * mean + 2.0 * mean * sigma * first + sigma * sigma * second
 
     def text(self, unit: str) -> str:
         """Return standard deviation, mean and bounds with the unit."""
@@ -193,7 +195,7 @@ class Normal(_Gaussian):
 class LogNormal(_Gaussian):
     """Log-normal: ``{log_normal: [median, sigma]}``, sigma of the natural logarithm; truncated by ``within``."""
 
-    log_normal: tuple[Positive, NonNegative] = Field(description="[median, sigma of ln]")
+    log_normal: tuple[Positive, Spread] = Field(description="[median, sigma of ln]")
 
     @model_validator(mode="after")
     def _check_positive(self) -> Self:

@@ -116,4 +116,4 @@ def test_matching_is_told_by_the_angles(page):
     distance = table.loc["largest distance of a crater from its epipolar line, matching, hybrid"]
     assert (distance["campaign"], distance["n"]) == ("cheng2003-matching", 4)
     assert distance["published"].endswith("(read as 20 px)")
-    assert "http" not in (page / "index.html").read_text(encoding="utf-8").replace("http://www.w3.org", "")
+    assert "://" not in (page / "index.html").read_text(encoding="utf-8").replace("http://www.w3.org", "")

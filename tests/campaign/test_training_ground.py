@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from training.crater_network import digest
 from training.ground import STEP_PX, Bowl, Ground, make_ground
-from training.trial_image import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
+from training.sight import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
 
 from boresight.estimators.craters.learned.detector import packaged_network
 
