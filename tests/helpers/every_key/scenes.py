@@ -31,8 +31,12 @@ REDRAWN = RENDERED.replace("    boulders:", "    redrawn: {below_m: 40, seed: 5}
 WRONG_HEIGHTS = RENDERED.replace(
     "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
 )
-# From so far that the egg may be 600 m or 600 km long.
-SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n").replace("range_m: 2000", "range_m: 800000")
+# From so far that the egg may be 600 m or 600 km long, and with so narrow a field that it is 4 pixels long at least.
+SHAPE = (
+    RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n")
+    .replace("range_m: 2000", "range_m: 800000")
+    .replace("fov_deg: 18.3", "fov_deg: 0.5")
+)
 GRID = RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n")
 CRATERS = """
 body: {shape: sphere}
