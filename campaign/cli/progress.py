@@ -126,7 +126,8 @@ class ProgressListener:
             self._forget(worker)
         elif step.done > shown.first:
             rate = (step.done - shown.first) / max(time.monotonic() - shown.since, 1e-9)
-            self._line(step.done, step.total, step.what, rate)
+            so_far = f"{self._done}/{self._total} trials; " if self._total else ""
+            self._line(step.done, step.total, step.what, rate, so_far=so_far)
 
     def _forget(self, worker: int | None) -> None:
         self._bar.remove_task(self._steps.pop(worker).task)
@@ -145,11 +146,11 @@ class ProgressListener:
         new = " of new trials" if self._resumed else ""
         return f"median{of}{new} {'  '.join(known)}" if known else ""
 
-    def _line(self, done: int, total: int, what: str, rate: float, median: str = "") -> None:
+    def _line(self, done: int, total: int, what: str, rate: float, median: str = "", so_far: str = "") -> None:
         """Print a line where there is no bar, now and then and at the end."""
         due = time.monotonic() - self._last_line > _SILENCE_S or done == total
         if self._bar.disable and due:
             self._last_line = time.monotonic()
             left = (total - done) / max(rate, 1e-9)
-            told = (f"{done}/{total} {what}", f"{rate:.1f}/s", f"{left:.0f} s left", median)
+            told = (f"{so_far}{done}/{total} {what}", f"{rate:.1f}/s", f"{left:.0f} s left", median)
             self._console.print(", ".join(filter(None, told)))

@@ -380,8 +380,10 @@ def slowly(trials):
 def test_progress_tells_how_far_long_trials_in_workers_are(monkeypatch):
     monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
     out = io.StringIO()
-    with ProgressListener(Console(file=out)):
+    with ProgressListener(Console(file=out)) as listener:
+        listener.started(0, 2)
         assert list(in_order(2, slowly, [(5,), (7,)])) == [5, 7]
     lines = out.getvalue().splitlines()
-    assert {line.split()[0].split("/")[1] for line in lines} == {"5", "7"}, "one of the workers is never heard of"
+    assert all(line.startswith("0/2 trials; ") for line in lines)
+    assert {line.split()[2].split("/")[1] for line in lines} == {"5", "7"}, "one of the workers is never heard of"
     assert all(" images of a trial, " in line and line.endswith(" s left") for line in lines)
