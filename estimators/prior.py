@@ -15,18 +15,26 @@ from boresight.scenarios.spec.base import SpecModel
 
 # 1e-9 rad and 1e-6 m: far below what an image resolves, far above the rounding of a pose in double precision.
 _LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)
+_LEAST_SHARE = 1e-9
 
 
 def floor_variances(covariance: FloatArray) -> FloatArray:
     """Floor zero variances so that a prior's covariance (6, 6) of [rotation_rad, translation_m] is invertible.
 
     The variance of a component to which the scenario gives no error is 0. It becomes that of 1e-9 rad or 1e-6 m, which
-    keeps the component fixed in practice. A covariance without such components is returned unchanged.
+    keeps the component fixed in practice. A combination of components without an error gets a share of 1e-9 of their
+    variances. A covariance without either is returned unchanged.
     """
     variances = np.diag(covariance)
-    if (variances >= _LEAST_SIGMAS**2).all():
-        return covariance
-    return np.asarray(covariance + np.diag(np.where(variances < _LEAST_SIGMAS**2, _LEAST_SIGMAS**2, 0.0)))
+    if not (variances >= _LEAST_SIGMAS**2).all():
+        covariance = covariance + np.diag(np.where(variances < _LEAST_SIGMAS**2, _LEAST_SIGMAS**2, 0.0))
+    variances = np.diag(covariance)
+    # Of the correlations, as radians and metres differ by orders of magnitude.
+    scale = np.sqrt(variances)
+    lowest = float(np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0])
+    if lowest < _LEAST_SHARE:
+        covariance = covariance + (_LEAST_SHARE + abs(lowest)) * np.diag(variances)
+    return covariance
 
 
 class PriorOptions(SpecModel):

@@ -165,8 +165,8 @@ def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Came
     roll_rad = np.radians(viewpoint.roll_deg.draw(rng))
     phase_rad = draw_phase(lighting, rng)
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
-    # Last, so that all else of a view is the same at every range.
-    range_m = viewpoint.range_m if isinstance(viewpoint.range_m, float) else viewpoint.range_m.draw(rng)
+    # From a stream of its own, so that all else of a view is the same at every range.
+    range_m = viewpoint.range_m if isinstance(viewpoint.range_m, float) else viewpoint.range_m.draw(rng.spawn(1)[0])
     T_cam_body = look_at(range_m * camera_dir_body, float(roll_rad))
     # In camera axes the body's origin is at +z, so that the camera lies towards -z from it.
     across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])

@@ -59,13 +59,15 @@ def written_to(file: Path) -> Iterator[None]:
         nonlocal written
         if time.monotonic() - written >= _WRITTEN_S:
             written = time.monotonic()
-            file.write_text(f"{step.done}/{step.total} {step.what}", encoding="utf-8")
+            with suppress(OSError):  # a full disk ends no trial for want of a progress bar
+                file.write_text(f"{step.done}/{step.total} {step.what}", encoding="utf-8")
 
     try:
         with heard_by(write):
             yield
     finally:
-        file.unlink(missing_ok=True)
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
 
 
 def read_step(file: Path) -> Step | None:

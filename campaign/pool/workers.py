@@ -241,12 +241,12 @@ class _Worker:
         """End the process, at once or when it is idle."""
         self._end(kill)
         self.note.unlink(missing_ok=True)
-        self.steps.unlink(missing_ok=True)
 
     def _end(self, kill: bool) -> None:
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=kill)
         self._executor, self._calls_made = None, 0
+        self.steps.unlink(missing_ok=True)  # of a process that was killed
 
 
 class _IdleWorkers:

@@ -186,8 +186,14 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
     uncertainty = np.array(frame.prior_covariance)
     range_m = float(np.linalg.norm(start.translation_m))
     aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
-    # Across the line of sight the alignment replaces the prior where it is more accurate.
-    uncertainty[_ACROSS, _ACROSS] = np.diag(np.minimum(np.diag(uncertainty)[_ACROSS], aligned_m2))
+    # Across the line of sight the alignment replaces the prior where it is more accurate. The correlations stay, or the
+    # matrix could lose its positive eigenvalues.
+    variances = np.diag(uncertainty).copy()
+    smaller = variances.copy()
+    smaller[_ACROSS] = np.minimum(variances[_ACROSS], aligned_m2)
+    share = np.sqrt(np.divide(smaller, variances, out=np.ones(6), where=variances > 0.0))
+    uncertainty *= np.outer(share, share)
+    np.fill_diagonal(uncertainty, smaller)
     fits: list[MapletFit] = []
     pose = start
     for _ in range(1 + context.options.max_rounds):

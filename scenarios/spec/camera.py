@@ -42,6 +42,13 @@ class OpticsSpec(SpecModel):
     focal_mm: float = Field(gt=0, le=1e7, description="Focal length")
     pixel_um: Pitch | tuple[Pitch, Pitch] = Field(description="Distance of pixels, one or [across, down]")
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not all(1.0 <= focal <= 1e9 for focal in self.focal_px):
+            across, down = self.focal_px
+            raise ValueError(f"focal lengths of {across:g} and {down:g} px are not within [1, 1e9]: check the units")
+        return self
+
     @property
     def focal_px(self) -> tuple[float, float]:
         """Focal lengths in pixels, across and down."""

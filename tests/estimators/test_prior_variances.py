@@ -6,7 +6,9 @@ import pytest
 from boresight.estimators.landmark.pose.posterior import GaussianPose, solve_map
 from boresight.estimators.landmark.pose.problem import PoseProblem
 from boresight.estimators.prior import floor_variances
+from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.spec.world import PoseErrorSpec
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)
@@ -17,6 +19,24 @@ def test_a_covariance_with_an_inverse_is_left_alone():
     covariance = np.diag(SIGMAS**2)
     covariance[0, 3] = covariance[3, 0] = 0.01
     assert floor_variances(covariance) is covariance
+
+
+@pytest.mark.parametrize(
+    ("place", "turn_deg"),
+    [
+        ({"position_cam_m": {"covariance": [[900, 900, 0], [900, 900, 0], [0, 0, 25]]}}, 2.0),
+        ({"position_body_m": {"normal": [30, 30, 0]}}, 2.0),
+        ({"position_body_m": {"normal": [0, 0, 0]}}, 0.05),
+        ({"position_body_m": {"normal": [30, 30, 30]}}, 0.0),
+    ],
+)
+def test_combinations_without_an_error_have_an_inverse_too(place, turn_deg):
+    spec = PoseErrorSpec.model_validate({**place, "attitude": {"angle_deg": {"normal": turn_deg}}})
+    covariance = prior_covariance(spec, TRUE, CAMERA)
+    floored = floor_variances(covariance)
+    scale = np.sqrt(np.diag(floored))
+    assert np.linalg.eigvalsh(np.linalg.inv(floored) * np.outer(scale, scale))[0] > 0.0
+    np.testing.assert_allclose(np.diag(floored), np.diag(covariance), rtol=1e-8, atol=2e-12)
 
 
 @pytest.mark.parametrize("sure_of", [[5], [0, 1, 2], [3, 4, 5]])

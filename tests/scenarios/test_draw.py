@@ -10,7 +10,16 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from boresight.scenarios.draw import Stream, degrade, draw_lit_view, draw_view, generator, prior_covariance
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.draw import (
+    Stream,
+    degrade,
+    draw_aimed_view,
+    draw_lit_view,
+    draw_view,
+    generator,
+    prior_covariance,
+)
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
@@ -262,6 +271,41 @@ def test_a_truncated_log_normal_law_is_the_part_of_the_whole():
     assert stats.kstest(drawn, lambda x: np.clip((whole.cdf(x) - whole.cdf(80.0)) / share, 0.0, 1.0)).pvalue > 1e-3
     assert law.second_moment == pytest.approx(whole.expect(lambda x: x * x, lb=80.0, ub=300.0) / share, rel=1e-9)
     assert whole.cdf(law.median) == pytest.approx(whole.cdf(80.0) + 0.5 * share)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        LogNormal(log_normal=(10.0, 5.0), within=(1.0, 1000.0)),
+        LogNormal(log_normal=(1.0, 10.0), within=(0.5, 2.0)),
+        LogNormal(log_normal=(1.0, 0.5), within=(8.0, 20.0)),
+        Normal(normal=1.0, within=(-1e-8, 1e-8)),
+        Normal(normal=(5.0, 1.0), within=(-1e-3, 1e-3)),
+        Normal(normal=1.0, within=(5.5, 1e15)),
+    ],
+)
+def test_moments_hold_in_tails_and_between_narrow_bounds(law):
+    """Against the sum over a fine grid of the logarithm of the density, which cannot cancel."""
+    (low, high), (mean, sigma) = law.support, law._normal
+    z = np.linspace(law._limits[0], min(law._limits[1], max(law._limits[0], 0.0) + 20.0), 400_001)
+    values = np.exp(mean + sigma * z) if isinstance(law, LogNormal) else mean + sigma * z
+    weights = np.exp(-0.5 * z * z + 0.5 * np.min(z * z))
+    assert law.second_moment == pytest.approx(np.sum(weights * values**2) / np.sum(weights), rel=1e-4)
+    drawn = [law.draw(generator(4, Stream.TRUTH, trial)) for trial in range(200)]
+    assert low <= min(drawn) <= max(drawn) <= high
+
+
+def test_a_drawn_range_leaves_aims_at_the_ground_alone():
+    spec = load_scenario("quickstart").spec
+    mesh, lighting = load_body(spec.body.model_copy(update={"detail": None}), ()).mesh, spec.lighting
+    fixed = ViewpointSpec(range_m=2000.0, targets=("nadir", "limb"))
+    drawn = ViewpointSpec(range_m=Uniform(uniform=(1999.999, 2000.001)), targets=("nadir", "limb"))
+    for trial in range(5):
+        one, other = (
+            draw_aimed_view(viewpoint, lighting, spec.camera.camera(), mesh, generator(1, Stream.TRUTH, trial))
+            for viewpoint in (fixed, drawn)
+        )
+        np.testing.assert_allclose(one.T_cam_body.rotation, other.T_cam_body.rotation, atol=1e-5)
 
 
 def test_a_choice_draws_each_of_its_values_as_often_as_it_stands_there():

@@ -5,7 +5,7 @@ from boresight.campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-matching",
-    version=5,
+    version=6,
     block_trials=5,
     method_version=CraterMatching.method_version,
     check_scenario=CraterMatching.check_scenario,
