@@ -20,7 +20,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from boresight.campaign.pool.steps import Step, heard_by
+from boresight.campaign.pool.steps import Step, progress_to
 from boresight.campaign.trial.kind import Records
 
 _SILENCE_S = 30.0
@@ -77,7 +77,7 @@ class ProgressListener:
 
     def __enter__(self) -> Self:
         self._open.enter_context(self._bar)
-        self._open.enter_context(heard_by(self._step))
+        self._open.enter_context(progress_to(self._step))
         return self
 
     def __exit__(

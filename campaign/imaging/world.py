@@ -239,8 +239,7 @@ def views_in_words(scenario: LoadedScenario) -> str:
         return ""
     size_m = _longest_m(load_body(scenario.spec.body, scenario.search_dirs).mesh)
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
-    low, high = viewpoint.range_bounds_m
-    ends = [viewpoint.median_range_m] if low == high else [low, high if np.isfinite(high) else viewpoint.median_range_m]
+    ends = viewpoint.range_bounds_m
     told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
         ends, [end / camera.fx_px for end in ends], [size_m / end * camera.fx_px for end in ends]
     )]  # fmt: skip

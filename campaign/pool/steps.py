@@ -15,39 +15,39 @@ _WRITTEN_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """So many are done of all, for example of the images of a trial."""
+    """Number of items done and of all, for example the images of a trial."""
 
     what: str
     done: int
     total: int
 
 
-Hear = Callable[[int | None, Step], None]
+Listener = Callable[[int | None, Step], None]
 """Called with the index of a worker, or None for this process, and how far it is; at the end all are done."""
 
-_HEAR: ContextVar[Hear | None] = ContextVar("hear", default=None)
+_LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 @contextmanager
-def heard_by(hear: Hear) -> Iterator[None]:
+def progress_to(listener: Listener) -> Iterator[None]:
     """Call a function with the progress of this process and its workers inside the context."""
-    token = _HEAR.set(hear)
+    token = _LISTENER.set(listener)
     try:
         yield
     finally:
-        _HEAR.reset(token)
+        _LISTENER.reset(token)
 
 
-def hearer() -> Hear | None:
+def progress_listener() -> Listener | None:
     """Return the current listener; None if there is none."""
-    return _HEAR.get()
+    return _LISTENER.get()
 
 
-def tell(what: str, done: int, total: int) -> None:
-    """Tell how far this process is with something that takes long; without a listener nothing happens."""
-    hear = _HEAR.get()
-    if hear is not None:
-        hear(None, Step(what, done, total))
+def report_progress(what: str, done: int, total: int) -> None:
+    """Report the progress of this process to the listener, if there is one."""
+    listener = _LISTENER.get()
+    if listener is not None:
+        listener(None, Step(what, done, total))
 
 
 @contextmanager
@@ -63,7 +63,7 @@ def written_to(file: Path) -> Iterator[None]:
                 file.write_text(f"{step.done}/{step.total} {step.what}", encoding="utf-8")
 
     try:
-        with heard_by(write):
+        with progress_to(write):
             yield
     finally:
         with suppress(OSError):

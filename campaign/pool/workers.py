@@ -25,7 +25,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.pool.guard import guarding
-from boresight.campaign.pool.steps import hearer, read_step, written_to
+from boresight.campaign.pool.steps import progress_listener, read_step, written_to
 from boresight.renderers.mitsuba3.variant import gpu_of_worker
 from boresight.scenarios.errors import MachineError
 
@@ -130,12 +130,15 @@ def _spread(
 
 def _wait_for_one(workers: Sequence[_Worker]) -> None:
     """Wait until a call has ended, passing the progress of the workers to the listener."""
-    futures, hear = [future for worker in workers for _, future in worker.in_flight], hearer()
-    while not wait(futures, None if hear is None else _LOOK_S, FIRST_COMPLETED).done:
+    futures, listener = [future for worker in workers for _, future in worker.in_flight], progress_listener()
+    if listener is None:
+        wait(futures, return_when=FIRST_COMPLETED)
+        return
+    while not wait(futures, _LOOK_S, FIRST_COMPLETED).done:
         for worker in workers:
             step = read_step(worker.steps)
-            if hear is not None and step is not None:
-                hear(worker.index, step)
+            if step is not None:
+                listener(worker.index, step)
 
 
 def _count_started(workers: Sequence[_Worker], results: dict[int, object]) -> int:

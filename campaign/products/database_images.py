@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import ImageStore
 from boresight.campaign.imaging.world import open_world, typical_range_m
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
 from boresight.scenarios.arrays import FloatArray
@@ -48,7 +48,7 @@ def map_images(jobs: int | None, images: int, function: Callable[..., list[T]], 
     found: list[T] = []
     for results in in_order(jobs, _in_worker, calls):
         found += results
-        tell("images", len(found), images)
+        report_progress("images", len(found), images)
     return found
 
 

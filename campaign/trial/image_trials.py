@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.trial.kind import Records, Trials, Witness, add_records
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.errors import BoresightError
@@ -81,7 +81,7 @@ class PerDatabase(Generic[PartT]):
         records: Records = {}
         for number, trial in enumerate(trials):
             add_records(records, self.of(trial).trial(trial))
-            tell("trials of a block", number + 1, len(trials))
+            report_progress("trials of a block", number + 1, len(trials))
         for part in self.parts:
             part.flush()
         return records

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def each_trial(trials: Sequence[int], scenario: str, one: Callable[[int], Mappin
     for number, trial in enumerate(trials):
         for label, found in one(trial).items():
             add_records(records, found, {"trial": trial, "scenario": scenario, "estimator": label})
-        tell("trials of a block", number + 1, len(trials))
+        report_progress("trials of a block", number + 1, len(trials))
     return records
 
 

@@ -6,6 +6,7 @@ Each law draws values and knows their second moment, so that a prior's covarianc
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from statistics import NormalDist
 from typing import Annotated, Any, Self
 
@@ -44,28 +45,28 @@ def _log_share(low: float, high: float) -> float:
 class Law(SpecModel):
     """Distribution of one number."""
 
+    @abstractmethod
     def draw(self, rng: np.random.Generator) -> float:
         """Draw one value."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def support(self) -> Bounds:
         """Least and largest value, infinite where there is none."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def median(self) -> float:
         """The median."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def second_moment(self) -> float:
         """Mean of the square."""
-        raise NotImplementedError
 
+    @abstractmethod
     def text(self, unit: str) -> str:
         """Return the law in words, with the unit of its values."""
-        raise NotImplementedError
 
 
 class Uniform(Law):
@@ -121,12 +122,16 @@ class _Gaussian(Law):
         return self
 
     @property
+    @abstractmethod
     def _normal(self) -> tuple[float, float]:
         """Mean and standard deviation in the scale that is normal."""
-        raise NotImplementedError
 
     def _scaled(self, value: float) -> float:
         """Return a value in the scale that is normal."""
+        return value
+
+    def _unscaled(self, value: float) -> float:
+        """Return a value of the scale that is normal as one of the law."""
         return value
 
     @property
@@ -138,21 +143,26 @@ class _Gaussian(Law):
         low, high = (self._scaled(bound) for bound in self.within)
         return (low, high) if sigma == 0.0 else ((low - mean) / sigma, (high - mean) / sigma)
 
-    def _drawn(self, rng: np.random.Generator) -> float:
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one value."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
-            return float(rng.normal(mean, sigma))
-        low, high = map(_STANDARD.cdf, self._limits)
-        # Neither 0 nor 1, which have no quantile.
-        return mean + sigma * _STANDARD.inv_cdf(min(max(rng.uniform(low, high), 5e-324), 1.0 - 2**-53))
+            value = float(rng.normal(mean, sigma))
+        else:
+            low, high = map(_STANDARD.cdf, self._limits)
+            # Neither 0 nor 1, which have no quantile.
+            value = mean + sigma * _STANDARD.inv_cdf(min(max(rng.uniform(low, high), 5e-324), 1.0 - 2**-53))
+        least, most = self.support
+        return min(max(self._unscaled(value), least), most)
 
     @property
-    def _middle(self) -> float:
+    def median(self) -> float:
+        """The median."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
-            return mean
+            return self._unscaled(mean)
         low, high = map(_STANDARD.cdf, self._limits)
-        return mean + sigma * _STANDARD.inv_cdf(0.5 * (low + high))
+        return self._unscaled(mean + sigma * _STANDARD.inv_cdf(0.5 * (low + high)))
 
 
 class Normal(_Gaussian):
@@ -167,21 +177,11 @@ class Normal(_Gaussian):
     def _normal(self) -> tuple[float, float]:
         return self.normal if isinstance(self.normal, tuple) else (0.0, self.normal)
 
-    def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
-        low, high = self.support
-        return min(max(self._drawn(rng), low), high)
-
     @property
     def support(self) -> Bounds:
         """The bounds ``within``; the mean alone if the standard deviation is 0."""
         mean, sigma = self._normal
         return (mean, mean) if sigma == 0.0 else self.within or _EVERYWHERE
-
-    @property
-    def median(self) -> float:
-        """The median: the mean, unless the law is truncated on one side more than on the other."""
-        return self._middle
 
     @property
     def second_moment(self) -> float:
@@ -225,21 +225,14 @@ class LogNormal(_Gaussian):
     def _scaled(self, value: float) -> float:
         return math.log(value) if value > 0.0 else -math.inf
 
-    def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
-        low, high = self.support
-        return min(max(math.exp(self._drawn(rng)), low), high)
+    def _unscaled(self, value: float) -> float:
+        return math.exp(value)
 
     @property
     def support(self) -> Bounds:
         """The bounds ``within``; from 0 without them."""
         median, sigma = self.log_normal
         return (median, median) if sigma == 0.0 else self.within or (0.0, math.inf)
-
-    @property
-    def median(self) -> float:
-        """The median."""
-        return math.exp(self._middle)
 
     @property
     def second_moment(self) -> float:
@@ -348,23 +341,21 @@ _SCALAR = (
     " log_normal: [median, sigma of ln] or choice: [a, b, ...]"
 )
 
-Scalar = Annotated[
-    Annotated[Uniform, BeforeValidator(_constant, json_schema_input_type=float), Tag("number")]
-    | Annotated[Uniform, Tag("uniform")]
+_Laws = (
+    Annotated[Uniform, Tag("uniform")]
     | Annotated[Normal, Tag("normal")]
     | Annotated[LogNormal, Tag("log_normal")]
     | Annotated[LogUniform, Tag("log_uniform")]
-    | Annotated[Choice, Tag("choice")],
+    | Annotated[Choice, Tag("choice")]
+)
+
+Scalar = Annotated[
+    Annotated[Uniform, BeforeValidator(_constant, json_schema_input_type=float), Tag("number")] | _Laws,
     _either(_SCALAR),
 ]
 
 PositiveScalar = Annotated[
-    Annotated[float, Field(gt=0), Tag("number")]
-    | Annotated[Uniform, Tag("uniform")]
-    | Annotated[Normal, Tag("normal")]
-    | Annotated[LogNormal, Tag("log_normal")]
-    | Annotated[LogUniform, Tag("log_uniform")]
-    | Annotated[Choice, Tag("choice")],
+    Annotated[float, Field(gt=0), Tag("number")] | _Laws,
     _either(_SCALAR),
 ]
 """A number, or a distribution whose values `check_support` holds to be above zero. A number draws nothing at random."""
@@ -388,14 +379,14 @@ def check_support(key: str, law: Law, low: float, high: float = math.inf) -> Non
 class Law3(SpecModel):
     """Distribution of a vector of three components."""
 
+    @abstractmethod
     def draw(self, rng: np.random.Generator) -> FloatArray:
         """Draw (3,) values."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def second_moment(self) -> FloatArray:
         """(3, 3) mean of the outer product of a vector with itself."""
-        raise NotImplementedError
 
 
 class Uniform3(Law3):

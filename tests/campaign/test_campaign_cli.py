@@ -22,7 +22,7 @@ from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products.database_images import map_images
 from boresight.campaign.runs.check import check_campaign
@@ -373,7 +373,7 @@ def test_progress_counts_the_images_of_a_data_base(monkeypatch):
 def slowly(trials):
     for number in range(trials):
         time.sleep(0.6)
-        tell("images of a trial", number + 1, trials)
+        report_progress("images of a trial", number + 1, trials)
     return trials
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.image_store import Imager
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.trial.crater_score import check_detections, match_detections
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
@@ -237,7 +237,7 @@ class NavigationTrial:
         found = []
         for number in range(len(self.plan)):
             found.append(self._searched(number, navigator, task, stages))
-            tell("images of a trial", number + 1, len(self.plan))
+            report_progress("images of a trial", number + 1, len(self.plan))
         self.sights.flush()
         return found
 

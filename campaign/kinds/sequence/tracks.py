@@ -11,7 +11,7 @@ import numpy as np
 
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.kinds.sequence.images import WRONG_PX, OrbitImages
-from boresight.campaign.pool.steps import tell
+from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.vision.point_trackers import MatchedImage
 from boresight.estimators.slam.vision.tracker import TrackedFrame, Tracker
@@ -126,7 +126,7 @@ class Watch:
 
     def _make(self, prediction: Prediction | None) -> None:
         index = len(self._made)
-        tell("frames of a trial", index, len(self._slots))
+        report_progress("frames of a trial", index, len(self._slots))
         slot, frame = self._slots[index], self._blind.frames[index]
         seen = self._tracker.advance(self._look(index), frame.R_cam_body, prediction)
         # Where the line of sight of a first sighting meets the body; its origin if it does not.
