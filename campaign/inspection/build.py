@@ -18,7 +18,7 @@ from boresight.campaign.inspection.recompute import Recomputed, StoredComparison
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.image_trials import write_image
+from boresight.campaign.trial.images import write_image
 from boresight.campaign.trial.kind import Record
 from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.case import CasePage, write_case

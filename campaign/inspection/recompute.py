@@ -132,7 +132,7 @@ def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Reco
     """Run one case again, observed; one whose method was stopped in the stored run is not."""
     context = WorkerContext(folder.path, jobs=1, keep_images=False)
     shown: list[Witnessed] = []
-    watched = trials_of(campaign, case.scenario, context).watched(case.estimator, shown.append)
+    watched = trials_of(campaign, case.scenario, context).of(case.trial).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
     return Recomputed(case, watched, records, shown[-1] if shown else None, folder)

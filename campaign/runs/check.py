@@ -49,7 +49,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
     kind = kind_named(campaign.spec.experiment)
     held = []  # scenarios of a grid share bodies, which are read once as long as they are held
     for scenario in campaign.scenarios:
-        kind.methods(campaign, scenario)
+        kind.build_methods(campaign, scenario)
         limit, bodies = check_scenario(scenario, campaign.spec.experiment)
         held.append(bodies)
         if limit is not None and trials > limit:

@@ -9,8 +9,8 @@ from typing import Any
 
 from boresight.campaign.resolved import ResolvedCampaign, Versions
 from boresight.campaign.runs.read import read_campaign
-from boresight.campaign.trial.kind import Kind, kind_named
-from boresight.estimators.registry import base_of, file_of, needed_sensors
+from boresight.campaign.trial.kind import Trials, kind_named
+from boresight.estimators.registry import file_of, needed_sensors
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedCampaign, LoadedScenario
 from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
@@ -89,7 +89,7 @@ def of_scenario(
     return ResolvedCampaign(spec, (scenario,), seed, _versions(spec), variant)
 
 
-def _kind_of(loaded: LoadedCampaign) -> Kind:
+def _kind_of(loaded: LoadedCampaign) -> type[Trials]:
     """Look up the kind of trial of a campaign; an unknown one is refused with its place in the file."""
     try:
         return kind_named(loaded.spec.experiment)
@@ -97,7 +97,7 @@ def _kind_of(loaded: LoadedCampaign) -> Kind:
         raise BoresightError(f"{loaded.place_of('experiment')}: {error}") from error
 
 
-def _check_databases(loaded: LoadedCampaign, kind: Kind, scenarios: Sequence[LoadedScenario]) -> None:
+def _check_databases(loaded: LoadedCampaign, kind: type[Trials], scenarios: Sequence[LoadedScenario]) -> None:
     """Refuse several data bases where images are real, or where the kind of trial has one alone."""
     key = f"{loaded.place_of('databases')}: databases"
     for scenario in scenarios:
@@ -115,10 +115,7 @@ def _versions(spec: CampaignSpec, loaded: LoadedCampaign | None = None) -> Versi
     kind, found = kind_named(spec.experiment), {}
     for i, entry in enumerate(spec.estimators):
         try:
-            names = [entry.name, base_of(entry.name, entry.options)]
-            if kind.name == "crater-matching" and "detector" in entry.options:
-                names.append(str(entry.options["detector"]))
-            found[entry.label] = tuple(kind.method_version(name) for name in names if name is not None)
+            found[entry.label] = tuple(kind.method_version(name) for name in kind.method_names(entry))
         except BoresightError as error:
             raise error if loaded is None else BoresightError(f"{loaded.place_of('estimators', i)}: {error}") from error
     return Versions(kind.version, found)

@@ -100,8 +100,8 @@ def build_products(
     for scenario in campaign.scenarios:
         place = request.out / "products"
         assets = BuiltAssets(scenario, place, request.jobs, campaign.variant, tell, campaign.draft)
-        products += unbuilt_products(scenario, kind.methods(campaign, scenario))
-        products += [] if kind.prepare is None else kind.prepare(campaign, scenario, assets)
+        products += unbuilt_products(scenario, kind.build_methods(campaign, scenario))
+        products += kind.prepare(campaign, scenario, assets)
     return products
 
 
@@ -146,7 +146,7 @@ def _computed(
         run_block,
         ((campaign, block, context, {}) for block in todo),
         apart=request.limit_s is not None,
-        renew_after=kind_named(campaign.spec.experiment).process_blocks,
+        renew_after=kind_named(campaign.spec.experiment).process_blocks(),
         after_death=Losses(listener.message).after,
     )
     yield from zip(todo, results, strict=True)

@@ -17,8 +17,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import TABLES
 from boresight.campaign.store.folder import Block
 from boresight.campaign.threads import use_threads
-from boresight.campaign.trial.image_trials import part_of
-from boresight.campaign.trial.kind import Records, Trials, WorkerContext, kind_named
+from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext
 
 T = TypeVar("T")
 
@@ -99,19 +98,18 @@ def run_block(
 
 
 @lru_cache(maxsize=1)
-def trials_of(campaign: ResolvedCampaign, scenario_name: str, context: WorkerContext) -> Trials:
+def trials_of(campaign: ResolvedCampaign, scenario_name: str, context: WorkerContext) -> PerDatabase:
     """Open the trials once per process and scenario, with the threads that rows are worked out with.
 
     Whoever works a trial out again needs them as well: matrices multiplied by more threads differ in their last bits.
     """
     use_threads(context.jobs)
-    return kind_named(campaign.spec.experiment).open(campaign, campaign.scenario(scenario_name), context)
+    return PerDatabase.open(campaign, campaign.scenario(scenario_name), context)
 
 
 def opened(campaign: ResolvedCampaign, scenario: str, run: Path, kind: type[T], trial: int = 0) -> T:
     """Open the trials of a stored run that one trial is of, which are of a class that their kind knows."""
-    trials = trials_of(campaign, scenario, WorkerContext(run, 1, keep_images=False))
-    found = part_of(trials, kind, trial)
-    if found is None:
-        raise TypeError(f"{run} holds trials of {type(trials).__name__}, not of {kind.__name__}")
+    found = trials_of(campaign, scenario, WorkerContext(run, 1, keep_images=False)).of(trial)
+    if not isinstance(found, kind):
+        raise TypeError(f"{run} holds trials of {type(found).__name__}, not of {kind.__name__}")
     return found

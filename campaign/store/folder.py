@@ -183,10 +183,6 @@ def _first_trial(path: Path, otherwise: int) -> int:
     return min((trial for trial in read_column(path, "trial") if isinstance(trial, int)), default=otherwise)
 
 
-def _write_bytes(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-
-
 class RunFolder:
     """A run folder. Its only state is its absolute path."""
 
@@ -239,7 +235,7 @@ class RunFolder:
             self._write(f"rows/{block.file_name}", contents["rows"])
 
     def _write(self, name: str, content: bytes) -> None:
-        write_atomically(self.path / name, lambda path: _write_bytes(path, content))
+        write_atomically(self.path / name, lambda path: path.write_bytes(content))
 
     def state(self, block: Block, estimators: int) -> BlockState:
         """Tell what is stored of a block; more trials than it has are fine."""

@@ -1,28 +1,33 @@
-"""Kinds of trial: their interface, and the look-up by name."""
+"""Kinds of trial: what the class of one declares, and the look-up by name."""
 
 from __future__ import annotations
 
 import difflib
 import pkgutil
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.pool.steps import report_progress
+from boresight.estimators.registry import base_of
 from boresight.scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
     from boresight.campaign.resolved import ResolvedCampaign
     from boresight.scenarios.load import LoadedScenario
+    from boresight.scenarios.spec.campaign import EstimatorSpec
 
 Record = dict[str, object]
 Records = dict[str, list[Record]]
+
+_KINDS = "boresight.campaign.kinds"
 
 
 class Witnessed(Protocol):
@@ -52,36 +57,6 @@ class Witnessed(Protocol):
 Witness = Callable[[Witnessed], None]
 """Called with each trial of one method, for inspection."""
 
-Prepare = Callable[["ResolvedCampaign", "LoadedScenario", "BuiltAssets"], "Sequence[BuiltProduct | MissingProduct]"]
-
-_KINDS = "boresight.campaign.kinds"
-
-
-def add_records(records: Records, found: Records, key: Record | None = None) -> None:
-    """Add what a trial found to the records of each table, each with the columns of ``key`` before its own."""
-    for table, added in found.items():
-        records.setdefault(table, []).extend({**(key or {}), **record} for record in added)
-
-
-def each_trial(trials: Sequence[int], scenario: str, one: Callable[[int], Mapping[str, Records]]) -> Records:
-    """Run trials one after another: the records of each table, with their keys.
-
-    Parameters
-    ----------
-    trials
-        Their numbers.
-    scenario
-        Name of the scenario.
-    one
-        Runs a trial: label of a method to its records, without their key.
-    """
-    records: Records = {}
-    for number, trial in enumerate(trials):
-        for label, found in one(trial).items():
-            add_records(records, found, {"trial": trial, "scenario": scenario, "estimator": label})
-        report_progress("trials of a block", number + 1, len(trials))
-    return records
-
 
 @dataclass(frozen=True, slots=True)
 class WorkerContext:
@@ -95,67 +70,152 @@ class WorkerContext:
     keep_images: bool
     limit_s: float | None = None
 
-
-class Trials(Protocol):
-    """The trials of one scenario in a worker: the only code with access to both truth and estimate."""
-
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the trials of one method alone, which pass all of its stages to ``witness``.
-
-        The records equal those of a run bit for bit. A kind that has nothing to show never calls the witness.
-        """
-        ...
-
-    def run(self, trials: range) -> Records:
-        """Run trials: the records of each stored table, in the order of trials and methods."""
-        ...
+    def image_folder(self, scenario: str) -> Path | None:
+        """Return the folder in which the images of a scenario are kept; None to keep none."""
+        return self.run / "images" / scenario if self.keep_images else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
-    """A kind of trial.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trials(ABC):
+    """The trials of one scenario with one data base in a worker; the class of such trials is a kind of trial.
 
     Parameters
     ----------
-    name
-        The value of ``experiment`` in a campaign.
-    version
-        Part of every run's digest; raised when rows change and no version of a method or renderer does.
-    block_trials
-        Number of trials that are computed, stored and resumed together.
-    method_version
-        Returns the version of a method (an estimator) by its name; raises BoresightError if it is unknown.
-    check_scenario
-        Raises BoresightError for a scenario on which its trials cannot run.
+    scenario
+        Name of the scenario.
     methods
-        Builds the methods that need no assets, by their labels; raises BoresightError for options that cannot run.
-    prepare
-        Builds the products of the trials before the first; a method whose product cannot be built has no trials.
-        None if there is nothing to build.
-    open
-        Opens the trials of a scenario in a worker.
-    databases
-        Whether trials may use several data bases or worlds of craters.
-    process_trials
-        Restart a worker after this many trials, to bound memory leaks of libraries. Mitsuba has been
-        reported to fail after some thousands of renderings in one process.
+        Label to method (an estimator, a detector); of one that cannot be built, why.
+    seed
+        Seed of the campaign.
+    witness
+        Shown the trials of all methods; or None.
+    database
+        Number of its data base, by the labels of the methods that have one.
     """
 
-    name: str
-    version: int
-    block_trials: int
-    method_version: Callable[[str], int]
-    check_scenario: Callable[[LoadedScenario], object]
-    methods: Callable[[ResolvedCampaign, LoadedScenario], Mapping[str, object]]
-    open: Callable[[ResolvedCampaign, LoadedScenario, WorkerContext], Trials]
-    prepare: Prepare | None = None
-    databases: bool = False
-    process_trials: int = 1000
+    name: ClassVar[str]
+    """The value of ``experiment`` in a campaign."""
 
-    @property
-    def process_blocks(self) -> int:
-        """Number of blocks that a worker process runs before it is replaced."""
-        return max(1, self.process_trials // self.block_trials)
+    version: ClassVar[int]
+    """Part of every run's digest; raised when rows change and no version of a method or renderer does."""
+
+    block_trials: ClassVar[int]
+    """Number of trials that are computed, stored and resumed together."""
+
+    process_trials: ClassVar[int] = 1000
+    """Restart a worker after this many trials, to bound memory leaks of libraries. Mitsuba has been reported to fail
+    after some thousands of renderings in one process."""
+
+    databases: ClassVar[bool] = False
+    """Whether trials may use several data bases or worlds of craters."""
+
+    scenario: str
+    methods: Mapping[str, object]
+    seed: int
+    witness: Witness | None = None
+    database: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    @abstractmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of a method by its name; raise BoresightError if it is unknown."""
+
+    @classmethod
+    def method_names(cls, entry: EstimatorSpec) -> tuple[str, ...]:
+        """Return the names of the methods that an entry of a campaign runs: its own, and those that it builds on."""
+        base = base_of(entry.name, entry.options)
+        return (entry.name,) if base is None else (entry.name, base)
+
+    @classmethod
+    @abstractmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Raise BoresightError for a scenario on which trials cannot run."""
+
+    @classmethod
+    @abstractmethod
+    def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
+        """Build the methods that need no assets, by their labels; raise BoresightError for options that cannot run."""
+
+    @classmethod
+    def prepare(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
+    ) -> Sequence[BuiltProduct | MissingProduct]:
+        """Build the products of the trials before the first; a method whose product cannot be built has no trials."""
+        del campaign, scenario, assets
+        return []
+
+    @classmethod
+    @abstractmethod
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Open the trials of a scenario with the data base of a number in a worker."""
+
+    @classmethod
+    def process_blocks(cls) -> int:
+        """Return the number of blocks that a worker process runs before it is replaced."""
+        return max(1, cls.process_trials // cls.block_trials)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the trials of one method alone, shown to a witness.
+
+        The records equal those of a run bit for bit. A kind that has nothing to show never calls the witness.
+        """
+        return replace(self, methods={label: self.methods[label]}, witness=witness)
+
+    @abstractmethod
+    def trial(self, trial: int) -> Records:
+        """Run one trial with all methods: the records that it adds to each stored table."""
+
+    def flush(self) -> None:  # noqa: B027  most kinds render nothing
+        """Store the rendered images, at the end of a block of trials."""
+
+    def run(self, trials: range) -> Records:
+        """Run trials: the records of each stored table, in the order of trials and methods."""
+        return _each_trial((self,), trials)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PerDatabase:
+    """Trials of one scenario with each of its data bases, most have one: trial t uses number t modulo their count."""
+
+    parts: tuple[Trials, ...]
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> PerDatabase:
+        """Open the trials of a scenario in a worker."""
+        kind = kind_named(campaign.spec.experiment)
+        return cls(tuple(kind.open(campaign, scenario, context, i) for i in range(campaign.spec.databases)))
+
+    def of(self, trial: int) -> Trials:
+        """Return the trials that share the data base of one trial."""
+        return self.parts[trial % len(self.parts)]
+
+    def run(self, trials: range) -> Records:
+        """Run trials in their order."""
+        return self.parts[0].run(trials) if len(self.parts) == 1 else _each_trial(self.parts, trials)
+
+
+def _each_trial(parts: Sequence[Trials], trials: range) -> Records:
+    records: Records = {}
+    for number, trial in enumerate(trials):
+        add_records(records, parts[trial % len(parts)].trial(trial))
+        report_progress("trials of a block", number + 1, len(trials))
+    for part in parts:
+        part.flush()
+    return records
+
+
+def add_records(records: Records, found: Records, key: Record | None = None) -> None:
+    """Add what a trial found to the records of each table, each with the columns of ``key`` before its own."""
+    for table, added in found.items():
+        records.setdefault(table, []).extend({**(key or {}), **record} for record in added)
+
+
+def check_only_method(kind: str, only: str, name: str) -> None:
+    """Refuse a method that is not the only one of a kind of trial."""
+    if name != only:
+        raise BoresightError(f"estimators: {name!r} has no part in {kind}: the only method is {only}")
 
 
 def kind_names() -> list[str]:
@@ -164,7 +224,7 @@ def kind_names() -> list[str]:
     return sorted(folder.name.replace("_", "-") for folder in folders if folder.ispkg)
 
 
-def kind_named(name: str) -> Kind:
+def kind_named(name: str) -> type[Trials]:
     """Look up a kind of trial.
 
     Raises
@@ -176,7 +236,7 @@ def kind_named(name: str) -> Kind:
         near = difflib.get_close_matches(name, kind_names(), n=1)
         hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(kind_names())}"
         raise BoresightError(f"experiment: {name!r} is not a kind of trial; {hint}")
-    return cast("Kind", import_module(module_of(name)).KIND)
+    return cast("type[Trials]", import_module(module_of(name)).KIND)
 
 
 def module_of(name: str) -> str:

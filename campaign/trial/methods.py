@@ -33,7 +33,7 @@ class Unbuilt:
     trace: str
 
 
-def methods(
+def build_all(
     campaign: ResolvedCampaign, scenario: LoadedScenario, make: Callable[[EstimatorSpec], T]
 ) -> dict[str, T | Unbuilt]:
     """Build the methods of a campaign that need no assets, by their labels; refuse wrong options."""

@@ -119,7 +119,7 @@ def test_every_campaign_of_the_catalogue_is_sound(name):
         check_campaign(checked, loaded.spec.trials)
     elif "gtsam" not in missing:
         for scenario in campaign.scenarios:
-            kind_named(loaded.spec.experiment).methods(campaign, scenario)
+            kind_named(loaded.spec.experiment).build_methods(campaign, scenario)
 
 
 @pytest.mark.long

@@ -58,7 +58,9 @@ def _trials(tmp_path, world, navigators=None, sights=DrawnSights):
     spec = imaging_of(world)
     drawn = sights(spec, ground, draw_plane_craters(ground, spec.craters))
     navigators = navigators or {"vote": CraterNavigation.from_options({"matcher": "vote"})}
-    return CraterNavigationTrials("small", world, drawn, navigators, 5, tmp_path)
+    return CraterNavigationTrials(
+        scenario="small", methods=navigators, seed=5, world=world, sights=drawn, folder=tmp_path
+    )
 
 
 @pytest.fixture(scope="module")

@@ -38,8 +38,8 @@ def test_two_dozen_rendered_images_a_day_come_to_orbits(tmp_path):
     trials = CraterNavigationTrials.open(campaign, campaign.scenarios[0], WorkerContext(tmp_path, 1, keep_images=False))
     seen = []
     every = CraterNavigation.from_options(EVERY_PAIR)
-    chains = {**trials.navigators, "every-pair-optical-alone": every}
-    records = replace(trials, navigators=chains, witness=seen.append).run(range(DAYS))
+    chains = {**trials.methods, "every-pair-optical-alone": every}
+    records = replace(trials, methods=chains, witness=seen.append).run(range(DAYS))
     assert [row["status"] for row in records["rows"]] == ["ok"] * 4 * DAYS
     navigation, orbits = pd.DataFrame(records["navigation"]), pd.DataFrame(records["orbits"])
     assert (navigation["n_images"] == 24).all()

@@ -27,7 +27,9 @@ body: {shading: smooth}
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> SingleImage:
     file = tmp_path_factory.mktemp("lens") / "lens.yaml"
     file.write_text(SCENE)
-    return SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
+    return SingleImage(
+        world=open_world(load_scenario(str(file)), choose_variant().name), scenario="scene", methods={}, seed=5
+    )
 
 
 def opencv_pixels(experiment: SingleImage, points_cam: np.ndarray) -> np.ndarray:
@@ -68,7 +70,9 @@ def test_landmarks_in_rectified_pixels_are_scored_at_the_points_that_they_show(e
 def test_a_lens_that_the_spacecraft_does_not_know_of_displaces_what_it_sees(tmp_path: Path):
     file = tmp_path / "unknown.yaml"
     file.write_text(SCENE + "onboard: {distortion_error: -1}\n")
-    experiment = SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
+    experiment = SingleImage(
+        world=open_world(load_scenario(str(file)), choose_variant().name), scenario="scene", methods={}, seed=5
+    )
     trial_image = experiment.world.source.trial_image(5, 0)
     seen = observe(experiment.world, trial_image, experiment.seed, 0).frame.image
     np.testing.assert_allclose(seen, trial_image.image, atol=1e-5)

@@ -58,7 +58,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     scenario, variant = load_scenario(str(folder / "scene.yaml")), choose_variant().name
     return Bench(
         BuiltAssets(scenario, folder / "products", 1, variant),
-        SingleImage(open_world(scenario, variant), {}, seed=5),
+        SingleImage(world=open_world(scenario, variant), scenario="scene", methods={}, seed=5),
     )
 
 

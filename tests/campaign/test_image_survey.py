@@ -62,7 +62,8 @@ def survey(tmp_path_factory):
     spec, ground = imaging_of(world), MeshGround(world.asteroid.mesh)
     world = replace(world, asteroid=replace(world.asteroid, centre_m=np.zeros(3)))
     sights = DrawnSights(spec, ground, draw_plane_craters(ground, spec.craters))
-    return ImageSurvey("small", world, sights, ("planner",), 5, tmp_path_factory.mktemp("survey"))
+    folder = tmp_path_factory.mktemp("survey")
+    return ImageSurvey(scenario="small", methods={"planner": None}, seed=5, world=world, sights=sights, folder=folder)
 
 
 def test_counts_agree_with_each_other_and_do_not_change(survey):

@@ -170,7 +170,7 @@ def test_every_folder_of_kinds_is_a_kind_of_its_name():
 
 
 def test_every_kind_of_experiment_can_be_watched():
-    assert all(callable(kind_named(name).open.__self__.watched) for name in kind_names())
+    assert all(callable(kind_named(name).watched) for name in kind_names())
 
 
 @needs_chromium

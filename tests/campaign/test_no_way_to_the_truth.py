@@ -19,10 +19,7 @@ from tiny_campaign import SCENE, Heard, write_campaign
 from boresight.campaign.handles import Handle, own_copy
 from boresight.campaign.imaging.image_store import Imager, ImageStore
 from boresight.campaign.imaging.world import TrialImage, World
-from boresight.campaign.kinds.crater_detection import trial as detection
-from boresight.campaign.kinds.crater_matching import trial as matching
 from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
-from boresight.campaign.kinds.sequence import trial as sequences
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Watch
 from boresight.campaign.kinds.single_image import trial as single_image
@@ -31,6 +28,7 @@ from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import RunFolder
+from boresight.campaign.trial import runner
 from boresight.campaign.trial.methods import require_built
 from boresight.estimators.craters.matching.vote import VoteMatcher
 from boresight.estimators.registry import estimator_class
@@ -203,12 +201,12 @@ class Recorder:
         return call
 
 
-def all_that_is_given(monkeypatch, module, file, out, trials=1):
+def all_that_is_given(monkeypatch, file, out, trials=1):
     """Run a campaign; return, for each call of a method, the method and what it was given."""
     given: list[tuple[object, ...]] = []
-    monkeypatch.setattr(module, "require_built", lambda method: Recorder(require_built(method), given))
-    if module is single_image:  # the one kind whose methods get assets when they are built
-        monkeypatch.setattr(module, "estimator_class", lambda name: Recorder(estimator_class(name), given))
+    monkeypatch.setattr(runner, "require_built", lambda method: Recorder(require_built(method), given))
+    # The one kind whose methods get assets when they are built.
+    monkeypatch.setattr(single_image, "estimator_class", lambda name: Recorder(estimator_class(name), given))
     campaign = resolve(str(file), seed=SEED, variant=choose_variant().name)
     run_campaign(campaign, RunRequest(out, trials, 1), Heard())
     rows = RunFolder(out).table("rows")
@@ -241,19 +239,18 @@ def stored(name: str, folder: Path) -> Path:
 
 
 CASES = {
-    "single image": (single_image, of_products),
-    "guided sequence": (sequences, guided),
-    "sequence": (sequences, partial(stored, "sequence")),
-    "detection": (detection, partial(stored, "detection")),
-    "matching": (matching, partial(stored, "matching")),
+    "single image": of_products,
+    "guided sequence": guided,
+    "sequence": partial(stored, "sequence"),
+    "detection": partial(stored, "detection"),
+    "matching": partial(stored, "matching"),
 }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_what_a_method_is_given_leads_to_no_truth_and_is_its_own(case, tmp_path, monkeypatch):
-    module, written = CASES[case]
     out = tmp_path / "run"
-    given = all_that_is_given(monkeypatch, module, written(tmp_path / "campaign"), out)
+    given = all_that_is_given(monkeypatch, CASES[case](tmp_path / "campaign"), out)
     assert len(given) > 1
     assert len(reached(*given)) > 50
     assert ways_to_the_truth(out, *given) == []
@@ -284,7 +281,9 @@ class Stops:
 
 def test_what_an_estimator_of_orbits_is_given_leads_to_no_truth_and_is_its_own(tmp_path):
     given = []
-    records = OrbitTrials("small", orbit_world(), {"a": Stops(given), "b": Stops(given)}, SEED).trial(0)
+    records = OrbitTrials(
+        scenario="small", methods={"a": Stops(given), "b": Stops(given)}, seed=SEED, world=orbit_world()
+    ).trial(0)
     assert all("InterruptedError" in row["reason"] for row in records["rows"])
     assert len(reached(*given)) > 50
     assert ways_to_the_truth(tmp_path, *given) == []
@@ -306,7 +305,7 @@ def test_what_a_matcher_of_the_navigation_chain_is_given_leads_to_no_truth(tmp_p
 
 
 def test_a_front_end_gives_the_same_frames_again(tmp_path, monkeypatch):
-    given = all_that_is_given(monkeypatch, sequences, guided(tmp_path / "campaign"), tmp_path / "run")
+    given = all_that_is_given(monkeypatch, guided(tmp_path / "campaign"), tmp_path / "run")
     front_end = given[0][1].front_end
     again = list(front_end.frames(lambda frame: None))
     assert len(again) == len(given[0][1].frames)

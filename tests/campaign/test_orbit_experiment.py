@@ -17,6 +17,7 @@ from boresight.campaign.kinds.orbit_determination.score import (
 from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.trial.kind import PerDatabase
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
 from boresight.reports.schema.tables import TABLES
@@ -119,7 +120,7 @@ class _Raises:
 
 
 def test_trials_give_records_of_the_documented_columns_whatever_an_estimator_does(world):
-    trials = OrbitTrials("small", world, {"filter": BatchFilter(), "raises": _Raises()}, 5)
+    trials = OrbitTrials(scenario="small", methods={"filter": BatchFilter(), "raises": _Raises()}, seed=5, world=world)
     records = trials.trial(0)
     for table, lines in records.items():
         wanted = {column.name for column in TABLES[table]}
@@ -137,12 +138,12 @@ def test_trials_give_records_of_the_documented_columns_whatever_an_estimator_doe
 def test_draws_of_the_craters_take_turns_and_the_first_is_that_of_a_campaign_with_one(tmp_path):
     """One body and one a priori shape: nothing else differs between the draws."""
     alone, several = (
-        OrbitTrials.open(campaign, campaign.scenarios[0], None)
+        PerDatabase.open(campaign, campaign.scenarios[0], None)
         for campaign in (_resolved(tmp_path, SMALL), _resolved(tmp_path, SMALL, databases=3))
     )
     worlds = [several.of(trial).world for trial in range(4)]
-    assert [several.of(trial).database for trial in range(4)] == [0, 1, 2, 0]
-    assert [len(alone.parts), alone.of(1).database] == [1, None]
+    assert [several.of(trial).database["batch-filter"] for trial in range(4)] == [0, 1, 2, 0]
+    assert [len(alone.parts), alone.of(1).database] == [1, {}]
     assert len({world.asteroid.points_m.tobytes() for world in worlds}) == 3
     assert len({world.asteroid.prominence.tobytes() for world in worlds}) == 3
     assert all(world.onboard is alone.of(0).world.onboard for world in worlds)

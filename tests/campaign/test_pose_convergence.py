@@ -88,7 +88,7 @@ def test_two_jobs_and_a_continued_run_give_the_same_rows(file, stored, tmp_path)
 
 
 def test_views_are_those_of_the_images_and_landmarks_are_visible_ones(experiment):
-    spec, database = experiment.scenario.spec, experiment.database
+    spec, database = experiment.spec, experiment.landmarks
     camera = spec.camera.camera()
     for trial in range(20):
         draw = draw_landmarks(spec, database, 11, trial)
@@ -100,8 +100,8 @@ def test_views_are_those_of_the_images_and_landmarks_are_visible_ones(experiment
 
 
 def test_all_visible_landmarks_are_found_in_the_given_order(experiment):
-    database, camera = experiment.database, experiment.scenario.spec.camera.camera()
-    pose = draw_landmarks(experiment.scenario.spec, database, 11, 3).view.T_cam_body
+    database, camera = experiment.landmarks, experiment.spec.camera.camera()
+    pose = draw_landmarks(experiment.spec, database, 11, 3).view.T_cam_body
     order = np.random.default_rng(0).permutation(len(database))
     visible = visible_landmarks(database.mesh(), camera, pose)
     found = first_visible(database.mesh(), camera, pose, order, count=len(database))
@@ -110,7 +110,7 @@ def test_all_visible_landmarks_are_found_in_the_given_order(experiment):
 
 def test_observed_positions_follow_the_projected_covariances(experiment):
     """Squared distances weighted by the covariances are chi-square with 2 degrees of freedom; false alarm 1e-4."""
-    spec, database = experiment.scenario.spec, experiment.database
+    spec, database = experiment.spec, experiment.landmarks
     squares = []
     for trial in range(200):
         draw = draw_landmarks(spec, database, 5, trial)
@@ -123,7 +123,7 @@ def test_observed_positions_follow_the_projected_covariances(experiment):
 
 def test_weights_are_those_of_the_disturbed_pose(experiment):
     """Truth never reaches a solver: neither its points nor its weights depend on the true pose."""
-    spec, database = experiment.scenario.spec, experiment.database
+    spec, database = experiment.spec, experiment.landmarks
     draw = draw_landmarks(spec, database, 11, 7)
     stack = problem_stack([draw], database, spec.camera.camera())
     at_prior = project_landmarks(database, spec.camera.camera(), draw.prior).covariances_px2[draw.chosen]
@@ -131,7 +131,7 @@ def test_weights_are_those_of_the_disturbed_pose(experiment):
 
 
 def test_errors_side_by_side_are_those_of_one_pose(experiment):
-    draws = [draw_landmarks(experiment.scenario.spec, experiment.database, 11, trial) for trial in range(6)]
+    draws = [draw_landmarks(experiment.spec, experiment.landmarks, 11, trial) for trial in range(6)]
     truths, priors = [d.view.T_cam_body for d in draws], [d.prior for d in draws]
     found = pose_errors(PoseStack.of(priors), PoseStack.of(truths))
     for row, (prior, truth) in enumerate(zip(priors, truths, strict=True)):
@@ -140,18 +140,16 @@ def test_errors_side_by_side_are_those_of_one_pose(experiment):
 
 
 def test_too_few_visible_landmarks_are_a_failure_with_a_reason(experiment):
-    records = PoseConvergence(
-        _from_afar(experiment.scenario), experiment.database, experiment.solvers, experiment.seed
-    ).run(range(3))
+    records = replace(experiment, spec=_from_afar(experiment.spec)).run(range(3))
     assert [row["status"] for row in records["rows"]] == ["failed"] * 12
     assert records["rows"][0]["reason"] == "0 landmarks are visible, 10 needed"
     assert records["diagnostics"] == []
 
 
-def _from_afar(scenario):
+def _from_afar(spec):
     """The same scenario with a camera whose image the body does not reach."""
-    camera = scenario.spec.camera.model_copy(update={"principal_point_px": (-4000.0, -4000.0)})
-    return replace(scenario, spec=scenario.spec.model_copy(update={"camera": camera}))
+    camera = spec.camera.model_copy(update={"principal_point_px": (-4000.0, -4000.0)})
+    return spec.model_copy(update={"camera": camera})
 
 
 def test_the_report_names_the_solvers(file, stored, capsys):

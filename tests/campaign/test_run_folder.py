@@ -84,7 +84,9 @@ def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
     rows, stages = (pd.read_parquet(tiny_run.folder / name) for name in ("rows", "stages"))
     landmarks = pd.read_parquet(tiny_run.folder / "landmarks")
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
-    experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
+    experiment = SingleImage(
+        world=open_world(campaign.scenarios[0], campaign.variant), scenario="scene", methods={}, seed=5
+    )
     for trial in range(3):
         trial_image = experiment.world.source.trial_image(5, trial)
         frame = observe(experiment.world, trial_image, experiment.seed, trial).frame

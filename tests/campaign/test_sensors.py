@@ -21,7 +21,12 @@ TRIALS = 200
 
 def experiment(folder, sensors, scene=SCENE):
     (folder / "scene.yaml").write_text(scene + sensors)
-    return SingleImage(open_world(load_scenario(str(folder / "scene.yaml")), choose_variant().name), {}, seed=5)
+    return SingleImage(
+        world=open_world(load_scenario(str(folder / "scene.yaml")), choose_variant().name),
+        scenario="scene",
+        methods={},
+        seed=5,
+    )
 
 
 def test_a_reading_is_the_true_range_with_its_noise(tmp_path):

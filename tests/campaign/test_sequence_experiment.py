@@ -143,9 +143,13 @@ def test_parameters_of_the_motion_are_scored(drawn):
     scores = parameter_errors(estimate, truth)
     assert scores == pytest.approx({"gm_error_percent": 2.0, "gm_nees": 4.0})  # there is no pressure on a circle
     assert parameter_errors(shifted(truth, sequence), truth) == {}
-    trials = SequenceTrials("x", SPEC, CAMERA, GROUND, {"told": Returns(estimate)}, 7)
+    trials = trials_with({"told": Returns(estimate)})
     added = {row["name"]: row["value"] for row in trials.run(range(1))["diagnostics"]}
     assert added == pytest.approx({**told, **scores})
+
+
+def trials_with(estimators):
+    return SequenceTrials(scenario="x", methods=estimators, seed=7, spec=SPEC, camera=CAMERA, ground=GROUND)
 
 
 class Returns:
@@ -174,7 +178,7 @@ class StopsHalfWay:
 
 
 def test_what_goes_wrong_becomes_a_row_and_the_campaign_goes_on():
-    trials = SequenceTrials("x", SPEC, CAMERA, GROUND, {"a": Raises(), "b": StopsHalfWay(), "c": DeadReckoning()}, 7)
+    trials = trials_with({"a": Raises(), "b": StopsHalfWay(), "c": DeadReckoning()})
     found = trials.run(range(2))
     assert [row["status"] for row in found["rows"]] == ["error", "failed", "ok"] * 2
     assert "out of order" in found["tracebacks"][0]["traceback"]
@@ -192,7 +196,7 @@ def test_what_is_summed_up_over_frames_is_of_runs_that_ended():
     assert parameter_errors(stopped, drawn[1][0]) == {}
     rows, times = [], []
     for trial, estimate in enumerate((whole[0], stopped, whole[2])):
-        found = SequenceTrials("x", SPEC, CAMERA, GROUND, {"a": Returns(estimate)}, 7).run(range(trial, trial + 1))
+        found = trials_with({"a": Returns(estimate)}).run(range(trial, trial + 1))
         rows += found["rows"]
         times += found["timings"]
     table = pd.DataFrame(rows)

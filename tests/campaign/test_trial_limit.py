@@ -189,8 +189,8 @@ def test_processes_are_renewed_and_results_stay_in_order():
 @pytest.mark.parametrize("name", kind_names())
 def test_no_kind_of_trial_starts_a_process_for_every_block(name):
     kind = kind_named(name)
-    assert kind.process_blocks > 1
-    assert kind.process_blocks * kind.block_trials == kind.process_trials
+    assert kind.process_blocks() > 1
+    assert kind.process_blocks() * kind.block_trials == kind.process_trials
 
 
 MODULE = """

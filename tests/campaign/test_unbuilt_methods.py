@@ -121,7 +121,9 @@ def test_so_does_a_method_of_another_kind(group, cache, tmp_path, monkeypatch):
 
 
 def test_so_does_an_estimator_of_orbits():
-    trials = OrbitTrials("scene", orbit_world(), {"mine": Unbuilt("there is none", "why")}, 5)
+    trials = OrbitTrials(
+        scenario="scene", methods={"mine": Unbuilt("there is none", "why")}, seed=5, world=orbit_world()
+    )
     (row,) = trials.trial(0)["rows"]
     assert row["reason"] == "the estimator cannot work: there is none"
 

@@ -14,7 +14,6 @@ from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Estimator
 from boresight.campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.image_trials import part_of
 from boresight.estimators.craters.detection.classic import CraterClassic
 from boresight.reports.kinds.crater_detection.figures import draw_example, ellipses_of, example_figure, stages_figure
 from boresight.reports.pages.view3d import View3D
@@ -59,8 +58,7 @@ def stages_of(
         return
     for trial in _richest(run, scenario)[:1]:
         again = recompute(campaign, folder, Case(scenario, label, trial))
-        shown, trials = again.shown, part_of(again.trials, CraterDetection, trial)
-        detector = None if trials is None else trials.detectors[label]
+        shown, detector = again.shown, again.trials.methods[label]
         if not isinstance(shown, DetectedImage) or not isinstance(detector, CraterClassic):
             return
         stages = detector.stages(shown.observation.frame, shown.observation.camera)

@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
-from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import TrialImage, World, open_world
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
-from boresight.campaign.trial.image_trials import ImageSink, PerDatabase, image_sink
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records
-from boresight.campaign.trial.methods import Unbuilt, methods, require_built
-from boresight.campaign.trial.work import GaveUpError, Work
+from boresight.campaign.trial.images import ImageDraw, draw_image
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.runner import MethodRunner
+from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.craters import CraterTruth, build_surfaces, crater_truth
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Ellipses
+from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.observation import Observation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,37 +45,47 @@ class DetectedImage:
         return self.trial_image.image
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionDraw:
+    """The image of a trial, with the craters that it truly shows."""
+
+    image: ImageDraw
+    truth: CraterTruth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedDetections:
+    """Craters that a detector found, and the seconds that it took."""
+
+    found: CraterDetections
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
-class CraterDetection:
-    """Trials of one scenario with labelled detectors; a trial is an image, and all see the same.
+class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetections]):
+    """Trials of crater detectors; a trial is an image, and all see the same.
 
     Parameters
     ----------
     world
         The scenario in this process, with craters.
-    detectors
-        Label to detector; of one that cannot be built, why.
-    seed
-        Seed of the campaign.
-    keep_image
-        Called with the trial and its image, to keep it; or None.
-    witness
-        Shown the `DetectedImage` of every trial; or None.
-    database
-        Number of the world of craters; None where there is one.
+    folder
+        Where the images of all trials are kept; None to keep none.
     """
 
+    name = "crater-detection"
+    version = 3
+    block_trials = 10
+    databases = True
+    called = "detector"
+
     world: World
-    detectors: Mapping[str, CraterDetector | Unbuilt]
-    seed: int
-    keep_image: ImageSink | None = None
-    witness: Witness | None = None
-    database: int | None = None
+    folder: Path | None = None
 
     @classmethod
-    def method_version(cls, name: str) -> int:
-        """Return the version of a detector."""
-        return crater_detector_class(name).version
+    def method_class(cls, name: str) -> type[CraterDetector]:
+        """Return the class of a detector."""
+        return crater_detector_class(name)
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
@@ -92,11 +98,6 @@ class CraterDetection:
         check_listed(scenario)
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterDetector | Unbuilt]:
-        """Build the detectors; refuse wrong options."""
-        return methods(campaign, scenario, lambda entry: crater_detector_class(entry.name).from_options(entry.options))
-
-    @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the surfaces, which workers then only read."""
         worlds = (with_database_craters(scenario, number).spec for number in range(campaign.spec.databases))
@@ -106,93 +107,80 @@ class CraterDetection:
 
     @classmethod
     def open(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
-    ) -> PerDatabase[CraterDetection]:
-        """Open the worlds and build the detectors."""
-        sink = image_sink(context.run / "images" / scenario.spec.name) if context.keep_images else None
-        detectors, several = cls.methods(campaign, scenario), campaign.spec.databases > 1
-        worlds = [
-            open_world(with_database_craters(scenario, i), campaign.variant) for i in range(campaign.spec.databases)
-        ]
-        return PerDatabase(
-            tuple(
-                cls(world, detectors, campaign.seed, sink, database=i if several else None)
-                for i, world in enumerate(worlds)
-            )
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Open the world and build the detectors."""
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            world=open_world(with_database_craters(scenario, number), campaign.variant),
+            folder=context.image_folder(scenario.spec.name),
+            database=dict.fromkeys(campaign.labels, number) if campaign.spec.databases > 1 else {},
         )
-
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one detector, shown to a witness."""
-        return replace(self, detectors={label: self.detectors[label]}, witness=witness)
 
     def flush(self) -> None:
         """Keep what was rendered."""
         self.world.source.flush()
 
-    def trial(self, trial: int) -> Records:
-        """Run one trial: the records that it adds to each stored table."""
-        started = time.perf_counter()
-        trial_image = self.world.source.trial_image(self.seed, trial)
-        observation = observe(self.world, trial_image, self.seed, trial)
-        frame, camera = observation.frame, observation.camera
-        image_seconds = time.perf_counter() - started
-        if self.keep_image is not None:
-            self.keep_image(trial, trial_image.image)
-        truth = self.truth(trial_image)
-        image_key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name}
-        records: Records = {
-            "crater_images": [{**image_key, **_image_facts(trial_image, truth)}],
-            "craters": [{**image_key, **row} for row in _truth_rows(truth)],
-        }
-        stage = STORED_IMAGE if trial_image.from_store else FRESH_IMAGE
-
-        def show(found: tuple[CraterDetections, float] | None) -> None:
-            if self.witness is not None:
-                self.witness(DetectedImage(trial_image, observation, truth, None if found is None else found[0]))
-
-        for label, detector in self.detectors.items():
-            call = Call(self.world.scenario.spec.name, trial, label)
-            judged = Work(call, "detector", _circumstances(trial_image)).run(
-                partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth), show
-            )
-            judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
-            judged["rows"][0] = {**_circumstances(trial_image), **judged["rows"][0], "database": self.database}
-            add_records(records, judged, {**image_key, "estimator": label})
-        return records
-
-    def truth(self, trial_image: TrialImage) -> CraterTruth:
-        """Find what is true of an image."""
+    def draw(self, trial: int) -> DetectionDraw:
+        """Render an image, and find what is true of it."""
+        image = draw_image(self.world, self.seed, trial, self.folder)
         ground, renderer = self.world.ground, self.world.renderer
         if ground is None or not isinstance(renderer, TiledRenderer):
             raise BoresightError(f"{self.world.scenario.path}: craters: missing, so there is no crater to detect")
-        return crater_truth(ground.rims, trial_image.view, renderer)
+        return DetectionDraw(image, crater_truth(ground.rims, image.trial_image.view, renderer))
 
+    def row(self, drawn: DetectionDraw) -> Record:
+        """Describe the image as far as no detector can change it."""
+        trial_image = drawn.image.trial_image
+        return {
+            "image": trial_image.image_name,
+            "range_m": float(np.linalg.norm(trial_image.view.T_cam_body.translation_m)),
+            "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
+        }
 
-def _detected(detector: CraterDetector | Unbuilt, frame: Frame, camera: Camera) -> tuple[CraterDetections, float]:
-    """Let a detector work; return what it finds and the seconds that it took."""
-    finder = require_built(detector)
-    started = time.perf_counter()
-    try:
-        found = finder.detect(own_copy(frame), own_copy(camera))
-    except BoresightError as error:
-        raise GaveUpError(str(error)) from error
-    return found, time.perf_counter() - started
+    def ask(self, method: CraterDetector, drawn: DetectionDraw) -> TimedDetections:
+        """Let a detector look for craters."""
+        observation, started = drawn.image.observation, time.perf_counter()
+        try:
+            found = method.detect(own_copy(observation.frame), own_copy(observation.camera))
+        except BoresightError as error:
+            raise GaveUpError(str(error)) from error
+        return TimedDetections(found, time.perf_counter() - started)
 
+    def check(self, answer: TimedDetections, drawn: DetectionDraw) -> None:
+        """Refuse detections that break the contract."""
+        del drawn
+        check_detections(answer.found)
+        if answer.found.rejected is not None:
+            check_detections(answer.found.rejected)
 
-def _check(answer: tuple[CraterDetections, float]) -> None:
-    check_detections(answer[0])
-    if answer[0].rejected is not None:
-        check_detections(answer[0].rejected)
+    def score(self, answer: TimedDetections, drawn: DetectionDraw) -> Records:
+        """Match detections with the craters of the image."""
+        return {
+            "rows": [{"status": "ok", "reason": "", "n_landmarks": len(answer.found.ellipses)}],
+            "detections": _scored(answer.found, drawn.truth),
+            "timings": [{"stage": "detect", "seconds": answer.seconds}],
+        }
 
+    def of_draw(self, drawn: DetectionDraw) -> Records:
+        """Return the image, and the craters that it shows."""
+        return {
+            "crater_images": [_image_facts(drawn.image.trial_image, drawn.truth)],
+            "craters": _truth_rows(drawn.truth),
+        }
 
-def _judged(answer: tuple[CraterDetections, float], truth: CraterTruth) -> Records:
-    """Score what was found: records without their key."""
-    found, seconds = answer
-    return {
-        "rows": [{"status": "ok", "reason": "", "n_landmarks": len(found.ellipses)}],
-        "detections": _scored(found, truth),
-        "timings": [{"stage": "detect", "seconds": seconds}],
-    }
+    def of_all(self, drawn: DetectionDraw) -> Records:
+        """Return the time of the image."""
+        return drawn.image.timings
+
+    def shown(self, answer: TimedDetections | None, drawn: DetectionDraw) -> DetectedImage:
+        """Return the image with its detections."""
+        image = drawn.image
+        return DetectedImage(
+            image.trial_image, image.observation, drawn.truth, None if answer is None else answer.found
+        )
 
 
 def _scored(found: CraterDetections, truth: CraterTruth) -> list[Record]:
@@ -262,13 +250,4 @@ def _image_facts(trial_image: TrialImage, truth: CraterTruth) -> Record:
         "n_craters": len(truth),
         "n_detectable": int(truth.detectable.sum()),
         "n_clean": int(truth.clean.sum()),
-    }
-
-
-def _circumstances(trial_image: TrialImage) -> Record:
-    """Fill the columns of a row that no detector can change, or that detection has no number for."""
-    return {
-        "image": trial_image.image_name,
-        "range_m": float(np.linalg.norm(trial_image.view.T_cam_body.translation_m)),
-        "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
     }

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -20,18 +19,16 @@ from boresight.campaign.kinds.crater_matching.pairs import (
     check_detector,
     open_pairs,
 )
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import check_array, check_indices, check_reason
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
-from boresight.campaign.trial.methods import Unbuilt, located, methods, require_built
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.methods import Unbuilt, located
+from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.craters.contract import (
     CraterDetections,
     CraterImage,
     CraterMatcher,
     CraterMatches,
-    GroundModel,
 )
 from boresight.estimators.craters.matching.context import epipolar_offsets
 from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
@@ -39,7 +36,7 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters.pairs import CraterPair, CraterView
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.sequences.ground import MeshGround
@@ -60,38 +57,54 @@ class MatchedPair:
         """None: a matcher sees two, where any is rendered."""
 
 
+@dataclass(slots=True, eq=False)
+class MatchingDraw:
+    """Two images as one matcher gets them; ``pair`` is None until its detector has seen both."""
+
+    images: ImagePairDraw
+    detector: str = BY_GEOMETRY
+    pair: CraterPair | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedMatches:
+    """What a matcher returned, what it was given, and the seconds that it took."""
+
+    pair: CraterPair
+    matches: CraterMatches
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
-class CraterMatching:
-    """Trials of one scenario with a set of labelled matchers; all see the same two images.
+class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
+    """Trials of crater matchers; all see the same two images.
 
     Parameters
     ----------
-    name
-        Of the scenario.
     source
         Where pairs of looks come from.
     camera
         An ideal pinhole: rims come after the correction of a lens.
     known
         The a priori shape.
-    matchers
-        Label to matcher; of one that cannot be built, why.
     detectors
         Label to the name of the detector whose craters the matcher sees, `pairs.BY_GEOMETRY` for none.
-    seed
-        Seed of the campaign.
-    witness
-        Shown the `MatchedPair` of every trial and matcher; or None.
     """
 
-    name: str
+    name = "crater-matching"
+    version = 6
+    block_trials = 5
+    called = "matcher"
+
     source: PairSource
     camera: Camera
     known: MeshGround
-    matchers: Mapping[str, CraterMatcher | Unbuilt]
     detectors: Mapping[str, str]
-    seed: int
-    witness: Witness | None = None
+
+    @classmethod
+    def method_class(cls, name: str) -> type[CraterMatcher]:
+        """Return the class of a matcher."""
+        return crater_matcher_class(name)
 
     @classmethod
     def method_version(cls, name: str) -> int:
@@ -100,77 +113,88 @@ class CraterMatching:
         return known(name).version
 
     @classmethod
+    def method_names(cls, entry: EstimatorSpec) -> tuple[str, ...]:
+        """Return the names of the matcher and of the detector whose craters it sees."""
+        detector = (str(entry.options["detector"]),) if "detector" in entry.options else ()
+        return (*super().method_names(entry), *detector)
+
+    @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a missing section, and images of no craters."""
         if _section(scenario).images is not None and scenario.spec.craters is None:
             raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
+    def build(cls, entry: EstimatorSpec) -> CraterMatcher:
+        """Build a matcher."""
+        own = {key: option for key, option in entry.options.items() if key != "detector"}
+        return crater_matcher_class(entry.name).from_options(own)
+
+    @classmethod
+    def build_methods(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario
+    ) -> Mapping[str, CraterMatcher | Unbuilt]:
         """Build the matchers; refuse wrong options, and a detector that does not suit the looks of a scenario."""
         for label, detector in _detectors(campaign).items():
             with located(campaign, label):
                 check_detector(scenario, _section(scenario), label, detector)
-
-        def make(entry: EstimatorSpec) -> CraterMatcher:
-            own = {key: option for key, option in entry.options.items() if key != "detector"}
-            return crater_matcher_class(entry.name).from_options(own)
-
-        return methods(campaign, scenario, make)
+        return super().build_methods(campaign, scenario)
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> CraterMatching:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
         """Load the shapes, draw the craters and build the matchers."""
-        del context
-        spec = scenario.spec
-        known = MeshGround(load_body(onboard_spec(spec).body, scenario.search_dirs).mesh)
+        del context, number
         detectors = _detectors(campaign)
-        source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
-        camera = spec.camera.camera().pinhole
-        return cls(spec.name, source, camera, known, cls.methods(campaign, scenario), detectors, campaign.seed)
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            source=open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values())),
+            camera=scenario.spec.camera.camera().pinhole,
+            known=MeshGround(load_body(onboard_spec(scenario.spec).body, scenario.search_dirs).mesh),
+            detectors=detectors,
+        )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one matcher, shown to a witness."""
-        return replace(self, matchers={label: self.matchers[label]}, witness=witness)
-
-    def run(self, trials: range) -> Records:
-        """Run trials, in the order of trials and matchers."""
-        records = each_trial(trials, self.name, self._trial)
+    def flush(self) -> None:
+        """Keep what was rendered."""
         self.source.flush()
-        return records
 
-    def _trial(self, trial: int) -> dict[str, Records]:
-        looks = self.source.looks(self.seed, trial)
-        return {label: self._judged(Call(self.name, trial, label), one, looks) for label, one in self.matchers.items()}
+    def draw(self, trial: int) -> MatchingDraw:
+        """Draw two views, and take their images."""
+        return MatchingDraw(self.source.looks(self.seed, trial))
 
-    def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: ImagePairDraw) -> Records:
-        """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
-        circumstances = _circumstances(looks.first)
-        answers: list[_Answer] = []
+    def given(self, drawn: MatchingDraw, label: str) -> MatchingDraw:
+        """Return the images with the detector of a matcher."""
+        return MatchingDraw(drawn.images, self.detectors[label])
 
-        def work() -> _Answer:
-            able_matcher = require_built(matcher)
-            answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
-            first, second = own_copy(self.images(answers[0].pair))
-            answers[0].match(able_matcher, first, second, MatcherGround(self.known))
-            return answers[0]
+    def row(self, drawn: MatchingDraw) -> Record:
+        """Describe the first view."""
+        view = drawn.images.first
+        return {
+            "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
+            "phase_deg": float(np.degrees(view.phase_angle_rad)),
+        }
 
-        def show(sound: _Answer | None) -> None:
-            if self.witness is not None and answers:
-                pair = answers[0].pair
-                self.witness(MatchedPair(pair, self.images(pair), None if sound is None else sound.matches))
+    def ask(self, method: CraterMatcher, drawn: MatchingDraw) -> TimedMatches:
+        """Let the detector look at both images, and the matcher at what it finds."""
+        drawn.pair = drawn.images.seen_by(drawn.detector)
+        (first, second), known = own_copy(self.images(drawn.pair)), MatcherGround(self.known)
+        started = time.perf_counter()
+        matches = method.match(first, second, known)
+        return TimedMatches(drawn.pair, matches, time.perf_counter() - started)
 
-        score = partial(self._scored, circumstances)
-        return Work(call, "matcher", circumstances).run(work, self._check, score, show)
-
-    def _check(self, answer: _Answer) -> None:
+    def check(self, answer: TimedMatches, drawn: MatchingDraw) -> None:
+        """Refuse matches that break the contract."""
+        del drawn
         check_matches(answer.matches, *self.images(answer.pair))
 
-    def _scored(self, circumstances: Record, answer: _Answer) -> Records:
-        """Score matches that keep the contract: records without their key."""
-        matches = answer.matches or CraterMatches.none("")
+    def score(self, answer: TimedMatches, drawn: MatchingDraw) -> Records:
+        """Count right, wrong and missed matches."""
+        del drawn
+        matches = answer.matches
         row: Record = {
-            **circumstances,
             "status": "failed" if matches.reason else "ok",
             "reason": matches.reason,
             "n_landmarks": len(matches.pairs),
@@ -182,6 +206,12 @@ class CraterMatching:
             "timings": [{"stage": "matching", "seconds": answer.seconds}],
         }
 
+    def shown(self, answer: TimedMatches | None, drawn: MatchingDraw) -> MatchedPair | None:
+        """Return the pair with its matches; None where the detector saw none."""
+        if drawn.pair is None:
+            return None
+        return MatchedPair(drawn.pair, self.images(drawn.pair), None if answer is None else answer.matches)
+
     def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
         """Return what a matcher may see of a pair."""
         return self._image(0, pair.first), self._image(1, pair.second)
@@ -189,21 +219,6 @@ class CraterMatching:
     def _image(self, number: int, look: CraterView) -> CraterImage:
         rims = look.detections.ellipses
         return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
-
-
-@dataclass(slots=True, eq=False)
-class _Answer:
-    """Intermediate results of a pair."""
-
-    pair: CraterPair
-    matches: CraterMatches | None = None
-    seconds: float = 0.0
-
-    def match(self, matcher: CraterMatcher, first: CraterImage, second: CraterImage, known: GroundModel) -> None:
-        """Let a matcher work."""
-        started = time.perf_counter()
-        self.matches = matcher.match(first, second, known)
-        self.seconds = time.perf_counter() - started
 
 
 def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
@@ -280,15 +295,6 @@ def check_matches(matches: CraterMatches | None, first: CraterImage, second: Cra
         raise ValueError("matches name a detection twice")
     if (k == 0) != bool(matches.reason):
         raise ValueError(f"there are {k or 'no'} matches, and {'a' if k else 'no'} reason why there are none")
-
-
-def _circumstances(view: View) -> Record:
-    """Fill the columns of a row that no matcher can change, or that a pair of images has no number for."""
-    return {
-        "image": "",
-        "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
-        "phase_deg": float(np.degrees(view.phase_angle_rad)),
-    }
 
 
 def _section(scenario: LoadedScenario) -> CraterPairsSpec:

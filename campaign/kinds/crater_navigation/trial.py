@@ -6,8 +6,8 @@ which centre of mass and the RMS error of the believed shape are the true ones, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -32,16 +32,14 @@ from boresight.campaign.kinds.orbit_determination.score import check_orbit
 from boresight.campaign.kinds.orbit_determination.trial import (
     DeterminedOrbit,
     checked_orbit_section,
-    empty_row,
     open_orbit_world,
     scored_orbit,
 )
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import check_listed
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
-from boresight.campaign.trial.methods import Unbuilt, methods, require_built
-from boresight.campaign.trial.work import GaveUpError, Work
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.runner import MethodRunner
+from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.registry import (
@@ -55,60 +53,67 @@ from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
 from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.draw import OrbitTruth
 from boresight.scenarios.orbits.imaging import epochs_s, imaging_of
 from boresight.scenarios.orbits.world import OrbitWorld
 
-_FOLDER = "chain"
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavigationDraw:
+    """The images of a trial, and where the stages of its chains leave their files."""
+
+    taken: NavigationTrial
+    stages: StageFiles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    """Result of a chain: its images, all rounds, and the last round's orbit at the scored times."""
+class NavigationAnswer:
+    """Result of a chain: its images and their folder, all rounds, and the last round's orbit at the scored times."""
 
     searched: Sequence[SearchedImage]
+    searched_in: StageFiles
     navigation: NavigationResult
     estimate: OrbitEstimate
     data: OrbitData
 
 
 @dataclass(frozen=True, eq=False)
-class CraterNavigationTrials:
-    """Trials of one scenario with a set of labelled chains; all see the same images.
+class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, NavigationAnswer]):
+    """Trials of chains of crater navigation; all see the same images.
 
     Parameters
     ----------
-    name
-        Of the scenario.
     world, sights
         The truth, and what a camera sees of it.
-    navigators
-        Label to chain; of one that cannot be built, why.
-    seed
-        Seed of the campaign.
     folder
-        Where the stages leave their files, a folder for each trial.
-    witness
-        Shown the `DeterminedOrbit` that every chain comes to; or None.
+        Where the stages leave their files, a folder for each trial. Those that are there are read back.
     """
 
-    name: str
+    name = "crater-navigation"
+    version = 2
+    block_trials = 1
+    called = "chain"
+    lost = (BoresightError,)
+
     world: OrbitWorld
     sights: CraterSights
-    navigators: Mapping[str, CraterNavigation | Unbuilt]
-    seed: int
     folder: Path
-    witness: Witness | None = None
 
     @classmethod
-    def method_version(cls, name: str) -> int:
-        """Return the version of the chain: the sum of those of its parts, which only rise."""
+    def method_class(cls, name: str) -> type[CraterNavigation]:
+        """Return the class of the chain."""
         if name != CraterNavigation.name:
             raise BoresightError(
                 f"estimators: {name} is no chain of crater-navigation; there is: {CraterNavigation.name}"
             )
+        return CraterNavigation
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of the chain: the sum of those of its parts, which only rise."""
         detectors = [crater_detector_class(one).version for one in crater_detector_names()]
         matchers = [crater_matcher_class(one).version for one in crater_matcher_names()]
-        return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
+        return cls.method_class(name).version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
@@ -122,82 +127,66 @@ class CraterNavigationTrials:
             check_listed(scenario)
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterNavigation | Unbuilt]:
-        """Build the chains; refuse wrong options."""
-        return methods(campaign, scenario, lambda entry: CraterNavigation.from_options(entry.options))
-
-    @classmethod
     def open(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
-    ) -> CraterNavigationTrials:
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
         """Open the world and build the chains."""
-        world = open_orbit_world(scenario, campaign.seed)
-        sights = open_sights(scenario, imaging_of(world), campaign.variant)
-        folder = context.run / _FOLDER / scenario.spec.name
-        return cls(scenario.spec.name, world, sights, cls.methods(campaign, scenario), campaign.seed, folder)
+        world = open_orbit_world(scenario, campaign.seed, number)
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            world=world,
+            sights=open_sights(scenario, imaging_of(world), campaign.variant),
+            folder=context.run / "chain" / scenario.spec.name,
+        )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one chain, shown to a witness; stages that are stored are read back."""
-        return replace(self, navigators={label: self.navigators[label]}, witness=witness)
-
-    def run(self, trials: range) -> Records:
-        """Run trials, in the order of trials and chains."""
-        return each_trial(trials, self.name, self._trial)
-
-    def _trial(self, trial: int) -> dict[str, Records]:
-        """Take the images of a trial and let each chain work; where there is no arc, none has images."""
+    def draw(self, trial: int) -> NavigationDraw:
+        """Plan the images of a trial and take them; there may be no arc."""
         stages = StageFiles(self.folder / f"{trial:07d}")
+        return NavigationDraw(NavigationTrial.take(self.world, self.sights, self.seed, trial, stages), stages)
+
+    def row(self, drawn: NavigationDraw) -> Record:
+        """Return the range at the epoch."""
+        return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.taken.flown.wanted_states[0, :3]))}
+
+    def ask(self, method: CraterNavigation, drawn: NavigationDraw) -> NavigationAnswer:
+        """Let a chain search its images and solve for the orbit."""
+        task, stages = own_copy(drawn.taken.task), drawn.stages
+        searched = drawn.taken.search(method, task, stages)
         try:
-            taken = NavigationTrial.take(self.world, self.sights, self.seed, trial, stages)
-        except BoresightError as error:
-            row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
-            return {label: {"rows": [row]} for label in self.navigators}
-        return {
-            label: self._judged(Call(self.name, trial, label), one, taken, stages)
-            for label, one in self.navigators.items()
-        }
+            navigation = method.navigate([image.exposure for image in searched], task, stages)
+        except OrbitLostError as error:
+            raise GaveUpError(f"the a priori orbit: {error}") from error
+        last = navigation.rounds[-1]
+        scored = at_times(last.estimate, last.data, drawn.taken.task.wanted_s)
+        return NavigationAnswer(searched, searched_in(method, stages), navigation, *scored)
 
-    def _judged(
-        self, call: Call, one: CraterNavigation | Unbuilt, taken: NavigationTrial, stages: StageFiles
-    ) -> Records:
-        """Run a chain and score its result; return unkeyed records, error rows for failures."""
-        row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
+    def check(self, answer: NavigationAnswer, drawn: NavigationDraw) -> None:
+        """Refuse an orbit that breaks the contract."""
+        del drawn
+        check_orbit(answer.estimate, answer.data)
 
-        def work() -> _Answer:
-            navigator = require_built(one)
-            task = own_copy(taken.task)
-            searched = taken.search(navigator, task, stages)
-            try:
-                navigation = navigator.navigate([image.exposure for image in searched], task, stages)
-            except OrbitLostError as error:
-                raise GaveUpError(f"the a priori orbit: {error}") from error
-            last = navigation.rounds[-1]
-            return _Answer(searched, navigation, *at_times(last.estimate, last.data, taken.task.wanted_s))
-
-        def score(answer: _Answer) -> Records:
-            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(require_built(one), stages))}
-            return self._scored(answer, taken, row) | timings
-
-        return Work(call, "chain", row).run(work, lambda answer: check_orbit(answer.estimate, answer.data), score)
-
-    def _scored(self, answer: _Answer, taken: NavigationTrial, row: Record) -> Records:
-        """Score images, matches, landmarks and the orbit."""
+    def score(self, answer: NavigationAnswer, drawn: NavigationDraw) -> Records:
+        """Score images, matches, landmarks and the orbit, with the times of all starts of the trial."""
         searched, estimate, data = answer.searched, answer.estimate, answer.data
-        last, crater = answer.navigation.rounds[-1], [image.crater for image in searched]
-        records: Records = {
-            "navigation": [navigation_summary(answer.navigation, searched, len(epochs_s(self.world)))],
-            "navigated_images": image_records(taken, searched, last),
-        }
-        truth = truth_of_sightings(self.world, taken, last, crater)
-        if self.witness is not None:
-            self.witness(DeterminedOrbit(self.world, truth, data, estimate))
-        scored = scored_orbit(estimate, truth, data, row, with_residuals=taken.address.trial == 0)
+        truth, taken = self._truth(answer, drawn), drawn.taken
         used = estimate.orbit.used if estimate.status == "ok" and estimate.orbit is not None else None
-        records["navigated_landmarks"] = landmark_records(data, truth.crater, used)
-        return records | scored
+        spent = {**drawn.stages.seconds(), **answer.searched_in.seconds(), **answer.navigation.seconds}
+        return {
+            "navigation": [navigation_summary(answer.navigation, searched, len(epochs_s(self.world)))],
+            "navigated_images": image_records(taken, searched, answer.navigation.rounds[-1]),
+            "navigated_landmarks": landmark_records(data, truth.crater, used),
+            "timings": [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()],
+            **scored_orbit(estimate, truth, data, with_residuals=taken.address.trial == 0),
+        }
 
+    def shown(self, answer: NavigationAnswer | None, drawn: NavigationDraw) -> DeterminedOrbit | None:
+        """Return the orbit that a chain has determined; None where there is none."""
+        if answer is None:
+            return None
+        return DeterminedOrbit(self.world, self._truth(answer, drawn), answer.data, answer.estimate)
 
-def _timings(navigation: NavigationResult, stages: StageFiles, searched: StageFiles) -> list[Record]:
-    """List the time of each stage over all starts of the trial."""
-    spent = {**stages.seconds(), **searched.seconds(), **navigation.seconds}
-    return [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()]
+    def _truth(self, answer: NavigationAnswer, drawn: NavigationDraw) -> OrbitTruth:
+        crater = [image.crater for image in answer.searched]
+        return truth_of_sightings(self.world, drawn.taken, answer.navigation.rounds[-1], crater)

@@ -6,7 +6,7 @@ No image is rendered and nothing is matched: rims are projected by geometry and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.kinds.crater_navigation.images import Address, DrawnSights, NavigationTrial, open_sights
-from boresight.campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
+from boresight.campaign.kinds.orbit_determination.trial import checked_orbit_section, open_orbit_world
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
+from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
 from boresight.campaign.trial.methods import located
+from boresight.campaign.trial.runner import TrialRunner
 from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
 from boresight.estimators.craters.navigation.stages import StageFiles
@@ -30,7 +31,6 @@ from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.orbits.imaging import imaging_of
 from boresight.scenarios.orbits.true_orbit import DAY_S
 from boresight.scenarios.orbits.world import OrbitWorld
-from boresight.scenarios.spec.orbit import ImagingSpec
 
 FEW = 7
 """So many craters or fewer are few: half the images of Cheng et al. (2003) have no more."""
@@ -79,44 +79,44 @@ def coverage(views: Sequence[View], ground: GroundModel) -> Coverage:
 
 
 @dataclass(frozen=True, eq=False)
-class ImageSurvey:
-    """Trials of one scenario; a trial is an arc.
+class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
+    """Trials of the planner; a trial is an arc, which is counted as it was drawn: there is nothing to ask.
 
     Parameters
     ----------
-    name
-        Of the scenario.
     world, sights
         The truth, and the craters that are seen of it.
-    labels
-        Of the planner; all are the same, as it has no options.
-    seed
-        Seed of the campaign.
     folder
         Where plans are left.
     """
 
-    name: str
+    name = "image-survey"
+    version = 1
+    block_trials = 1
+    lost = (BoresightError,)
+    lost_trial = "there is no such arc"
+
     world: OrbitWorld
     sights: DrawnSights
-    labels: tuple[str, ...]
-    seed: int
     folder: Path
 
     @classmethod
     def method_version(cls, name: str) -> int:
         """Return the version of the planner."""
-        if name != PLANNER:
-            raise BoresightError(f"estimators: {name!r} has no part in image-survey: the only method is {PLANNER}")
+        check_only_method(cls.name, PLANNER, name)
         return PLANNER_VERSION
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a scenario without planned images of drawn craters."""
-        _imaging(scenario)
+        section = checked_orbit_section(scenario).imaging
+        if section is None or section.detections != "drawn":
+            raise BoresightError(
+                f"{scenario.path}: orbit.imaging: the experiment image-survey needs it, with detections: drawn"
+            )
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, object]:
+    def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, None]:
         """Refuse options."""
         del scenario
         for entry in campaign.spec.estimators:
@@ -125,42 +125,51 @@ class ImageSurvey:
                     raise BoresightError(
                         f"{entry.label}.{next(iter(entry.options))}: unknown key; there are no options"
                     )
-        return {}
+        return dict.fromkeys(campaign.labels)
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> ImageSurvey:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
         """Open the world."""
-        world = open_orbit_world(scenario, campaign.seed)
+        world = open_orbit_world(scenario, campaign.seed, number)
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         if not isinstance(sights, DrawnSights):
             raise TypeError("the sights of drawn detections are not drawn")
-        folder = context.run / "plans" / scenario.spec.name
-        return cls(scenario.spec.name, world, sights, campaign.labels, campaign.seed, folder)
+        return cls(
+            scenario=scenario.spec.name,
+            methods=dict.fromkeys(campaign.labels),
+            seed=campaign.seed,
+            world=world,
+            sights=sights,
+            folder=context.run / "plans" / scenario.spec.name,
+        )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials under one label; there is nothing to show of them."""
-        del witness
-        return replace(self, labels=(label,))
+    def draw(self, trial: int) -> NavigationTrial:
+        """Plan the images of an arc, and take them."""
+        return NavigationTrial.take(self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}"))
 
-    def run(self, trials: range) -> Records:
-        """Run trials, in the order of trials and labels."""
-        return each_trial(trials, self.name, lambda trial: dict.fromkeys(self.labels, self._surveyed(trial)))
+    def row(self, drawn: NavigationTrial) -> Record:
+        """Return nothing: an arc has no columns of its own."""
+        del drawn
+        return {}
 
-    def _surveyed(self, trial: int) -> Records:
-        """Plan the images of an arc, take them and count: records without their key."""
-        try:
-            taken = NavigationTrial.take(
-                self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}")
-            )
-        except BoresightError as error:
-            return {"rows": [{**empty_row(), "status": "failed", "reason": f"there is no such arc: {error}"}]}
+    def ask(self, method: None, drawn: NavigationTrial) -> NavigationTrial:
+        """Return the arc."""
+        return drawn
+
+    def check(self, answer: NavigationTrial, drawn: NavigationTrial) -> None:
+        """Accept the arc, which is ours."""
+
+    def score(self, answer: NavigationTrial, drawn: NavigationTrial) -> Records:
+        """Count what the images of an arc have in common, and the craters that they show."""
         crater = []
-        for number, view in enumerate(taken.views):
-            drawn = self.sights.drawn(view, Address(self.seed, trial, number))
-            crater.append(drawn[1] if drawn is not None else np.zeros(0, dtype=np.int64))
+        for number, view in enumerate(drawn.views):
+            seen = self.sights.drawn(view, Address(self.seed, drawn.address.trial, number))
+            crater.append(seen[1] if seen is not None else np.zeros(0, dtype=np.int64))
         numbers, hits = np.unique(np.concatenate(crater), return_counts=True)
         known = numbers != NO_CRATER
-        covered = coverage(taken.views, self.sights.ground)
+        covered = coverage(drawn.views, self.sights.ground)
         images: list[Record] = [
             {
                 "image": planned.number,
@@ -170,11 +179,11 @@ class ImageSurvey:
                 "n_overlapping": int(covered.overlapping[k]),
                 "n_similar": int(covered.similar[k]),
             }
-            for k, (planned, own) in enumerate(zip(taken.plan, crater, strict=True))
+            for k, (planned, own) in enumerate(zip(drawn.plan, crater, strict=True))
         ]
         counts = np.array([len(one) for one in crater])
         return {
-            "rows": [{**empty_row(), "status": "ok", "n_landmarks": int(known.sum())}],
+            "rows": [{"status": "ok", "reason": "", "n_landmarks": int(known.sum())}],
             "surveyed_images": images,
             "surveyed_craters": [
                 {"crater": int(number), "hits": int(count)}
@@ -200,12 +209,3 @@ def _summary(counts: IndexArray, hits: IndexArray, covered: Coverage) -> dict[st
         "hits_a_crater": hits.mean() if len(hits) else 0.0,
         "seen_once_share": 100.0 * (hits == 1).mean() if len(hits) else 0.0,
     }
-
-
-def _imaging(scenario: LoadedScenario) -> ImagingSpec:
-    section = checked_orbit_section(scenario).imaging
-    if section is None or section.detections != "drawn":
-        raise BoresightError(
-            f"{scenario.path}: orbit.imaging: the experiment image-survey needs it, with detections: drawn"
-        )
-    return section

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 from boresight.campaign.draft import drafted
@@ -13,40 +13,48 @@ from boresight.campaign.imaging.world import believed, check_views
 from boresight.campaign.products import BuiltAssets, BuiltProduct, landmark_database
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext
-from boresight.campaign.trial.methods import located
+from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
+from boresight.campaign.trial.methods import located, require_built
+from boresight.campaign.trial.runner import TrialRunner
+from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.options import parse_options
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.load import LoadedScenario
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DatabaseDraw:
+    """Number of a trial, and the candidates (C, 3), m, in each of the images of one way to make a data base."""
+
+    trial: int
+    candidates: Sequence[FloatArray] = ()
+
+
 @dataclass(frozen=True, eq=False)
-class DatabaseTrials:
-    """Trials of one scenario with labelled ways to make a data base; trial t takes the images of seed + t.
+class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabaseBuild]):
+    """Trials of ways to make a data base; trial t takes the images of seed + t.
 
     Parameters
     ----------
-    scenario
-        As the spacecraft believes it to be.
-    makers
-        Label to options.
+    believed
+        The scenario as the spacecraft believes it to be; its world is opened with the first image.
     variant
         The Mitsuba variant.
     """
 
-    scenario: LoadedScenario
-    makers: Mapping[str, DatabaseOptions]
+    name = "landmark-database"
+    version = 1
+    block_trials = 1
+
+    believed: LoadedScenario
     variant: str
 
     @classmethod
     def method_version(cls, name: str) -> int:
         """Return the version of the method."""
-        if name != landmark_database.KIND:
-            raise BoresightError(
-                f"estimators: {name!r} has no part in landmark-database: the only method is {landmark_database.KIND}"
-            )
+        check_only_method(cls.name, landmark_database.KIND, name)
         return METHOD_VERSION
 
     @classmethod
@@ -55,7 +63,7 @@ class DatabaseTrials:
         check_views(scenario)
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:
+    def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:
         """Return the options of each way to make a data base; refuse wrong ones."""
         del scenario
         found = {}
@@ -68,7 +76,7 @@ class DatabaseTrials:
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Build the data bases of trial 0, which stay with the run."""
         products: list[BuiltProduct] = []
-        for label, options in cls.methods(campaign, scenario).items():
+        for label, options in cls.build_methods(campaign, scenario).items():
             asked = assets.for_database()
             # One that does not come out is a failed trial, not the end of the run.
             with suppress(NoProductError):
@@ -77,60 +85,64 @@ class DatabaseTrials:
         return products
 
     @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> DatabaseTrials:
-        """Take the options; the world is opened with the first image."""
-        del context
-        makers = {
-            label: at_trial(options, campaign.seed, 0) for label, options in cls.methods(campaign, scenario).items()
-        }
-        return cls(believed(scenario), makers, campaign.variant)
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Take the options."""
+        del context, number
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            believed=believed(scenario),
+            variant=campaign.variant,
+        )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one way to make a data base; there is nothing to show of them."""
-        del witness
-        return replace(self, makers={label: self.makers[label]})
+    def draw(self, trial: int) -> DatabaseDraw:
+        """Return the number of a trial: images depend on the options."""
+        return DatabaseDraw(trial)
 
-    def run(self, trials: range) -> Records:
-        """Run trials: records in the order of trials and makers."""
-        records: Records = {"rows": [], "diagnostics": []}
-        for trial in trials:
-            for label, options in self.makers.items():
-                key: Record = {"trial": trial, "scenario": self.scenario.spec.name, "estimator": label}
-                row, numbers = self._made(at_trial(options, 0, trial))
-                records["rows"].append({**key, **row})
-                records["diagnostics"] += [{**key, "name": name, "value": value} for name, value in numbers.items()]
-        return records
-
-    def _made(self, options: DatabaseOptions) -> tuple[Record, dict[str, float]]:
+    def given(self, drawn: DatabaseDraw, label: str) -> DatabaseDraw:
+        """Find the candidates in the images of a trial."""
+        options = at_trial(require_built(self.methods[label]), self.seed, drawn.trial)
         # Images of a hundred data bases would drive all others out of the store, and their candidates are kept.
         with store_switched(False):
-            candidates = landmark_candidates(self.scenario, options, None, self.variant)
-        row: Record = {**_nothing(), "status": "ok", "reason": ""}
+            candidates = landmark_candidates(self.believed, options, None, self.variant)
+        return DatabaseDraw(drawn.trial, candidates.by_image)
+
+    def row(self, drawn: DatabaseDraw) -> Record:
+        """Return the columns that a data base has no number for."""
+        del drawn
+        return {"n_landmarks": 0}
+
+    def ask(self, method: DatabaseOptions, drawn: DatabaseDraw) -> LandmarkDatabaseBuild:
+        """Make the data base."""
         try:
-            return row, counts(build_database(candidates.by_image, options), options)
+            return build_database(drawn.candidates, at_trial(method, self.seed, drawn.trial))
         except NoProductError as error:
-            return {**row, "status": "failed", "reason": str(error)}, {}
+            raise GaveUpError(str(error)) from error
+
+    def check(self, answer: LandmarkDatabaseBuild, drawn: DatabaseDraw) -> None:
+        """Accept the data base, which is made by boresight."""
+
+    def score(self, answer: LandmarkDatabaseBuild, drawn: DatabaseDraw) -> Records:
+        """Count what the data base was made of, and what it is."""
+        clusters, database = answer.clusters, answer.database
+        numbers = {
+            "candidates": len(answer.points_m),
+            "candidates_an_image": len(answer.points_m) / len(drawn.candidates),
+            "seed_clusters": len(clusters.grown),
+            "kept_clusters": len(clusters.kept),
+            "merged_clusters": len(clusters.refined),
+            "landmarks": len(database),
+            "facets": len(database.facets),
+        }
+        return {
+            "rows": [{"status": "ok", "reason": ""}],
+            "diagnostics": [{"name": name, "value": float(value)} for name, value in numbers.items()],
+        }
 
 
 def at_trial(options: DatabaseOptions, seed: int, trial: int) -> DatabaseOptions:
     """Return the options of a trial: those of the next seed for the next trial."""
     return options.model_copy(update={"seed": options.seed + seed + trial})
-
-
-def counts(built: LandmarkDatabaseBuild, options: DatabaseOptions) -> dict[str, float]:
-    """Count what a data base was made of, and what it is."""
-    clusters, database = built.clusters, built.database
-    return {
-        "candidates": float(len(built.points_m)),
-        "candidates_an_image": len(built.points_m) / options.images,
-        "seed_clusters": float(len(clusters.grown)),
-        "kept_clusters": float(len(clusters.kept)),
-        "merged_clusters": float(len(clusters.refined)),
-        "landmarks": float(len(database)),
-        "facets": float(len(database.facets)),
-    }
-
-
-def _nothing() -> Record:
-    """Return the columns of a row that a data base has no number for."""
-    return {"n_landmarks": 0, "image": ""}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
 
@@ -17,12 +16,9 @@ from boresight.campaign.kinds.orbit_determination.score import (
     orbit_summary,
     residual_records,
 )
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.image_trials import PerDatabase
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, each_trial
-from boresight.campaign.trial.methods import Unbuilt, methods, require_built
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from boresight.estimators.orbit.registry import orbit_estimator_class
 from boresight.scenarios.bodies import body_digest, load_body
@@ -35,6 +31,15 @@ from boresight.scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
 from boresight.scenarios.spec.orbit import OrbitSpec
 
 _STATE = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrbitDraw:
+    """The number of a trial, its truth, and the data that estimators get."""
+
+    trial: int
+    truth: OrbitTruth
+    data: OrbitData
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,24 +62,21 @@ class DeterminedOrbit:
 
 
 @dataclass(frozen=True, eq=False)
-class OrbitTrials:
-    """Trials of one scenario with a set of labelled estimators of orbits; all see the same data.
+class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
+    """Trials of estimators of orbits in one ``world``; all see the same data."""
 
-    ``witness`` is shown the `DeterminedOrbit` of every trial and estimator; or None. ``database`` is the number of the
-    draw of craters; None where there is one.
-    """
+    name = "orbit-determination"
+    version = 3
+    block_trials = 2
+    databases = True
+    lost = (OrbitLostError,)
 
-    name: str
     world: OrbitWorld
-    estimators: Mapping[str, OrbitEstimator | Unbuilt]
-    seed: int
-    witness: Witness | None = None
-    database: int | None = None
 
     @classmethod
-    def method_version(cls, name: str) -> int:
-        """Return the version of an estimator of orbits."""
-        return orbit_estimator_class(name).version
+    def method_class(cls, name: str) -> type[OrbitEstimator]:
+        """Return the class of an estimator of orbits."""
+        return orbit_estimator_class(name)
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
@@ -82,69 +84,43 @@ class OrbitTrials:
         checked_orbit_section(scenario)
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, OrbitEstimator | Unbuilt]:
-        """Build the estimators; refuse wrong options."""
-        return methods(campaign, scenario, lambda entry: orbit_estimator_class(entry.name).from_options(entry.options))
-
-    @classmethod
     def open(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
-    ) -> PerDatabase[OrbitTrials]:
-        """Lay the craters, work the gravity out and build the estimators."""
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Lay the craters, compute the gravity and build the estimators."""
         del context
-        estimators, count = cls.methods(campaign, scenario), campaign.spec.databases
-        worlds = [open_orbit_world(scenario, campaign.seed, number) for number in range(count)]
-        return PerDatabase(
-            tuple(
-                cls(scenario.spec.name, world, estimators, campaign.seed, database=number if count > 1 else None)
-                for number, world in enumerate(worlds)
-            )
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            world=open_orbit_world(scenario, campaign.seed, number),
+            database=dict.fromkeys(campaign.labels, number) if campaign.spec.databases > 1 else {},
         )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one estimator, shown to a witness."""
-        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
+    def draw(self, trial: int) -> OrbitDraw:
+        """Draw an orbit and its data; chance may lead it into the body."""
+        return OrbitDraw(trial, *draw_orbit(self.world, self.seed, trial))
 
-    def trial(self, trial: int) -> Records:
-        """Run one trial, in the order of estimators."""
-        return each_trial((trial,), self.name, self._run)
+    def row(self, drawn: OrbitDraw) -> Record:
+        """Return the range at the epoch."""
+        return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.truth.states[0, :3]))}
 
-    def flush(self) -> None:
-        """Keep nothing: no image is rendered."""
+    def ask(self, method: OrbitEstimator, drawn: OrbitDraw) -> OrbitEstimate:
+        """Let an estimator solve for the orbit."""
+        return method.determine(own_copy(drawn.data))
 
-    def _run(self, trial: int) -> dict[str, Records]:
-        """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has data."""
-        try:
-            truth, data = draw_orbit(self.world, self.seed, trial)
-        except OrbitLostError as error:
-            row = {**self._row(), "status": "failed", "reason": f"there is no such trial: {error}"}
-            return {label: {"rows": [row]} for label in self.estimators}
-        return {
-            label: self._judged(Call(self.name, trial, label), estimator, truth, data)
-            for label, estimator in self.estimators.items()
-        }
+    def check(self, answer: OrbitEstimate, drawn: OrbitDraw) -> None:
+        """Refuse an estimate that breaks the contract."""
+        check_orbit(answer, drawn.data)
 
-    def _judged(self, call: Call, estimator: OrbitEstimator | Unbuilt, truth: OrbitTruth, data: OrbitData) -> Records:
-        """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
-        row = {**self._row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
+    def score(self, answer: OrbitEstimate, drawn: OrbitDraw) -> Records:
+        """Score the orbit, with the residuals of the first trial."""
+        timings: Records = {"timings": [{"stage": "orbit", "seconds": float(answer.seconds)}]}
+        return scored_orbit(answer, drawn.truth, drawn.data, with_residuals=drawn.trial == 0) | timings
 
-        def score(estimate: OrbitEstimate) -> Records:
-            timings: Records = {"timings": [{"stage": "orbit", "seconds": float(estimate.seconds)}]}
-            return scored_orbit(estimate, truth, data, row, with_residuals=call.trial == 0) | timings
-
-        def show(estimate: OrbitEstimate | None) -> None:
-            if self.witness is not None:
-                self.witness(DeterminedOrbit(self.world, truth, data, drawable(estimate, data)))
-
-        return Work(call, "estimator", row).run(
-            lambda: require_built(estimator).determine(own_copy(data)),
-            lambda estimate: check_orbit(estimate, data),
-            score,
-            show,
-        )
-
-    def _row(self) -> Record:
-        return {**empty_row(), "database": self.database}
+    def shown(self, answer: OrbitEstimate | None, drawn: OrbitDraw) -> DeterminedOrbit:
+        """Return truth, data and what can be drawn of the estimate."""
+        return DeterminedOrbit(self.world, drawn.truth, drawn.data, drawable(answer, drawn.data))
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
@@ -170,35 +146,28 @@ def open_orbit_world(scenario: LoadedScenario, seed: int, number: int = 0) -> Or
     return OrbitWorld(section, scenario.spec.camera.camera().pinhole, cratered, believed)
 
 
-def scored_orbit(
-    estimate: OrbitEstimate, truth: OrbitTruth, data: OrbitData, row: Record, with_residuals: bool
-) -> Records:
-    """Score an estimate that keeps the contract: records without their key; ``row`` is what its row says already."""
+def scored_orbit(estimate: OrbitEstimate, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
+    """Score an estimate that keeps the contract: records without their key."""
     orbit = estimate.orbit
     diagnostics: list[Record] = [{"name": str(n), "value": float(v)} for n, v in estimate.diagnostics.items()]
     if estimate.status == "failed" or orbit is None:
-        return {"rows": [{**row, "status": "failed", "reason": estimate.reason}], "diagnostics": diagnostics}
+        return {"rows": [{"status": "failed", "reason": estimate.reason}], "diagnostics": diagnostics}
     summary = orbit_summary(estimate, orbit, truth, data)
-    filled = {
-        **row,
+    row: Record = {
         "status": "ok",
+        "reason": "",
         "position_error_m": summary["epoch_error_m"],
         "nees": _STATE * float(str(summary["epoch_nees"])),
         "position_sigma_m": float(np.sqrt(np.trace(orbit.covariance[:3, :3]))),
         "n_landmarks": len(orbit.numbers),
     }
     return {
-        "rows": [filled],
+        "rows": [row],
         "orbits": [summary],
         "orbit_errors": list(orbit_errors(orbit, truth, data)),
         "residuals": list(residual_records(orbit, data)) if with_residuals else [],
         "diagnostics": diagnostics,
     }
-
-
-def empty_row() -> Record:
-    """Fill the columns of a row that no estimator can change."""
-    return {"n_landmarks": 0, "reason": "", "image": ""}
 
 
 class _Body:

@@ -47,6 +47,10 @@ class Seen:
         """Motion of camera and body."""
         return self.truth.trajectory
 
+    def seen(self) -> Self:
+        """Return itself: tracks of a vision layer that works by itself are complete."""
+        return self
+
 
 class GuidedFrontEnd(Handle):
     """A `VisionFrontEnd`: a handle of the `Watch` that makes its frames and knows the truth."""
@@ -98,6 +102,11 @@ class Watch:
         self._made: list[TrackFrame] = []
         self._tracked: list[TrackedFrame] = []
         self._points_m = np.empty((0, 3))
+        self._seen: Seen | None = None
+
+    def anew(self) -> Watch:
+        """Return another vision layer on the same images, of which no frame is made yet."""
+        return Watch(self._tracks, *self._address)
 
     @property
     def sequence(self) -> TrackSequence:
@@ -125,7 +134,7 @@ class Watch:
         return self._made[index]
 
     def _make(self, prediction: Prediction | None) -> None:
-        index = len(self._made)
+        index, self._seen = len(self._made), None
         report_progress("frames of a trial", index, len(self._slots))
         slot, frame = self._slots[index], self._blind.frames[index]
         seen = self._tracker.advance(self._look(index), frame.R_cam_body, prediction)
@@ -138,7 +147,9 @@ class Watch:
         self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
 
     def seen(self) -> Seen:
-        """Return what was seen of the frames so far."""
+        """Return what was seen of the frames so far, collected once for the last of them."""
+        if self._seen is not None:
+            return self._seen
         slots, points = self._slots[: len(self._made)], self._points_m
         errors = [
             self._images.places_px(slot, points[seen.tracks]) - seen.uv_px
@@ -148,7 +159,8 @@ class Watch:
         orbit = self._tracks.spec.orbit
         truth = SequenceTruth(self.path.poses, anomalies_deg(orbit), points, wrong, self.path, orbit.gm_m3_s2)
         records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
-        return Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
+        self._seen = Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
+        return self._seen
 
     def _ranges(self, index: int, here: FrameTracks, rng: np.random.Generator) -> tuple[TrackRange, ...]:
         knowledge = self._tracks.spec.knowledge

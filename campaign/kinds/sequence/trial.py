@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -18,11 +16,9 @@ from boresight.campaign.kinds.sequence.score import (
     summary,
 )
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records, each_trial
-from boresight.campaign.trial.methods import Unbuilt, methods, require_built
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from boresight.estimators.slam.registry import sequence_estimator_class
 from boresight.scenarios.bodies import load_body
@@ -66,42 +62,35 @@ class FollowedSequence:
 
 
 @dataclass(frozen=True, eq=False)
-class SequenceTrials:
-    """Trials of one scenario with a set of labelled estimators of sequences; all see the same tracks.
+class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstimate]):
+    """Trials of estimators of sequences; all see the same tracks, unless an estimator guides the vision layer.
 
     Parameters
     ----------
-    name
-        Of the scenario.
     spec
-        Its sequence section.
+        The sequence section of the scenario.
     camera
         An ideal pinhole: tracks come after the correction of a lens.
     ground
         What the landmarks lie on.
-    estimators
-        Label to estimator; of one that cannot be built, why.
-    seed
-        Seed of the campaign.
     images
         The vision layer that sees images; None where it is simulated.
-    witness
-        Shown the `FollowedSequence` of every trial and estimator; or None.
     """
 
-    name: str
+    name = "sequence"
+    version = 5
+    block_trials = 5
+    lost = (OrbitLostError,)
+
     spec: SequenceSpec
     camera: Camera
     ground: LandmarkGround
-    estimators: Mapping[str, SequenceEstimator | Unbuilt]
-    seed: int
     images: ImageTracks | None = None
-    witness: Witness | None = None
 
     @classmethod
-    def method_version(cls, name: str) -> int:
-        """Return the version of an estimator of sequences."""
-        return sequence_estimator_class(name).version
+    def method_class(cls, name: str) -> type[SequenceEstimator]:
+        """Return the class of an estimator of sequences."""
+        return sequence_estimator_class(name)
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
@@ -114,71 +103,83 @@ class SequenceTrials:
                 raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, SequenceEstimator | Unbuilt]:
-        """Build the estimators; refuse wrong options."""
-        return methods(
-            campaign, scenario, lambda entry: sequence_estimator_class(entry.name).from_options(entry.options)
-        )
-
-    @classmethod
-    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext) -> SequenceTrials:
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
         """Lay the ground and build the estimators."""
-        del context
-        section = _section(scenario)
-        camera = scenario.spec.camera.camera().pinhole
-        name = scenario.spec.name
-        ground, images = ground_of(scenario), None
+        del context, number
+        section, ground, images = _section(scenario), ground_of(scenario), None
         if section.images is not None:
             images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
-        return cls(name, section, camera, ground, cls.methods(campaign, scenario), campaign.seed, images)
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            spec=section,
+            camera=scenario.spec.camera.camera().pinhole,
+            ground=ground,
+            images=images,
+        )
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one estimator, shown to a witness."""
-        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
-
-    def run(self, trials: range) -> Records:
-        """Run trials, in the order of trials and estimators."""
-        records = each_trial(trials, self.name, self._run)
+    def flush(self) -> None:
+        """Keep what was rendered."""
         if self.images is not None:
             self.images.images.flush()
-        return records
 
-    def _run(self, trial: int) -> dict[str, Records]:
-        """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has frames."""
-        try:
-            seen = self._see(trial)
-        except OrbitLostError as error:
-            failed: Record = {"status": "failed", "reason": f"there is no such trial: {error}", "n_landmarks": 0}
-            row = {**_circumstances(None), **failed}
-            return {label: {"rows": [row]} for label in self.estimators}
-        found = {}
-        for label, estimator in self.estimators.items():
-            guided = self.images is not None and self.images.guided
-            watch = self.images.watch(self.seed, trial) if self.images is not None and guided else None
-            found[label] = self._judged(Call(self.name, trial, label), estimator, seen if watch is None else watch)
-            add_records(found[label], _vision(seen if watch is None else watch.seen()))
-        return found
+    def draw(self, trial: int) -> Seen | Watch:
+        """Draw a path and its tracks, simulated or of images; chance may lead it into the body."""
+        if self.images is not None:
+            return self.images.watch(self.seed, trial) if self.images.guided else self.images.see(self.seed, trial)
+        return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
 
-    def _judged(self, call: Call, estimator: SequenceEstimator | Unbuilt, view: Seen | Watch) -> Records:
-        """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
-        circumstances = _circumstances(view.path)
-        # What a watch has seen is complete, and worked out once, when the estimator is done with it.
-        seen_by_then = cache(partial(_seen, view))
+    def given(self, drawn: Seen | Watch, label: str) -> Seen | Watch:
+        """Return the tracks; where an estimator guides the vision layer, a vision layer of its own."""
+        del label
+        return drawn if isinstance(drawn, Seen) else drawn.anew()
 
-        def score(estimate: SequenceEstimate) -> Records:
-            seen = seen_by_then()
-            return _scored(estimate, seen.sequence, seen.truth, circumstances)
+    def row(self, drawn: Seen | Watch) -> Record:
+        """Return the range at the last frame."""
+        return {"range_m": float(np.linalg.norm(drawn.path.poses[-1].translation_m))}
 
-        def show(estimate: SequenceEstimate | None) -> None:
-            if self.witness is not None:
-                self.witness(FollowedSequence(seen_by_then(), estimate))
+    def ask(self, method: SequenceEstimator, drawn: Seen | Watch) -> SequenceEstimate:
+        """Let an estimator follow the camera."""
+        return method.follow(own_copy(drawn.sequence))
 
-        return Work(call, "estimator", circumstances).run(
-            lambda: require_built(estimator).follow(own_copy(view.sequence)),
-            lambda estimate: check_sequence(estimate, seen_by_then().sequence),
-            score,
-            show,
-        )
+    def check(self, answer: SequenceEstimate, drawn: Seen | Watch) -> None:
+        """Refuse an estimate that breaks the contract."""
+        check_sequence(answer, drawn.seen().sequence)
+
+    def score(self, answer: SequenceEstimate, drawn: Seen | Watch) -> Records:
+        """Score every frame, and sum the trial up."""
+        seen = drawn.seen()
+        epochs = score_epochs(answer, seen.sequence, seen.truth)
+        row: Record = {
+            **summary(answer, seen.sequence, seen.truth, epochs),
+            "status": answer.status,
+            "reason": answer.reason,
+            "n_landmarks": epochs[-1]["n_landmarks"] if epochs else 0,
+        }
+        if answer.status == "ok":
+            row["position_error_m"] = epochs[-1]["position_error_m"]
+        # As in the summary: the first frames of an estimate that failed are the quick ones of a window that is filling.
+        seconds = [frame.seconds for frame in answer.frames if answer.status == "ok"]
+        numbers = {**answer.diagnostics, **parameter_errors(answer, seen.truth)}
+        return {
+            "rows": [row],
+            "epochs": epochs,
+            "diagnostics": [{"name": str(name), "value": float(value)} for name, value in numbers.items()],
+            "timings": [{"stage": "cycle", "seconds": float(np.mean(seconds))}] if seconds else [],
+        }
+
+    def of_all(self, drawn: Seen | Watch) -> Records:
+        """Return what the vision layer was like, where it saw images."""
+        seen = drawn.seen()
+        timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
+        return {"vision": list(seen.vision), "timings": timings}
+
+    def shown(self, answer: SequenceEstimate | None, drawn: Seen | Watch) -> FollowedSequence:
+        """Return the tracks with an estimate."""
+        return FollowedSequence(drawn.seen(), answer)
 
     def known(self, trial: int) -> tuple[CameraTrajectory, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
@@ -193,55 +194,6 @@ class SequenceTrials:
             return watch.path, watch.sequence
         truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
         return truth.trajectory, sequence
-
-    def _see(self, trial: int) -> Seen:
-        if self.images is not None:
-            return self.images.see(self.seed, trial)
-        return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
-
-
-def _seen(view: Seen | Watch) -> Seen:
-    return view if isinstance(view, Seen) else view.seen()
-
-
-def _vision(seen: Seen) -> Records:
-    """Tell what the vision layer was like, where it saw images: records without their key."""
-    timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
-    return {"vision": list(seen.vision), "timings": timings}
-
-
-def _scored(
-    estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth, circumstances: Record
-) -> Records:
-    epochs = score_epochs(estimate, sequence, truth)
-    row: Record = {
-        **circumstances,
-        **summary(estimate, sequence, truth, epochs),
-        "status": estimate.status,
-        "reason": estimate.reason,
-        "n_landmarks": epochs[-1]["n_landmarks"] if epochs else 0,
-    }
-    if estimate.status == "ok":
-        row["position_error_m"] = epochs[-1]["position_error_m"]
-    # As in the summary: the first frames of an estimate that failed are the quick ones of a window that is filling.
-    seconds = [frame.seconds for frame in estimate.frames if estimate.status == "ok"]
-    return {
-        "rows": [row],
-        "epochs": epochs,
-        "diagnostics": [
-            {"name": str(name), "value": float(v)}
-            for name, v in {**estimate.diagnostics, **parameter_errors(estimate, truth)}.items()
-        ],
-        "timings": [{"stage": "cycle", "seconds": float(np.mean(seconds))}] if seconds else [],
-    }
-
-
-def _circumstances(path: CameraTrajectory | None) -> Record:
-    """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
-    return {
-        "image": "",
-        "range_m": None if path is None else float(np.linalg.norm(path.poses[-1].translation_m)),
-    }
 
 
 def _section(scenario: LoadedScenario) -> SequenceSpec:

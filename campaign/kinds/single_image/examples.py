@@ -53,7 +53,7 @@ class SecondLook:
 def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> SecondLook | None:
     """Recognise the landmarks of a case again; None where the estimator is no landmark recogniser."""
     trials = opened(campaign, case.scenario, folder.path, SingleImage, case.trial)
-    estimator = trials.estimators[case.estimator]
+    estimator = trials.methods[case.estimator]
     if not isinstance(estimator, LandmarkRecognizer):
         return None
     trial_image = trials.world.source.trial_image(trials.seed, case.trial)

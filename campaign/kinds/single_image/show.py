@@ -29,7 +29,6 @@ from boresight.campaign.kinds.single_image.examples import (
     recognised_again,
 )
 from boresight.campaign.kinds.single_image.trial import EstimatedImage, SingleImage
-from boresight.campaign.trial.image_trials import part_of
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.contract import Estimate
 from boresight.estimators.craters.database.landmarks import Landmarks
@@ -56,9 +55,8 @@ from boresight.scenarios.geometry import Camera, Pose, View
 
 def draw_single(again: Recomputed) -> CaseFigures | None:
     """Draw the stages of one image, as far as they came."""
-    shown, what = again.shown, str(again.case)
-    experiment = part_of(again.trials, SingleImage, again.case.trial)
-    if not isinstance(shown, EstimatedImage) or experiment is None:
+    shown, experiment, what = again.shown, again.trials, str(again.case)
+    if not isinstance(shown, EstimatedImage) or not isinstance(experiment, SingleImage):
         return None
     credit = experiment.world.scenario.spec.images
     lines = [credit.credit] if credit is not None and credit.credit else []
@@ -129,7 +127,7 @@ def _look(
 
 def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> Iterator[NamedFigure]:
     """Draw the paper's figure 8 of a landmark recogniser, or its figure 3 where it failed after the alignment."""
-    (estimator,) = experiment.estimators.values()
+    (estimator,) = experiment.methods.values()
     if not isinstance(estimator, LandmarkRecognizer) or shown.estimate is None:
         return
     look: SecondLook = recognised_again(estimator, shown.observation, shown.trial_image.image_name)
@@ -183,7 +181,7 @@ def look_at_images(scene: EstimatorRun) -> View3D:
     body = coarsened(experiment.world.body.mesh, MOST_FACES)
     places = {trial: view.T_cam_body.camera_position_m for trial, view in views.items()}
     factor, told = camera_scale(np.array(list(places.values())), body.radius_m)
-    marks = _marks(experiment.estimators[scene.label], list(views.values()), recognised)
+    marks = _marks(experiment.methods[scene.label], list(views.values()), recognised)
     errors = rows["position_error_m"].to_numpy(dtype=np.float64)
     middle = rows["position_error_m"].median()
     note = f"{len(rows)} trials. Good and bad: below and above the median error of {middle:.3g} m.{told}"

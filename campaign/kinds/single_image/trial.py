@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
-from typing import Self, TypeVar
+from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
-from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
 from boresight.campaign.kinds.single_image.score import check
-from boresight.campaign.pool.guard import Call
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.image_trials import ImageSink, PerDatabase, image_sink
-from boresight.campaign.trial.kind import Record, Records, Witness, WorkerContext, add_records
-from boresight.campaign.trial.methods import Unbuilt, check_options, require_built, try_build, unbuilt_products
+from boresight.campaign.trial.images import ImageDraw, draw_image
+from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.methods import Unbuilt, check_options, try_build, unbuilt_products
 from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.runner import TrialRunner
 from boresight.estimators.contract import Estimate, Estimator, Table
 from boresight.estimators.registry import estimator_class
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.draw import estimator_generator
-from boresight.scenarios.geometry import Pose, View
+from boresight.scenarios.geometry import View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.onboard import onboard_camera
 from boresight.scenarios.spec.campaign import EstimatorSpec
-
-T = TypeVar("T", bound=np.generic)
-
-Method = Estimator | Unbuilt
-"""An estimator, or why there is none in a scenario."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,34 +52,24 @@ class EstimatedImage:
 
 
 @dataclass(frozen=True, eq=False)
-class SingleImage:
-    """Trials of one scenario with a set of labelled estimators.
+class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
+    """Trials of estimators that refine the pose of one image; every one sees the same observation.
 
     Parameters
     ----------
     world
         The scenario in this process.
-    estimators
-        Label to estimator; every one sees the same observation. Of one that cannot be built, why.
-    seed
-        Seed of the campaign.
-    keep_image
-        Called with the trial and its image, to keep it; or None.
-    witness
-        Shown the `EstimatedImage` of every trial and estimator; or None.
-    database
-        Number of the data base that the estimators have.
-    with_database
-        Labels of those that have one.
+    folder
+        Where the images of all trials are kept; None to keep none.
     """
 
+    name = "single-image"
+    version = 2
+    block_trials = 10
+    databases = True
+
     world: World
-    estimators: Mapping[str, Method]
-    seed: int
-    keep_image: ImageSink | None = None
-    witness: Witness | None = None
-    database: int = 0
-    with_database: frozenset[str] = frozenset()
+    folder: Path | None = None
 
     @classmethod
     def method_version(cls, name: str) -> int:
@@ -100,7 +82,7 @@ class SingleImage:
         check_views(scenario)
 
     @classmethod
-    def methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, Method]:
+    def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
         """Refuse wrong options; estimators are built later, with their assets."""
         check_options(campaign, scenario)
         return {}
@@ -120,89 +102,85 @@ class SingleImage:
 
     @classmethod
     def open(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext
-    ) -> PerDatabase[SingleImage]:
-        """Open the world and build the estimators, with each of their data bases."""
-        return PerDatabase(
-            tuple(cls._with_database(campaign, scenario, context, i) for i in range(campaign.spec.databases))
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Open the world and build the estimators."""
+        assets = BuiltAssets(scenario, context.run / "products", None, campaign.variant, None, campaign.draft, number)
+        asked = {entry.label: assets.for_database(number) for entry in campaign.spec.estimators}
+        return cls(
+            scenario=scenario.spec.name,
+            methods={entry.label: _method(entry, scenario, asked[entry.label]) for entry in campaign.spec.estimators},
+            seed=campaign.seed,
+            world=open_world(with_database_craters(scenario, number), campaign.variant),
+            folder=context.image_folder(scenario.spec.name),
+            database={label: number for label, one in asked.items() if one.depends_on_database},
         )
-
-    @classmethod
-    def _with_database(
-        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, database: int
-    ) -> SingleImage:
-        assets = BuiltAssets(scenario, context.run / "products", None, campaign.variant, None, campaign.draft, database)
-        assets_by_label = {entry.label: assets.for_database(database) for entry in campaign.spec.estimators}
-        estimators = {
-            entry.label: _method(entry, scenario, assets_by_label[entry.label]) for entry in campaign.spec.estimators
-        }
-        having = frozenset(label for label, asked in assets_by_label.items() if asked.depends_on_database)
-        sink = image_sink(context.run / "images" / scenario.spec.name) if context.keep_images else None
-        world = open_world(with_database_craters(scenario, database), campaign.variant)
-        return cls(world, estimators, campaign.seed, sink, None, database, having)
-
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the same trials of one estimator, shown to a witness."""
-        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
 
     def flush(self) -> None:
         """Keep what was rendered."""
         self.world.source.flush()
 
-    def trial(self, trial: int) -> Records:
-        """Run one trial: the records that it adds to each stored table."""
-        started = time.perf_counter()
-        trial_image = self.world.source.trial_image(self.seed, trial)
-        image_seconds = time.perf_counter() - started
-        if self.keep_image is not None:
-            self.keep_image(trial, trial_image.image)
-        observation = observe(self.world, trial_image, self.seed, trial)
-        records: Records = {}
-        for label, estimator in self.estimators.items():
-            key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
-            call = Call(self.world.scenario.spec.name, trial, label)
-            found = self._judged(call, estimator, observation, trial_image)
-            found["rows"][0]["database"] = self.database if label in self.with_database else None
-            add_records(records, found, key)
-            stage = STORED_IMAGE if trial_image.from_store else FRESH_IMAGE
-            add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
-        return records
+    def draw(self, trial: int) -> ImageDraw:
+        """Render or read an image, and degrade what is known of it."""
+        return draw_image(self.world, self.seed, trial, self.folder)
 
-    def _judged(self, call: Call, estimator: Method, observation: Observation, trial_image: TrialImage) -> Records:
-        """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
-        rng = estimator_generator(self.seed, call.trial)
-        row = _circumstances(observation, trial_image)
+    def row(self, drawn: ImageDraw) -> Record:
+        """Describe a trial as far as no estimator can change it."""
+        trial_image, true = drawn.trial_image, drawn.trial_image.view.T_cam_body
+        x, y, z = true.camera_position_m
+        prior = pose_error(drawn.observation.frame.prior_T_cam_body, true)
+        return {
+            **{f"prior_{name}": value for name, value in prior.items()},
+            "image": trial_image.image_name,
+            "range_m": float(np.linalg.norm(true.translation_m)),
+            "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+            "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
+            "time_s": trial_image.time_s,
+            **pose_columns(true, "true_"),
+        }
 
-        def work() -> Estimate:
-            return require_built(estimator).estimate(own_copy(observation), rng=rng)
+    def ask(self, method: Estimator, drawn: ImageDraw) -> Estimate:
+        """Let an estimator refine the pose."""
+        return method.estimate(own_copy(drawn.observation), rng=estimator_generator(self.seed, drawn.trial))
 
-        def show(found: Estimate | None) -> None:
-            if self.witness is not None:
-                self.witness(EstimatedImage(trial_image, observation, found))
+    def check(self, answer: Estimate, drawn: ImageDraw) -> None:
+        """Refuse an estimate that breaks the contract."""
+        del drawn
+        check(answer)
 
-        return Work(call, "estimator", row).run(work, check, lambda found: self._scored(found, row, trial_image), show)
-
-    def _scored(self, estimate: Estimate, circumstances: Record, trial_image: TrialImage) -> Records:
-        true = trial_image.view.T_cam_body
-        final = estimate.pose if estimate.status == "ok" else None
-        row = {**circumstances}
+    def score(self, answer: Estimate, drawn: ImageDraw) -> Records:
+        """Score pose, stages and recognised landmarks."""
+        true = drawn.trial_image.view.T_cam_body
+        final = answer.pose if answer.status == "ok" else None
+        row: Record = {}
+        references: list[Record] = []
         if final is not None:
             row |= {**pose_error(final, true), **pose_columns(final)}
-            row |= consistency(final, true, estimate.covariance, estimate.bound)
+            row |= consistency(final, true, answer.covariance, answer.bound)
+            views = drawn.trial_image.further
+            references = [{"reference": name, **pose_error(final, one.T_cam_body)} for name, one in views.items()]
         row |= {
-            "status": estimate.status,
-            "reason": estimate.reason,
-            "n_landmarks": int(estimate.diagnostics.get("n_landmarks", 0)),
+            "status": answer.status,
+            "reason": answer.reason,
+            "n_landmarks": int(answer.diagnostics.get("n_landmarks", 0)),
         }
-        numbers = {name: float(value) for name, value in estimate.diagnostics.items() if not isinstance(value, str)}
+        numbers = {name: float(value) for name, value in answer.diagnostics.items() if not isinstance(value, str)}
         return {
-            "stages": [{"stage": str(s.name), **pose_error(s.T_cam_body, true)} for s in estimate.stages],
-            "references": _references(final, trial_image),
-            "landmarks": self._landmarks(estimate.details.get("landmarks"), trial_image),
+            "stages": [{"stage": str(s.name), **pose_error(s.T_cam_body, true)} for s in answer.stages],
+            "references": references,
+            "landmarks": self._landmarks(answer.details.get("landmarks"), drawn.trial_image),
             "diagnostics": [{"name": str(name), "value": value} for name, value in numbers.items()],
-            "timings": [{"stage": str(name), "seconds": float(value)} for name, value in estimate.timings_s.items()],
+            "timings": [{"stage": str(name), "seconds": float(value)} for name, value in answer.timings_s.items()],
             "rows": [row],
         }
+
+    def of_all(self, drawn: ImageDraw) -> Records:
+        """Return the time of the image."""
+        return drawn.timings
+
+    def shown(self, answer: Estimate | None, drawn: ImageDraw) -> EstimatedImage:
+        """Return the image with its estimate."""
+        return EstimatedImage(drawn.trial_image, drawn.observation, answer)
 
     def _landmarks(self, table: Table | None, trial_image: TrialImage) -> list[Record]:
         """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
@@ -232,32 +210,10 @@ class SingleImage:
         ]
 
 
-def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: BuiltAssets) -> Method:
+def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: BuiltAssets) -> Estimator | Unbuilt:
     given = assets.for_estimator()
     return try_build(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, given))
 
 
-def _circumstances(observation: Observation, trial_image: TrialImage) -> Record:
-    """Describe a trial as far as no estimator can change it."""
-    true = trial_image.view.T_cam_body
-    x, y, z = true.camera_position_m
-    prior = pose_error(observation.frame.prior_T_cam_body, true)
-    return {
-        **{f"prior_{name}": value for name, value in prior.items()},
-        "image": trial_image.image_name,
-        "range_m": float(np.linalg.norm(true.translation_m)),
-        "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
-        "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
-        "time_s": trial_image.time_s,
-        **pose_columns(true, "true_"),
-    }
-
-
 def _columns(table: Table, *names: str) -> NDArray[np.float64]:
     return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
-
-
-def _references(final: Pose | None, trial_image: TrialImage) -> list[Record]:
-    if final is None:
-        return []
-    return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in trial_image.further.items()]

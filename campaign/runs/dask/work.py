@@ -49,7 +49,7 @@ def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float
         context = WorkerContext(folder / RUN, workers, keep_images=False, limit_s=limit_s)
         if limit_s is None:
             return run_block(campaign, block, context)
-        again = kind_named(campaign.spec.experiment).process_blocks
+        again = kind_named(campaign.spec.experiment).process_blocks()
         calls: list[tuple[object, ...]] = [(campaign, block, context, {})]
         # All of it is taken, as what is broken off costs the process.
         (found,) = in_order(1, run_block, calls, apart=True, renew_after=again, after_death=Losses().after)

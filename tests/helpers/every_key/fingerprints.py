@@ -17,7 +17,6 @@ from boresight.campaign.kinds.orbit_determination.trial import open_orbit_world
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.tracks import ImageTracks
 from boresight.campaign.kinds.sequence.trial import ground_of
-from boresight.campaign.kinds.single_image.trial import SingleImage
 from boresight.campaign.products import BuiltAssets
 from boresight.estimators.craters.navigation.rounds import CraterNavigation
 from boresight.estimators.craters.navigation.stages import StageFiles
@@ -43,7 +42,6 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         imaged = scenario.spec.orbit.imaging is not None
         return imaging_fingerprint(scenario) if imaged else orbit_fingerprint(scenario)
     world = open_world(scenario, variant)
-    experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(BuiltAssets(scenario, file.parent / "products", None, variant))]
     if world.ground is not None:
         parts.append(world.ground.rims.crest_m.tobytes())
@@ -53,7 +51,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         except BoresightError as error:
             parts.append(str(error).encode())
             continue
-        observation = observe(experiment.world, sight, experiment.seed, trial)
+        observation = observe(world, sight, 3, trial)
         frame = observation.frame
         parts += [repr(observation.camera).encode(), repr(frame.altimeter).encode()]
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
