@@ -10,12 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
 from boresight.campaign.draft import drafted
 from boresight.campaign.handles import Handle, target_of
 from boresight.campaign.imaging.world import believed
 from boresight.campaign.products.databases import (
+    ProductKind,
     content_key,
     drawn_per_database,
     with_database_craters,
@@ -40,45 +41,11 @@ _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
 
-class ProductKind(Protocol):
-    """Functions of a module of this folder that builds one kind of product.
-
-    A product is built once from the believed scenario, stored in a folder, cached by the hash of everything that it
-    depends on, and used by estimators.
-    """
-
-    def parse(self, options: Mapping[str, object]) -> SpecModel:
-        """Validate the options given by an estimator."""
-        ...
-
-    def versions(self) -> list[int]:
-        """Return the versions of all code that the product depends on, except the renderer."""
-        ...
-
-    def announcement(self, options: SpecModel) -> str:
-        """Describe the effort of a build."""
-        ...
-
-    def build(
-        self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str
-    ) -> Mapping[str, object] | None:
-        """Build the product into an empty folder; return facts about the build to report, if any."""
-        ...
-
-    def load(self, folder: Path) -> object:
-        """Read a stored product."""
-        ...
-
-    def about(self, folder: Path) -> dict[str, object]:
-        """Describe a stored product for the manifest, in plain values."""
-        ...
-
-
 _KINDS = ("landmark-database", "maplets", "descriptors", "crater-database")
 """Names of the modules of this folder that build products; each is imported when a method asks for it."""
 
 
-def product_kind(name: str) -> ProductKind:
+def product_kind(name: str) -> ProductKind[SpecModel, object]:
     """Look up a kind.
 
     Raises
@@ -88,7 +55,8 @@ def product_kind(name: str) -> ProductKind:
     """
     if name not in _KINDS:
         raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
-    return cast("ProductKind", import_module(f"boresight.campaign.products.{name.replace('-', '_')}"))
+    module = import_module(f"boresight.campaign.products.{name.replace('-', '_')}")
+    return cast("ProductKind[SpecModel, object]", module.PRODUCT)
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
@@ -237,7 +205,7 @@ class BuiltAssets:
             If the machine cannot build, store or read it.
         """
         product = product_kind(kind)
-        wanted = with_database_seed(drafted(product.parse(options), self._draft), self._database)
+        wanted = with_database_seed(drafted(product.options.model_validate(options), self._draft), self._database)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._build(kind, wanted, folder)
@@ -272,7 +240,7 @@ class BuiltAssets:
             if self.report is not None:
                 name = self._scenario.spec.name
                 number = f", number {self._database}" if self._database else ""
-                self.report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
+                self.report(f"building the {_in_words(kind)} of {name}{number}: {product.announce(options)}")
             try:
                 # With one job it is built in this process, with more partly here and partly in workers.
                 with one_blas_thread():

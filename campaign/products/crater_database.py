@@ -9,21 +9,19 @@ import numpy as np
 
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.products.database_images import DatabaseImage, database_images, map_images
-from boresight.campaign.products.databases import checked_options
+from boresight.campaign.products.databases import ProductKind
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from boresight.estimators.craters.database.build import build_database, triangulate_landmarks
 from boresight.estimators.craters.database.files import CraterDatabase
 from boresight.estimators.craters.matching.preliminary import PreliminaryOptions
-from boresight.estimators.craters.pose import PRODUCT, CraterDatabaseOptions
+from boresight.estimators.craters.pose import CraterDatabaseOptions
 from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
-from boresight.scenarios.spec.base import SpecModel
 
-KIND = PRODUCT
 VERSION = 2
 
 _MATCHER = "vote"
@@ -31,55 +29,30 @@ _MATCHER = "vote"
 _POSE_SIGMAS = np.array([1e-7, 1e-7, 1e-7, 1.0, 1.0, 1.0])
 
 
-def parse(options: Mapping[str, object]) -> CraterDatabaseOptions:
-    """Validate the options of a data base."""
-    return CraterDatabaseOptions.model_validate(options)
-
-
-def versions() -> list[int]:
-    """Return the versions of all code that a data base depends on, except the renderer."""
-    detectors = [crater_detector_class(name).version for name in crater_detector_names()]
-    return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
-
-
-def announcement(options: SpecModel) -> str:
-    """Describe the effort of a build."""
-    return f"{checked_options(KIND, options, CraterDatabaseOptions).images} images"
-
-
-def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
+def build(
+    scenario: LoadedScenario, options: CraterDatabaseOptions, folder: Path, jobs: int, variant: str
+) -> Mapping[str, object]:
     """Build the data base of ``scenario`` as the spacecraft knows it, and store it in ``folder``.
 
     The images show the body's true craters, which are not part of the believed shape; their poses are known exactly.
     """
-    wanted, world = checked_options(KIND, options, CraterDatabaseOptions), open_world(scenario, variant)
+    world = open_world(scenario, variant)
     if world.ground is None:
         raise NoProductError("it is made of the section craters, which is missing: add it, or leave the estimator out")
-    found = map_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
+    found = map_images(jobs, options.images, _of_images, scenario, options, variant)
     images = [image for image, _ in found]
     matcher = crater_matcher_class(_MATCHER).from_options(
-        {"height_sigma_m": wanted.height_sigma_m, "association": wanted.association.model_dump()}
+        {"height_sigma_m": options.height_sigma_m, "association": options.association.model_dump()}
     )
-    preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
+    preliminary = PreliminaryOptions(height_sigma_m=options.height_sigma_m)
     built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
-    triangulate_landmarks(built.database, wanted.height_sigma_m, wanted.association).save(folder)
+    triangulate_landmarks(built.database, options.height_sigma_m, options.association).save(folder)
     return {
-        "images": wanted.images,
+        "images": options.images,
         "images_from_store": sum(stored for _, stored in found),
         "image_pairs": len(built.found),
         "conflicts": built.numbering.conflicts,
     }
-
-
-def load(folder: Path) -> CraterDatabase:
-    """Read a stored data base."""
-    return CraterDatabase.load(folder)
-
-
-def about(folder: Path) -> dict[str, object]:
-    """Describe a stored data base for the manifest."""
-    database = load(folder)
-    return {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)}
 
 
 def _of_images(
@@ -105,3 +78,18 @@ def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most
         return CraterImage(number, frame, camera, CraterDetections.none())
     kept = slice(0, most_detections)
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
+
+
+def _versions() -> list[int]:
+    detectors = [crater_detector_class(name).version for name in crater_detector_names()]
+    return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
+
+
+PRODUCT = ProductKind(
+    options=CraterDatabaseOptions,
+    versions=_versions,
+    announce=lambda options: f"{options.images} images",
+    build=build,
+    load=CraterDatabase.load,
+    about=lambda database: {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)},
+)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Generic, TypeVar
 
 from boresight.campaign.imaging.world import typical_range_m
 from boresight.renderers.mitsuba3 import renderer_version
@@ -20,6 +21,7 @@ from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
+Product = TypeVar("Product")
 
 SEED_STEP = 10_000
 """Difference of the seeds of two data bases, large enough to avoid nearby seeds in other uses."""
@@ -53,11 +55,33 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
 
-def checked_options(kind: str, options: SpecModel, model: type[Options]) -> Options:
-    """Return options as their own model; raise TypeError if they are those of another kind of product."""
-    if not isinstance(options, model):
-        raise TypeError(f"{kind}: options are a {type(options).__name__}, not {model.__name__}")
-    return options
+@dataclass(frozen=True, slots=True)
+class ProductKind(Generic[Options, Product]):
+    """A kind of product: built once from the believed scenario, stored in a folder, and used by estimators.
+
+    Parameters
+    ----------
+    options
+        Model of the options that an estimator gives.
+    versions
+        Returns the versions of all code that the product depends on, except the renderer.
+    announce
+        Describes the effort of a build.
+    build
+        Builds the product of a scenario into an empty folder with a number of workers and a Mitsuba variant; returns
+        facts about the build to report, if any.
+    load
+        Reads a stored product.
+    about
+        Describes a product for the manifest, in plain values.
+    """
+
+    options: type[Options]
+    versions: Callable[[], list[int]]
+    announce: Callable[[Options], str]
+    build: Callable[[LoadedScenario, Options, Path, int, str], Mapping[str, object] | None]
+    load: Callable[[Path], Product]
+    about: Callable[[Product], dict[str, object]]
 
 
 def drawn_per_database(scenario: LoadedScenario) -> frozenset[str]:

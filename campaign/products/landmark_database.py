@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.campaign.products.database_images import database_images, map_images
-from boresight.campaign.products.databases import checked_options, content_key
+from boresight.campaign.products.databases import ProductKind, content_key
 from boresight.estimators.landmark.build import (
     METHOD_VERSION,
     CandidateOptions,
@@ -21,7 +21,6 @@ from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.spec.base import SpecModel
 
 KIND = "landmark-database"
 VERSION = 1
@@ -89,24 +88,10 @@ def _candidates_of_images(
     return [(extract_candidates(image.pixels, image.deproject, options), image.from_store) for image in pictured]
 
 
-def parse(options: Mapping[str, object]) -> DatabaseOptions:
-    """Validate the options of a data base."""
-    return DatabaseOptions.model_validate(options)
-
-
-def versions() -> list[int]:
-    """Return the versions of all code that a data base depends on, except the renderer."""
-    return [VERSION, METHOD_VERSION]
-
-
-def announcement(options: SpecModel) -> str:
-    """Describe the effort of a build."""
-    return f"{checked_options(KIND, options, DatabaseOptions).images} images"
-
-
-def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
+def build(
+    scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs: int, variant: str
+) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
-    options = checked_options(KIND, options, DatabaseOptions)
     candidates = landmark_candidates(scenario, options, jobs, variant)
     database_from_candidates(candidates.by_image, options).save(folder)
     images = {"images": len(candidates.by_image)}
@@ -115,12 +100,11 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     return {**images, "images_from_store": candidates.images_from_store}
 
 
-def load(folder: Path) -> LandmarkDatabase:
-    """Read a stored data base."""
-    return LandmarkDatabase.load(folder)
-
-
-def about(folder: Path) -> dict[str, object]:
-    """Describe a stored data base for the manifest."""
-    database = load(folder)
-    return {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)}
+PRODUCT = ProductKind(
+    options=DatabaseOptions,
+    versions=lambda: [VERSION, METHOD_VERSION],
+    announce=lambda options: f"{options.images} images",
+    build=build,
+    load=LandmarkDatabase.load,
+    about=lambda database: {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)},
+)

@@ -118,7 +118,7 @@ def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:
 
 
 def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
-    folder = run / "products" / product.folder
+    folder, kind = run / "products" / product.folder, product_kind(product.kind)
     built = json.loads((folder / "built.json").read_text(encoding="utf-8"))
     return {
         "kind": product.kind,
@@ -127,7 +127,7 @@ def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
         "database": product.database,
         "folder": f"products/{folder.name}",
         "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.name != "built.json"),
-        **product_kind(product.kind).about(folder),
+        **kind.about(kind.load(folder)),
         **built,
     }
 
