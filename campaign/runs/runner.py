@@ -15,7 +15,7 @@ from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.requirements import remember
 from boresight.campaign.runs.worker import Losses, run_block
-from boresight.campaign.store import RunFolder, RunLock
+from boresight.campaign.store import TABLES, RunFolder, RunLock
 from boresight.campaign.store.folder import Block, BlockState, blocks
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.campaign.trial.methods import unbuilt_products
@@ -58,17 +58,29 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         for note in manifests.missing_notes(products):
             listener.message(note)
         folder.write_manifest(manifest)
-        todo, stored = _plan(folder, campaign, request, listener)
-        total = request.trials * len(campaign.scenarios)
-        listener.started(stored, total)
-        images: Counter[str] = Counter()
+
+        size = kind_named(campaign.spec.experiment).block_trials
+        every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials, size))
+        states = [folder.state(block, len(campaign.labels)) for block in every]
+        todo = [block for block, state in zip(every, states, strict=True) if state is not BlockState.WHOLE]
+        bad = [block for block, state in zip(every, states, strict=True) if state is BlockState.DAMAGED]
+        if bad:
+            listener.message(
+                f"{len(bad)} of {len(every)} stored blocks are not what was stored (the first: {bad[0].file_name}):"
+                f" {sum(block.trials for block in bad)} trials are run again"
+            )
+        total, left = (sum(block.trials for block in some) for some in (every, todo))
+        listener.started(total - left, total)
+
+        images: Counter[object] = Counter()
         began = time.monotonic()
-        for block, records in _computed(campaign, todo, request, listener):
+        for block, records in zip(todo, _computed(campaign, todo, request, listener), strict=True):
             folder.write_block(block, records, campaign.spec.experiment)
-            images.update(_images(records))
-            listener.block(records, block.last - block.first)
+            ways = (FRESH_IMAGE, STORED_IMAGE)  # all methods see the same image
+            images.update({r["trial"]: r["stage"] for r in records["timings"] if r["stage"] in ways}.values())
+            listener.block(records, block.trials)
         if not campaign.overrides:
-            remember(campaign.spec.name, total - stored, time.monotonic() - began, request.jobs)
+            remember(campaign.spec.name, left, time.monotonic() - began, request.jobs)
         if images:
             fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
             listener.message(f"images: {fresh} rendered or read, {kept} from the store")
@@ -80,7 +92,7 @@ def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] |
     """Return the manifest of an earlier start of the same run, None without one; refuse another run's folder."""
     manifest = folder.read_manifest()
     if manifest is None:
-        if any((folder.path / name).exists() for name in folder.table_names()):
+        if any((folder.path / name).exists() for name in TABLES):
             raise BoresightError(f"{folder.path}: has tables but no manifest: choose another folder with --out")
         return None
     if manifest["digest"] != campaign.digest:
@@ -105,43 +117,17 @@ def build_products(
     return products
 
 
-def _images(records: Records) -> Counter[str]:
-    """Count the images of a block by where they came from; all estimators see the same one."""
-    ways = [record for record in records["timings"] if record["stage"] in (FRESH_IMAGE, STORED_IMAGE)]
-    return Counter({record["trial"]: str(record["stage"]) for record in ways}.values())
-
-
-def _plan(
-    folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest, listener: Listener
-) -> tuple[list[Block], int]:
-    """Return the blocks that are not stored whole, and how many trials the others hold; say what is damaged."""
-    size = kind_named(campaign.spec.experiment).block_trials
-    every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials, size))
-    states = [folder.state(block, len(campaign.labels)) for block in every]
-    bad = [block for block, state in zip(every, states, strict=True) if state is BlockState.DAMAGED]
-    if bad:
-        listener.message(
-            f"{len(bad)} of {len(every)} stored blocks are not what was stored (the first: {bad[0].file_name}):"
-            f" {sum(block.last - block.first for block in bad)} trials are run again"
-        )
-    todo = [block for block, state in zip(every, states, strict=True) if state is not BlockState.WHOLE]
-    stored = sum(b.last - b.first for b in every) - sum(b.last - b.first for b in todo)
-    return todo, stored
-
-
 def _computed(
     campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest, listener: Listener
-) -> Iterator[tuple[Block, Records]]:
-    """Yield each block with its records, in order, holding only what is in flight."""
+) -> Iterator[Records]:
+    """Return an iterator over the records of each block, in order, which holds only what is in flight."""
     if request.cluster is not None:
         # Imported here: Dask is optional, and slow to import.
         from boresight.campaign.runs.dask.cluster import blocks_in_order
 
-        there = blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
-        yield from zip(todo, there, strict=True)
-        return
+        return blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
     context = WorkerContext(request.out, request.jobs, request.keep_images, request.limit_s)
-    results = in_order(
+    return in_order(
         request.jobs,
         run_block,
         ((campaign, block, context, {}) for block in todo),
@@ -149,4 +135,3 @@ def _computed(
         renew_after=kind_named(campaign.spec.experiment).process_blocks(),
         after_death=Losses(listener.message).after,
     )
-    yield from zip(todo, results, strict=True)

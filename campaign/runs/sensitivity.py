@@ -26,7 +26,7 @@ from boresight.reports.run.data import RunData
 from boresight.reports.statistics.measured import Statistic
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.load import ConfigEntry, LoadedScenario, load_campaign, parse_override
+from boresight.scenarios.load import LoadedScenario, load_campaign, parse_override
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 METHODS = ("sobol", "latin-hypercube")
@@ -101,20 +101,29 @@ def make_design(
     BoresightError
         If it is unknown or not chosen, a key is unknown or named twice, or a value not allowed.
     """
-    number = _chosen(name, resolved, chosen)
+    names = [one.spec.name for one in resolved.scenarios]
+    if chosen is not None and chosen not in names:
+        raise BoresightError(f"--scenario {chosen}: {name} has no such scenario; choose one of {', '.join(names)}")
+    if chosen is None and len(names) > 1:
+        raise BoresightError(f"{name}: has {len(names)} scenarios: vary one, by --scenario: {', '.join(names)}")
+    number = 0 if chosen is None else names.index(chosen)
     keys = [one.key for one in varied]
     if len(set(keys)) < len(keys):
         raise BoresightError(f"--over {next(key for key in keys if keys.count(key) > 1)}: named twice")
     base = resolved.scenarios[number]
     samples = draw_samples(varied, n, method, resolved.seed)
     for column, one in zip(samples.T, varied, strict=True):
-        if isinstance(_base_value(base.spec, one), int):
+        if _is_whole(base.spec, one.key):
             column[:] = np.round(column)
     loaded = load_campaign(name, CATALOG)
     source = sources(loaded.spec)[number]
 
     def scenario(cell: str, values: Mapping[str, float]) -> LoadedScenario:
-        changes = [_override(base.spec, one, values[one.key]) for one in varied if one.key in values]
+        changes = [
+            parse_override(_setting(base.spec, one, values[one.key]), f"--over {one.key}={one.low:g}:{one.high:g}")
+            for one in varied
+            if one.key in values
+        ]
         found, _ = read_source(loaded, source, [*resolved.overrides, *changes])
         return replace(found, spec=found.spec.model_copy(update={"name": cell}))
 
@@ -127,18 +136,6 @@ def make_design(
     spec = resolved.spec.model_copy(update={"scenarios": (source.file,), "grid": None})
     campaign = replace(resolved, spec=spec, scenarios=tuple(scenarios), variations={})
     return Design(tuple(varied), samples, method, campaign)
-
-
-def _chosen(name: str, resolved: ResolvedCampaign, chosen: str | None) -> int:
-    """Return the number of the scenario to vary."""
-    names = [one.spec.name for one in resolved.scenarios]
-    if chosen in names:
-        return names.index(chosen)
-    if chosen is None and len(names) == 1:
-        return 0
-    if chosen is None:
-        raise BoresightError(f"{name}: has {len(names)} scenarios: vary one, by --scenario: {', '.join(names)}")
-    raise BoresightError(f"--scenario {chosen}: {name} has no such scenario; choose one of {', '.join(names)}")
 
 
 def _alone(index: int) -> str:
@@ -156,14 +153,9 @@ def _value_at(spec: ScenarioSpec, key: str) -> object:
     return value
 
 
-def _base_value(spec: ScenarioSpec, one: VariedKey) -> object:
-    value = _value_at(spec, one.key)
-    return None if isinstance(value, bool) else value
-
-
-def _override(spec: ScenarioSpec, one: VariedKey, value: float) -> ConfigEntry:
-    """Set a key to a value, under the name of what the user typed."""
-    return parse_override(_setting(spec, one, value), f"--over {one.key}={one.low:g}:{one.high:g}")
+def _is_whole(spec: ScenarioSpec, key: str) -> bool:
+    value = _value_at(spec, key)
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _setting(spec: ScenarioSpec, one: VariedKey, value: float) -> str:
@@ -180,7 +172,7 @@ def _setting(spec: ScenarioSpec, one: VariedKey, value: float) -> str:
         else:
             low, high = (value, high) if last == "min" else (low, value)
         return f"{key}={{uniform: [{low!r}, {high!r}]}}"
-    number = int(value) if isinstance(_base_value(spec, one), int) else value
+    number = int(value) if _is_whole(spec, one.key) else value
     return f"{one.key}={number!r}"
 
 
@@ -207,7 +199,7 @@ def analyse(
             return value
 
         outcomes = np.array([of(_sample(i)) for i in range(len(design.samples))])
-        ends = {one.key: tuple(f"{_alone(i)}-{end}" for end in ("low", "high")) for i, one in enumerate(design.varied)}
+        ends = {one.key: (f"{_alone(i)}-low", f"{_alone(i)}-high") for i, one in enumerate(design.varied)}
         shares = (
             sobol_shares(design.varied, outcomes, run.manifest.seed)
             if design.method == "sobol"

@@ -26,7 +26,7 @@ from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.runner import Listener, run_campaign
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.kind import Records, kind_named
+from boresight.campaign.trial.kind import kind_named
 from boresight.reports.compare.metrics import Metric, metric_values
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, read_run
@@ -152,41 +152,27 @@ def run_until(campaign: ResolvedCampaign, request: RunRequest, until: Until, lis
         if met:
             break
         met = width < until.width
-    _note(folder, until, points[: points.index(trials) + 1], met)
     if not met:
         listener.message(f"stopped by --trials {request.trials}: {until.written} is not reached")
-    return folder
-
-
-def _note(folder: RunFolder, until: Until, points: Sequence[int], met: bool) -> None:
-    """Tell readers of the run how many trials there are, and why."""
-    manifest = folder.read_manifest() or {}
-    after = ", ".join(map(str, points))
+    after = ", ".join(str(point) for point in points if point <= trials)
+    ended = "stopped one look further than the first, if that was allowed,"
     why = (
         f"The number of trials was not fixed beforehand: the run was looked at after {after} trials and"
-        + (
-            " stopped one look further than the first, if that was allowed,"
-            if met
-            else " reached the most that was allowed before the look"
-        )
-        + f" at which {until.written} held for every estimator and scenario. Stopping by the width of an interval,"
-        " not by a difference, does not favour any estimator; such intervals of 95 % hold 92 to 94 % in simulations."
+        f" {ended if met else 'reached the most that was allowed before the look'} at which {until.written} held for"
+        " every estimator and scenario. Stopping by the width of an interval, not by a difference, does not favour any"
+        " estimator; such intervals of 95 % hold 92 to 94 % in simulations."
     )
-    notes = [*manifest.get("notes", []), why]
-    folder.write_manifest(manifests.updated(manifest, notes=notes))
+    manifest = folder.read_manifest() or {}
+    folder.write_manifest(manifests.updated(manifest, notes=[*manifest.get("notes", []), why]))
+    return folder
 
 
 class _Once:
     """Passes on what happens in several parts of one run as if it were one."""
 
     def __init__(self, listener: Listener, total: int) -> None:
-        self._listener = listener
-        self._total = total
-        self._started = False
-
-    def message(self, text: str) -> None:
-        """Pass a step on."""
-        self._listener.message(text)
+        self.message, self.block = listener.message, listener.block
+        self._listener, self._total, self._started = listener, total, False
 
     def started(self, done: int, total: int) -> None:
         """Pass the first start on, with the number of trials that there may be in all."""
@@ -194,7 +180,3 @@ class _Once:
         if not self._started:
             self._listener.started(done, self._total)
         self._started = True
-
-    def block(self, records: Records, trials: int) -> None:
-        """Pass a stored block on."""
-        self._listener.block(records, trials)

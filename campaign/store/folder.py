@@ -140,6 +140,11 @@ class Block:
     number: int
 
     @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return self.last - self.first
+
+    @property
     def file_name(self) -> str:
         """Name of the block's file in each table's folder; names sort in the order of trials."""
         return f"{self.scenario}-{self.number:07d}.parquet"
@@ -291,8 +296,3 @@ class RunFolder:
         files.sort()
         later = bisect_right(files, trial, key=lambda path: _first_trial(path, trial))
         return files[later - 1] if later else None
-
-    @staticmethod
-    def table_names() -> tuple[str, ...]:
-        """Return the names of the stored tables."""
-        return tuple(TABLES)

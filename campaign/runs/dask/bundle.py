@@ -91,11 +91,6 @@ class Bundle:
     digest: str
     assets: Mapping[str, bytes]
 
-    @property
-    def size_bytes(self) -> int:
-        """Size of it all."""
-        return sum(map(len, self.assets.values()))
-
 
 def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
     """Gather the campaign, the data that its scenarios read, and the products of its run folder.
@@ -112,10 +107,10 @@ def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
     for path in sorted((run / "products").rglob("*")):
         if path.is_file():
             contents[f"{RUN}/products/{path.relative_to(run / 'products').as_posix()}"] = path.read_bytes()
-    index = {name: _sha256(content) for name, content in sorted(contents.items())}
+    index = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(contents.items())}
     written = json.dumps(index, sort_keys=True).encode()
-    assets = {index[name]: content for name, content in contents.items()}
-    return Bundle(_sha256(written), {**assets, _sha256(written): written})
+    digest = hashlib.sha256(written).hexdigest()
+    return Bundle(digest, {**{index[name]: content for name, content in contents.items()}, digest: written})
 
 
 def _data(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
@@ -137,7 +132,3 @@ def _portable(name: str, scenario: LoadedScenario) -> str:
             " BORESIGHT_DATA to run on a cluster"
         )
     return PurePath(name).as_posix()
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

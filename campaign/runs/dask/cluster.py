@@ -1,12 +1,11 @@
-"""Blocks of a campaign on a Dask cluster, with results in order, through joblib's Dask backend."""
+"""Blocks of a campaign on a Dask cluster, with results in order."""
 
 from __future__ import annotations
 
-import asyncio
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from boresight.campaign.imaging.image_store import store_is_on
 from boresight.campaign.resolved import ResolvedCampaign
@@ -16,10 +15,8 @@ from boresight.campaign.trial.kind import Records
 from boresight.scenarios.errors import BoresightError
 
 try:
-    from distributed import Client, LocalCluster
+    from distributed import Client, Future, LocalCluster
     from distributed.scheduler import KilledWorker
-    from joblib import Parallel, delayed
-    from joblib._dask import DaskDistributedBackend
 
     from boresight.campaign.runs.dask.bundle import AssetServer, bundle_of
     from boresight.campaign.runs.dask.work import run_block_there
@@ -29,41 +26,8 @@ except ImportError as error:
     ) from error
 
 _PATIENCE_S = 30.0
-# In flight for each worker that there is when the run begins: some that come later find work too.
+# In flight for each thread of the workers that there are when the run begins: workers that come later find work too.
 _AHEAD = 4
-
-
-class _FailedTask:
-    """Result of a task that the cluster gave up, with its error."""
-
-    def __init__(self, error: BaseException) -> None:
-        self.error = error
-
-
-class ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
-    """joblib's Dask backend, which also returns failures of the cluster; without them a run would wait for ever."""
-
-    def effective_n_jobs(self, n_jobs: int) -> int:
-        """Count the cores of the workers, and two where they have one: joblib would then work here, and not there."""
-        return max(2, int(super().effective_n_jobs(n_jobs)))
-
-    async def _collect(self) -> None:
-        """Hand every result on as it comes, and every failure: joblib 1.6 drops the latter."""
-        while self._continue:
-            async for future, result in self.waiting_futures:
-                waiting = self._results.pop(future)
-                callback = self._callbacks.pop(future)
-                if future.status == "error":
-                    result = _FailedTask(result[1])
-                waiting.set_result(result)
-                callback(result)
-            await asyncio.sleep(0.01)
-
-    def retrieve_result_callback(self, out: Any) -> Any:
-        """Return a result, or raise what became of it."""
-        if isinstance(out, _FailedTask):
-            raise out.error
-        return super().retrieve_result_callback(out)
 
 
 def blocks_in_order(
@@ -79,13 +43,15 @@ def blocks_in_order(
     bundle = bundle_of(campaign, run)
     with _opened(cluster) as client:
         client.register_plugin(AssetServer(bundle))
-        backend = ClusterBackend(client=client, pure=False)
-        parallel = Parallel(
-            backend=backend, return_as="generator", pre_dispatch=f"{_AHEAD}*n_jobs", batch_size=1, n_jobs=-1
-        )
-        results = parallel(delayed(run_block_there)(bundle.digest, block, store_is_on(), limit_s) for block in blocks)
+        most, in_flight = _AHEAD * max(2, sum(client.nthreads().values())), deque[Future]()
         try:
-            yield from results
+            for block in blocks:
+                if len(in_flight) == most:
+                    yield in_flight.popleft().result()
+                call = (bundle.digest, block, store_is_on(), limit_s)
+                in_flight.append(client.submit(run_block_there, *call, pure=False))
+            while in_flight:
+                yield in_flight.popleft().result()
         except KilledWorker as error:
             raise BoresightError(
                 f"the cluster gave a block up: {error.task} was under way on {error.allowed_failures + 1} workers that"
