@@ -32,8 +32,9 @@ from boresight.renderers.mitsuba3 import (
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import Cache, default_cache
-from boresight.scenarios.craters import cratered_surface, shape_digest
+from boresight.scenarios.craters import CrateredSurface, CraterTruth, crater_truth, cratered_surface, shape_digest
 from boresight.scenarios.draw import Stream
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.limits import MOST_PIXELS
 from boresight.scenarios.load import LoadedScenario, canonical_json
@@ -256,29 +257,37 @@ def read_chunk(path: Path) -> dict[int, StoredImage]:
 def open_renderer(scenario: LoadedScenario, variant: str) -> BodyRenderer:
     """Create the renderer of a scenario's true body, including its craters."""
     spec = scenario.spec
-    samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
-    if spec.craters is not None:
-        surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
-        return TiledRenderer(surface, spec.brdf, samples, chosen)
+    samples, chosen, ground = spec.rendering.samples_per_pixel, choose_variant(variant), open_ground(scenario)
+    if ground is not None:
+        return TiledRenderer(ground, spec.brdf, samples, chosen)
     mesh = load_body(spec.body, scenario.search_dirs).mesh
     return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen)
 
 
+def open_ground(scenario: LoadedScenario) -> CrateredSurface | None:
+    """Return the surface of a scenario's true body with craters; None for a body without."""
+    spec = scenario.spec
+    return None if spec.craters is None else cratered_surface(spec.body, spec.craters, scenario.search_dirs)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Imager:
-    """Renderer, store and detector of a scenario's camera; without a detector, images are radiance factors."""
+    """Renderer, store and detector of a scenario's camera, and the surface of a body with craters.
+
+    Without a detector, images are radiance factors.
+    """
 
     renderer: BodyRenderer
     detector: Detector | None
     store: ImageStore
+    ground: CrateredSurface | None
 
     @classmethod
-    def open(
-        cls, scenario: LoadedScenario, variant: str, renderer: BodyRenderer, stream: Stream, *laws: SpecModel
-    ) -> Imager:
-        """Open the camera of a scenario for views drawn from a stream by given distributions."""
+    def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> Imager:
+        """Open the camera of a scenario's true body for views drawn from a stream by given distributions."""
         detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
-        return cls(renderer, detector, ImageStore.open(scenario, variant, stream, *laws))
+        store = ImageStore.open(scenario, variant, stream, *laws)
+        return cls(open_renderer(scenario, variant), detector, store, open_ground(scenario))
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
         """Image a view.
@@ -299,6 +308,18 @@ class Imager:
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
         return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
+
+    def craters(self, view: View) -> CraterTruth:
+        """Find the craters that a view shows.
+
+        Raises
+        ------
+        BoresightError
+            If the body has none.
+        """
+        if self.ground is None or not isinstance(self.renderer, TiledRenderer):
+            raise BoresightError("craters: missing, so no crater is seen")
+        return crater_truth(self.ground.rims, view, self.renderer)
 
     def flush(self) -> None:
         """Write the rendered images to the store."""

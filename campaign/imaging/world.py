@@ -9,12 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.campaign.imaging.image_store import Imager, open_renderer
+from boresight.campaign.imaging.image_store import Imager, open_ground, open_renderer
 from boresight.campaign.imaging.real_images import images_digest, open_images
 from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.scenarios.bodies import Body, load_body
-from boresight.scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
+from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
 from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
@@ -216,20 +216,18 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     spec = scenario.spec
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
-    ground = None if spec.craters is None else cratered_surface(spec.body, spec.craters, scenario.search_dirs)
-    renderer = open_renderer(scenario, variant)
+    ground = open_ground(scenario)
     if spec.images is not None:
-        images = open_images(scenario)
-        source: ImageSource = RealImageSource(
-            images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations
-        )
+        real, renderer = spec.images, open_renderer(scenario, variant)
+        source = RealImageSource(open_images(scenario), real.truth, real.also_score, real.noise_realisations)
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
-    imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    source = RenderedImageSource(scenario, camera, body.mesh, imager)
-    return World(scenario, camera, body, renderer, source, ground)
+    imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
+    return World(
+        scenario, camera, body, imager.renderer, RenderedImageSource(scenario, camera, body.mesh, imager), ground
+    )
 
 
 def views_in_words(scenario: LoadedScenario) -> str:

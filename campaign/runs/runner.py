@@ -123,7 +123,7 @@ def _computed(
     """Return an iterator over the records of each block, in order, which holds only what is in flight."""
     if request.cluster is not None:
         # Imported here: Dask is optional, and slow to import.
-        from boresight.campaign.runs.dask.cluster import blocks_in_order
+        from boresight.campaign.runs.dask import blocks_in_order
 
         return blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
     context = WorkerContext(request.out, request.jobs, request.keep_images, request.limit_s)

@@ -9,7 +9,8 @@ import numpy as np
 from boresight.campaign.trial.checks import check_array, check_type
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
-from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
+from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX, CraterTruth
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import LoadedScenario
@@ -87,6 +88,13 @@ def match_detections(found: Ellipses, true: Ellipses) -> DetectionMatches:
             duplicate[row + 1 :] |= np.isfinite(cost[row + 1 :, nearest])
             cost[row + 1 :, nearest] = np.inf
     return DetectionMatches(crater, duplicate & (crater == NONE))
+
+
+def identified(found: Ellipses, truth: CraterTruth) -> IndexArray:
+    """Return the numbers (m,) of the true craters that detections stand for; ``NO_CRATER`` for a false alarm."""
+    # The last of the numbers is that of no crater, which is row -1 as well.
+    numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
+    return np.asarray(numbers[match_detections(found, truth.ellipses).crater])
 
 
 def ellipse_errors(found: Ellipses, true: Ellipses) -> dict[str, FloatArray]:

@@ -16,8 +16,7 @@ pytest.importorskip("distributed", reason="distributed (the extra dask) is not i
 
 from tiny_campaign import RESULTS, compute, files, run, started, wait_for_blocks, write_campaign
 
-from boresight.campaign.runs.dask.bundle import asset_file, bundle_of
-from boresight.campaign.runs.dask.work import opened
+from boresight.campaign.runs.dask import asset_file, bundle_of, opened
 from boresight.campaign.runs.resolve import resolve
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
@@ -126,7 +125,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, capsys, words, said):
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("boresight.campaign.runs.dask.cluster._PATIENCE_S", 2.0)
+    monkeypatch.setattr("boresight.campaign.runs.dask._PATIENCE_S", 2.0)
     words = ("--trials", 2, "--backend", "dask", "--scheduler", "tcp://127.0.0.1:9")
     assert run(write_campaign(tmp_path), tmp_path / "run", *words) == 2
     error = capsys.readouterr().err.strip().splitlines()

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Protocol
 
 import numpy as np
 
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.imaging.image_store import Imager
-from boresight.campaign.trial.crater_score import check_detections, match_detections
+from boresight.campaign.trial.crater_score import check_detections, identified
 from boresight.campaign.trial.methods import Unbuilt, require_built, try_build
 from boresight.estimators.craters.contract import CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
-from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
-from boresight.scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
+from boresight.scenarios.craters import CraterTruth
 from boresight.scenarios.craters.pairs import (
     CraterPair,
     CraterView,
@@ -112,8 +111,6 @@ class RenderedPairs:
     pose_error: PoseErrorSpec
     camera: Camera
     ground: MeshGround
-    renderer: TiledRenderer
-    rims: Rims
     listed_from_m: float
     imager: Imager
     finders: Mapping[str, CraterDetector | Unbuilt]
@@ -126,7 +123,7 @@ class RenderedPairs:
         for number, view in enumerate(views):
             image, _ = self.imager.image(view, seed, 2 * trial + number, noise)
             frame = observed_frame(view, image, self.pose_error, priors, float(number))
-            seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
+            seen.append((view, frame, self.imager.craters(view)))
 
         def seen_by(detector: str) -> CraterPair:
             first, second = (self._look(require_built(self.finders[detector]), *one) for one in seen)
@@ -137,9 +134,7 @@ class RenderedPairs:
 
     def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterView:
         rims = _found(finder, frame, self.camera)[: self.images.most_detections]
-        # The last of the numbers is that of no crater, which is row -1 as well.
-        numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
-        crater = numbers[match_detections(rims, truth.ellipses).crater]
+        crater = identified(rims, truth)
         unlisted = (crater == NO_CRATER) & (diameters_m(rims, view, self.ground) < self.listed_from_m)
         return CraterView(view, LabelledDetections(rims, crater, unlisted), frame)
 
@@ -201,17 +196,12 @@ def open_pairs(
         return SimulatedPairs(section, spec.pose_error, camera, ground, draw_plane_craters(ground, section.craters))
     if spec.craters is None or section.images is None:
         raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
-    surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
-    renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
-    finders = {name: _finder(name, spec.name) for name in detectors}
-    imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, section)
-    listed_from_m = spec.craters.listed_from_m
-    return RenderedPairs(
-        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, listed_from_m, imager, finders
-    )
+    listed_from_m, imager = spec.craters.listed_from_m, Imager.open(scenario, variant, Stream.TRUTH, section)
+    finders = {
+        name: try_build(EstimatorSpec(name=name, label=name), spec.name, partial(_finder, name)) for name in detectors
+    }
+    return RenderedPairs(section, section.images, spec.pose_error, camera, ground, listed_from_m, imager, finders)
 
 
-def _finder(name: str, scenario: str) -> CraterDetector | Unbuilt:
-    return try_build(
-        EstimatorSpec(name=name, label=name), scenario, lambda: crater_detector_class(name).from_options({})
-    )
+def _finder(name: str) -> CraterDetector:
+    return crater_detector_class(name).from_options({})

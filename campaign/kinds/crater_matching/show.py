@@ -71,8 +71,8 @@ def _craters_of(source: PairSource) -> tuple[FloatArray, IndexArray]:
     """Return the middles (n, 3) and the numbers (n,) of the craters that a source shows."""
     if isinstance(source, SimulatedPairs):
         return source.craters.centre_body_m, np.arange(len(source.craters))
-    if isinstance(source, RenderedPairs):
-        return source.rims.centre_m, source.rims.crater
+    if isinstance(source, RenderedPairs) and source.imager.ground is not None:
+        return source.imager.ground.rims.centre_m, source.imager.ground.rims.crater
     raise TypeError(f"{type(source).__name__} has no craters that could be looked at")
 
 

@@ -11,21 +11,18 @@ import numpy as np
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.image_store import Imager
 from boresight.campaign.pool.steps import report_progress
-from boresight.campaign.trial.crater_score import check_detections, match_detections
+from boresight.campaign.trial.crater_score import check_detections, identified
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
 from boresight.estimators.craters.navigation.rounds import CraterNavigation
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from boresight.estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
-from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
 from boresight.scenarios.arrays import Image, IndexArray
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.bodies import load_body
-from boresight.scenarios.craters import Rims, crater_truth, cratered_surface
 from boresight.scenarios.craters.pairs import LIMITS_DEG, draw_plane_craters
 from boresight.scenarios.craters.simulated import (
-    NO_CRATER,
     DetectionErrors,
     PlaneCraters,
     detect_simulated,
@@ -112,8 +109,6 @@ class RenderedSights:
     """Rendered images of the scenario's craters."""
 
     spec: ImagingSpec
-    renderer: TiledRenderer
-    rims: Rims
     imager: Imager
 
     def image(self, view: View, address: Address) -> Image:
@@ -128,10 +123,7 @@ class RenderedSights:
 
     def which(self, found: Ellipses, view: View) -> IndexArray:
         """Match detections with all craters that the view shows."""
-        truth = crater_truth(self.rims, view, self.renderer)
-        # The last of the numbers is that of no crater, which is row -1 as well.
-        numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
-        return np.asarray(numbers[match_detections(found, truth.ellipses).crater])
+        return identified(found, self.imager.craters(view))
 
     def flush(self) -> None:
         """Keep what was rendered."""
@@ -155,10 +147,7 @@ def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> Cr
             f"{scenario.path}: craters: missing, but orbit.imaging.detections is rendered: add the section, or choose"
             " drawn"
         )
-    surface = cratered_surface(whole.body, whole.craters, scenario.search_dirs)
-    renderer = TiledRenderer(surface, whole.brdf, whole.rendering.samples_per_pixel, choose_variant(variant))
-    imager = Imager.open(scenario, variant, renderer, Stream.ORBIT_IMAGES, whole.orbit.arc, spec)
-    return RenderedSights(spec, renderer, surface.rims, imager)
+    return RenderedSights(spec, Imager.open(scenario, variant, Stream.ORBIT_IMAGES, whole.orbit.arc, spec))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from boresight.campaign.imaging.image_store import Imager, open_renderer
+from boresight.campaign.imaging.image_store import Imager
 from boresight.estimators.slam.vision.features import ImageFeatures, find_features
 from boresight.estimators.slam.vision.matching import match_descriptors
 from boresight.renderers.rectify import rectify
@@ -85,7 +85,7 @@ class OrbitImages:
         path = camera_trajectory(
             section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3))
         )
-        imager = Imager.open(scenario, variant, open_renderer(scenario, variant), Stream.TRUTH, circle)
+        imager = Imager.open(scenario, variant, Stream.TRUTH, circle)
         return cls(section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
 
     def image(self, realisation: int, slot: int) -> Image:
