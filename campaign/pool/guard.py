@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -111,7 +111,10 @@ def guarded(call: Call, work: Callable[[], T]) -> T:
     """
     guard = _GUARD.get()
     if call in guard.lost:
-        raise _stopped(guard.lost[call])
+        error = StoppedError(guard.lost[call].reason)
+        if guard.lost[call].trace:
+            error.add_note(guard.lost[call].trace)
+        raise error
     try:
         with _noted(guard, call), _alarm(guard.limit_s):
             return work()
@@ -124,13 +127,6 @@ def guarded(call: Call, work: Callable[[], T]) -> T:
 def over_time(limit_s: float | None) -> str:
     """Return the reason for a method that exceeded its time limit."""
     return f"it took longer than the limit of {limit_s or 0.0:g} s for a trial"
-
-
-def _stopped(loss: Loss) -> StoppedError:
-    error = StoppedError(loss.reason)
-    if loss.trace:
-        error.add_note(loss.trace)
-    return error
 
 
 def last_call(note: Path) -> tuple[Call, str] | None:
@@ -169,15 +165,12 @@ class _Alarm(BaseException):
     """Raised by the timer; not an `Exception`, so that a method's ``except Exception`` does not catch it."""
 
 
-def _alarm(limit_s: float | None) -> AbstractContextManager[object]:
+@contextmanager
+def _alarm(limit_s: float | None) -> Iterator[None]:
     """Raise `_Alarm` after ``limit_s`` and repeatedly until exit; only in the main thread, which receives signals."""
     if limit_s is None or threading.current_thread() is not threading.main_thread():
-        return nullcontext()
-    return _ringing(limit_s)
-
-
-@contextmanager
-def _ringing(limit_s: float) -> Iterator[None]:
+        yield
+        return
     on = True
 
     def ring(number: int, frame: FrameType | None) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import atexit
 import math
 import multiprocessing
 import os
+import shutil
 import signal
 import tempfile
 import threading
 import time
 import warnings
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -44,6 +45,7 @@ _AHEAD = 8
 """Results per worker that may wait for the result of an earlier call."""
 
 _IDLE_S = 60.0
+_STEPS = "steps"
 _LOOK_S = 1.0
 
 
@@ -103,7 +105,9 @@ def _spread(
         while True:
             for worker in workers:
                 worker.renew(renew_after)
-                while worker.has_room(renew_after) and (again or _count_started(workers, results) < _AHEAD * jobs):
+                while worker.has_room(renew_after) and (
+                    again or len(results) + sum(len(one.in_flight) for one in workers) < _AHEAD * jobs
+                ):
                     item = again.popleft() if again else next(waiting, None)
                     if item is None:
                         break
@@ -117,7 +121,7 @@ def _spread(
                 _wait_for_one(workers)
                 for worker in workers:
                     results.update(worker.answers())
-                    again.extend(_calls_to_repeat(worker, after_death))
+                    again.extend(worker.calls_to_repeat(after_death))
             elif not again:
                 _idle_workers().put_back(workers)
                 workers = []
@@ -141,22 +145,6 @@ def _wait_for_one(workers: Sequence[_Worker]) -> None:
                 listener(worker.index, step)
 
 
-def _count_started(workers: Sequence[_Worker], results: dict[int, object]) -> int:
-    return len(results) + sum(len(worker.in_flight) for worker in workers)
-
-
-def _calls_to_repeat(worker: _Worker, after_death: AfterDeath) -> list[tuple[int, Call]]:
-    """Return the calls to make again if the worker's process has ended."""
-    lost = worker.lost()
-    if not lost:
-        return []
-    instead = after_death([call for _, call in lost], worker.note)
-    worker.note.unlink(
-        missing_ok=True
-    )  # or a later end of the process outside a method would be attributed to this call
-    return [(index, call) for (index, _), call in zip(lost, instead, strict=True)]
-
-
 class _Worker:
     """One worker process: started with its first call, replaced when it has ended.
 
@@ -168,26 +156,17 @@ class _Worker:
 
     def __init__(self, index: int) -> None:
         self.index = index
-        descriptor, name = tempfile.mkstemp(prefix="boresight-worker-")
-        os.close(descriptor)
-        self.note = Path(name)
+        folder = Path(tempfile.mkdtemp(prefix="boresight-worker-"))
+        self._remove_folder = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.note, self.steps = folder / "call", folder / _STEPS
         self.in_flight: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
         self._executor: ProcessPoolExecutor | None = None
         self._calls_made = 0
-        self._last_s = math.inf
-
-    @property
-    def steps(self) -> Path:
-        """File in which its process says how far the current call is."""
-        return _steps_beside(self.note)
+        self.last_s = math.inf
 
     def has_room(self, renew_after: int) -> bool:
         """Return whether it can accept a call now."""
-        return len(self.in_flight) < (2 if self._last_s < _SHORT_S else 1) and self._calls_made < renew_after
-
-    def rest(self) -> None:
-        """Reset the duration of the last call, as the next may be of another kind."""
-        self._last_s = math.inf
+        return len(self.in_flight) < (2 if self.last_s < _SHORT_S else 1) and self._calls_made < renew_after
 
     def renew(self, renew_after: int) -> None:
         """End a process that has made ``renew_after`` calls, so that the next call starts another."""
@@ -214,7 +193,7 @@ class _Worker:
             # loky replaces a process that has grown by 300 MB since its first call, and warns of it.
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             self._executor = ProcessPoolExecutor(
-                max_workers=1, timeout=_IDLE_S, initializer=_end_with_parent, initargs=(os.getpid(), self.note),
+                max_workers=1, timeout=_IDLE_S, initializer=_end_with_parent, initargs=(os.getpid(), self.note.parent),
                 env=gpu_of_worker(self.index),
             )  # fmt: skip
         return self._executor
@@ -223,17 +202,20 @@ class _Worker:
         """Yield the available results in order; re-raise the exception of a call."""
         while self.in_flight and self.in_flight[0][1].done() and not self._is_lost():
             (index, _), future = self.in_flight.popleft()
-            self._last_s, answer = future.result()
+            self.last_s, answer = future.result()
             yield index, answer
 
-    def lost(self) -> list[tuple[int, Call]]:
-        """Return the unfinished calls of a process that has ended, and discard it; empty while it is alive."""
+    def calls_to_repeat(self, after_death: AfterDeath) -> list[tuple[int, Call]]:
+        """Return the calls to make again if the process has ended; none while it is alive."""
         if not self._is_lost():
             return []
         lost = [item for item, _ in self.in_flight]
         self.in_flight.clear()
         self._end(kill=True)
-        return lost
+        instead = after_death([call for _, call in lost], self.note)
+        # Or a later end of the process outside a method would be attributed to this call.
+        self.note.unlink(missing_ok=True)
+        return [(index, call) for (index, _), call in zip(lost, instead, strict=True)]
 
     def _is_lost(self) -> bool:
         """Return whether the process ended before it returned the first of its calls."""
@@ -243,7 +225,7 @@ class _Worker:
     def close(self, kill: bool) -> None:
         """End the process, at once or when it is idle."""
         self._end(kill)
-        self.note.unlink(missing_ok=True)
+        self._remove_folder()
 
     def _end(self, kill: bool) -> None:
         if self._executor is not None:
@@ -257,7 +239,6 @@ class _IdleWorkers:
 
     def __init__(self) -> None:
         self._workers: list[_Worker] = []
-        atexit.register(self._remove_notes)
 
     def taken(self, count: int) -> list[_Worker]:
         """Take ``count`` workers, new ones where too few are idle."""
@@ -268,12 +249,8 @@ class _IdleWorkers:
     def put_back(self, workers: Sequence[_Worker]) -> None:
         """Return workers that are idle again."""
         for worker in workers:
-            worker.rest()
+            worker.last_s = math.inf  # the next call may be of another kind
         self._workers = sorted([*self._workers, *workers], key=lambda worker: worker.index)
-
-    def _remove_notes(self) -> None:
-        for worker in self._workers:
-            worker.note.unlink(missing_ok=True)
 
 
 @cache
@@ -283,20 +260,16 @@ def _idle_workers() -> _IdleWorkers:
 
 def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
     """Make a call in a worker, with the parent's switch of the image store; return its duration, s, and result."""
-    with store_switched(images_kept), guarding(note=note), written_to(_steps_beside(note)):
+    with store_switched(images_kept), guarding(note=note), written_to(note.with_name(_STEPS)):
         start = time.perf_counter()
         answer = function(*call)
         return time.perf_counter() - start, answer
 
 
-def _steps_beside(note: Path) -> Path:
-    return note.with_name(f"{note.name}-steps")
-
-
-def _end_with_parent(parent: int, note: Path) -> None:
+def _end_with_parent(parent: int, folder: Path) -> None:
     """Initialise a worker process: ignore SIGINT, and exit within a second of the parent's end.
 
-    A worker that survived a killed run would take cores from the next one. It removes its note file, as the parent no
+    A worker that survived a killed run would take cores from the next one. It removes its folder, as the parent no
     longer can.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -304,8 +277,7 @@ def _end_with_parent(parent: int, note: Path) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        note.unlink(missing_ok=True)
-        _steps_beside(note).unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
     threading.Thread(target=watch, name="follow-parent", daemon=True).start()

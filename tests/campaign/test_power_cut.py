@@ -226,7 +226,7 @@ def wait_for_work(process: subprocess.Popen[str], run: Path, notes: Path) -> Non
     without a block has nothing to lose.
     """
     now, limit = time.time() + 0.02, time.monotonic() + 120.0
-    while len(fresh := [note for note in notes.glob("boresight-worker-*") if note.stat().st_mtime > now]) < 2:
+    while len(fresh := [note for note in notes.glob("boresight-worker-*/call") if note.stat().st_mtime > now]) < 2:
         if process.poll() is not None or time.monotonic() > limit:
             raise RuntimeError(f"only {len(fresh)} workers were at work: {stop(process)}")
         time.sleep(0.001)
