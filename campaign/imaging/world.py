@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,22 +52,6 @@ class TrialImage:
     image_name: str = ""
     time_s: float = 0.0
     from_store: bool = False
-
-
-class ImageSource(Protocol):
-    """Source of the images of an experiment."""
-
-    def trial_image(self, seed: int, trial: int) -> TrialImage:
-        """Return image and true view of one trial."""
-        ...
-
-    def view(self, seed: int, trial: int) -> View:
-        """Return the true view of one trial without its image."""
-        ...
-
-    def flush(self) -> None:
-        """Write rendered images to the store, at the end of a block of trials."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +132,7 @@ class World:
     camera: Camera
     body: Body
     renderer: BodyRenderer
-    source: ImageSource
+    source: RenderedImageSource | RealImageSource
     ground: CrateredSurface | None = None
 
 

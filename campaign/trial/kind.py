@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,6 @@ class Trials(ABC):
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets
     ) -> Sequence[BuiltProduct | MissingProduct]:
         """Build the products of the trials before the first; a method whose product cannot be built has no trials."""
-        del campaign, scenario, assets
         return []
 
     @classmethod
@@ -150,6 +149,18 @@ class Trials(ABC):
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Open the trials of a scenario with the data base of a number in a worker."""
+
+    @classmethod
+    def made(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, number: int, **world: Any) -> Self:
+        """Make the trials of a scenario in a world, with all methods that need no assets."""
+        several = cls.databases and campaign.spec.databases > 1
+        return cls(
+            scenario=scenario.spec.name,
+            methods=cls.build_methods(campaign, scenario),
+            seed=campaign.seed,
+            database=dict.fromkeys(campaign.labels, number) if several else {},
+            **world,
+        )
 
     @classmethod
     def process_blocks(cls) -> int:

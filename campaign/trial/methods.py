@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TypeVar, cast
 
 from boresight.campaign.pool.guard import unmoved
 from boresight.campaign.products import MissingProduct
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.estimators.contract import ImageRenderer, NoProductError
+from boresight.estimators.contract import Assets, NoProductError
 from boresight.estimators.options import OptionsError
 from boresight.estimators.registry import estimator_class
 from boresight.scenarios.errors import BoresightError, MachineError, text_of
-from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_camera
 from boresight.scenarios.spec.campaign import EstimatorSpec
@@ -116,7 +116,7 @@ def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario) -> None:
         assets = _CameraAlone(onboard_camera(scenario.spec))
         try:
             with unmoved(), located(campaign, entry.label):
-                estimator_class(entry.name).from_options(entry.options, assets)
+                estimator_class(entry.name).from_options(entry.options, cast("Assets", assets))
         except KeyboardInterrupt:
             raise
         except BoresightError as error:
@@ -133,19 +133,7 @@ class _CameraAlone:
         self.camera = camera
         self.requested = False
 
-    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Refuse."""
-        self._refuse()
-
-    def shape(self) -> TriangleMesh:
-        """Refuse."""
-        self._refuse()
-
-    def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Refuse."""
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
+    def __getattr__(self, name: str) -> NoReturn:
         self.requested = True
         raise NoProductError("options are checked before anything is built")
 

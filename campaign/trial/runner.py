@@ -56,18 +56,16 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
 
     def given(self, drawn: Drawn, label: str) -> Drawn:
         """Return the draw as one method gets it: the same for all, unless it is made while the method works."""
-        del label
         return drawn
 
-    @abstractmethod
     def row(self, drawn: Drawn) -> Record:
         """Return the columns of a row that no method can change."""
+        return {}
 
     @abstractmethod
     def ask(self, method: Method, drawn: Drawn) -> Answer:
         """Let a method work on its own copy of what it may see; may raise `GaveUpError`."""
 
-    @abstractmethod
     def check(self, answer: Answer, drawn: Drawn) -> None:
         """Raise if an answer breaks the contract; scoring must not fail on what passes."""
 
@@ -77,17 +75,14 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
 
     def shown(self, answer: Answer | None, drawn: Drawn) -> Witnessed | None:
         """Return what a witness is shown of a trial, ``answer`` None without a valid one; None if there is nothing."""
-        del answer, drawn
         return None
 
     def of_draw(self, drawn: Drawn) -> Records:
         """Return records of the draw itself, which belong to no method."""
-        del drawn
         return {}
 
     def of_all(self, drawn: Drawn) -> Records:
         """Return records that each method has, whatever it returns: times of images, quality of tracks."""
-        del drawn
         return {}
 
     def trial(self, trial: int) -> Records:

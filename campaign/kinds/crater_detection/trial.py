@@ -84,7 +84,6 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
 
     @classmethod
     def method_class(cls, name: str) -> type[CraterDetector]:
-        """Return the class of a detector."""
         return crater_detector_class(name)
 
     @classmethod
@@ -110,17 +109,10 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Open the world and build the detectors."""
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
-            world=open_world(with_database_craters(scenario, number), campaign.variant),
-            folder=context.image_folder(scenario.spec.name),
-            database=dict.fromkeys(campaign.labels, number) if campaign.spec.databases > 1 else {},
-        )
+        world = open_world(with_database_craters(scenario, number), campaign.variant)
+        return cls.made(campaign, scenario, number, world=world, folder=context.image_folder(scenario.spec.name))
 
     def flush(self) -> None:
-        """Keep what was rendered."""
         self.world.source.flush()
 
     def draw(self, trial: int) -> DetectionDraw:
@@ -132,7 +124,6 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
         return DetectionDraw(image, crater_truth(ground.rims, image.trial_image.view, renderer))
 
     def row(self, drawn: DetectionDraw) -> Record:
-        """Describe the image as far as no detector can change it."""
         trial_image = drawn.image.trial_image
         return {
             "image": trial_image.image_name,
@@ -150,8 +141,6 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
         return TimedDetections(found, time.perf_counter() - started)
 
     def check(self, answer: TimedDetections, drawn: DetectionDraw) -> None:
-        """Refuse detections that break the contract."""
-        del drawn
         check_detections(answer.found)
         if answer.found.rejected is not None:
             check_detections(answer.found.rejected)
@@ -165,18 +154,15 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
         }
 
     def of_draw(self, drawn: DetectionDraw) -> Records:
-        """Return the image, and the craters that it shows."""
         return {
             "crater_images": [_image_facts(drawn.image.trial_image, drawn.truth)],
             "craters": _truth_rows(drawn.truth),
         }
 
     def of_all(self, drawn: DetectionDraw) -> Records:
-        """Return the time of the image."""
         return drawn.image.timings
 
     def shown(self, answer: TimedDetections | None, drawn: DetectionDraw) -> DetectedImage:
-        """Return the image with its detections."""
         image = drawn.image
         return DetectedImage(
             image.trial_image, image.observation, drawn.truth, None if answer is None else answer.found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Protocol
 
 import numpy as np
 
@@ -66,18 +65,6 @@ class ImagePairDraw:
 
     first: View
     seen_by: Callable[[str], CraterPair]
-
-
-class PairSource(Protocol):
-    """Gives the two looks of a trial."""
-
-    def looks(self, seed: int, trial: int) -> ImagePairDraw:
-        """Draw the two looks of a trial, the same for all detectors."""
-        ...
-
-    def flush(self) -> None:
-        """Keep what was rendered."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +128,9 @@ class RenderedPairs:
     def flush(self) -> None:
         """Keep what was rendered."""
         self.imager.flush()
+
+
+PairSource = SimulatedPairs | RenderedPairs
 
 
 def diameters_m(rims: Ellipses, view: View, ground: MeshGround) -> FloatArray:

@@ -13,7 +13,7 @@ from boresight.campaign.inspection.case import Case, crater_faults
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
-from boresight.campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
+from boresight.campaign.kinds.crater_matching.pairs import PairSource, SimulatedPairs
 from boresight.campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
@@ -71,9 +71,9 @@ def _craters_of(source: PairSource) -> tuple[FloatArray, IndexArray]:
     """Return the middles (n, 3) and the numbers (n,) of the craters that a source shows."""
     if isinstance(source, SimulatedPairs):
         return source.craters.centre_body_m, np.arange(len(source.craters))
-    if isinstance(source, RenderedPairs) and source.imager.ground is not None:
-        return source.imager.ground.rims.centre_m, source.imager.ground.rims.crater
-    raise TypeError(f"{type(source).__name__} has no craters that could be looked at")
+    if source.imager.ground is None:
+        raise TypeError("rendered pairs have craters")
+    return source.imager.ground.rims.centre_m, source.imager.ground.rims.crater
 
 
 def draw_pair_case(again: Recomputed) -> CaseFigures | None:

@@ -103,7 +103,6 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
 
     @classmethod
     def method_class(cls, name: str) -> type[CraterMatcher]:
-        """Return the class of a matcher."""
         return crater_matcher_class(name)
 
     @classmethod
@@ -126,7 +125,6 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
 
     @classmethod
     def build(cls, entry: EstimatorSpec) -> CraterMatcher:
-        """Build a matcher."""
         own = {key: option for key, option in entry.options.items() if key != "detector"}
         return crater_matcher_class(entry.name).from_options(own)
 
@@ -145,12 +143,11 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Load the shapes, draw the craters and build the matchers."""
-        del context, number
         detectors = _detectors(campaign)
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
+        return cls.made(
+            campaign,
+            scenario,
+            number,
             source=open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values())),
             camera=scenario.spec.camera.camera().pinhole,
             known=MeshGround(load_body(onboard_spec(scenario.spec).body, scenario.search_dirs).mesh),
@@ -158,7 +155,6 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         )
 
     def flush(self) -> None:
-        """Keep what was rendered."""
         self.source.flush()
 
     def draw(self, trial: int) -> MatchingDraw:
@@ -170,7 +166,6 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         return MatchingDraw(drawn.images, self.detectors[label])
 
     def row(self, drawn: MatchingDraw) -> Record:
-        """Describe the first view."""
         view = drawn.images.first
         return {
             "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
@@ -186,13 +181,10 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         return TimedMatches(drawn.pair, matches, time.perf_counter() - started)
 
     def check(self, answer: TimedMatches, drawn: MatchingDraw) -> None:
-        """Refuse matches that break the contract."""
-        del drawn
         check_matches(answer.matches, *self.images(answer.pair))
 
     def score(self, answer: TimedMatches, drawn: MatchingDraw) -> Records:
         """Count right, wrong and missed matches."""
-        del drawn
         matches = answer.matches
         row: Record = {
             "status": "failed" if matches.reason else "ok",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -56,26 +55,6 @@ class Address:
         return generator(self.seed, stream, self.trial * images + self.image)
 
 
-class CraterSights(Protocol):
-    """Gives images, and says which craters detections are."""
-
-    def image(self, view: View, address: Address) -> Image:
-        """Expose an image."""
-        ...
-
-    def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
-        """Give detections without a detector, and the crater that each is; None where a detector has to look."""
-        ...
-
-    def which(self, found: Ellipses, view: View) -> IndexArray:
-        """Tell for a detector's detections which crater each is; ``NO_CRATER`` where it is none."""
-        ...
-
-    def flush(self) -> None:
-        """Keep what was rendered."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSights:
     """Rims of drawn craters, projected by geometry; images are black."""
@@ -89,7 +68,10 @@ class DrawnSights:
         return np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
 
     def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
-        """Project the craters in view and let a simulated detector err; heights are the same in all images."""
+        """Project the craters in view and let a simulated detector err: detections, and the crater that each is.
+
+        Heights are the same in all images.
+        """
         errors = DetectionErrors(**self.spec.errors.model_dump())
         real = raise_craters(self.craters, errors.height_m, generator(address.seed, Stream.LANDMARKS, address.trial))
         rng = address.stream(Stream.ORBIT_DETECTIONS, self.spec.epochs)
@@ -118,16 +100,20 @@ class RenderedSights:
         return self.imager.image(view, address.seed, number, noise)[0]
 
     def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
-        """Leave it to a detector."""
+        """Return None: a detector has to look."""
         return None
 
     def which(self, found: Ellipses, view: View) -> IndexArray:
-        """Match detections with all craters that the view shows."""
+        """Return the crater of each detection; ``NO_CRATER`` where it is none."""
         return identified(found, self.imager.craters(view))
 
     def flush(self) -> None:
         """Keep what was rendered."""
         self.imager.flush()
+
+
+CraterSights = DrawnSights | RenderedSights
+"""Gives images, and says which craters detections are."""
 
 
 def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> CraterSights:

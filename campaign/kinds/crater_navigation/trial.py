@@ -101,7 +101,6 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
 
     @classmethod
     def method_class(cls, name: str) -> type[CraterNavigation]:
-        """Return the class of the chain."""
         if name != CraterNavigation.name:
             raise BoresightError(
                 f"estimators: {name} is no chain of crater-navigation; there is: {CraterNavigation.name}"
@@ -132,14 +131,9 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
     ) -> Self:
         """Open the world and build the chains."""
         world = open_orbit_world(scenario, campaign.seed, number)
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
-            world=world,
-            sights=open_sights(scenario, imaging_of(world), campaign.variant),
-            folder=context.run / "chain" / scenario.spec.name,
-        )
+        sights = open_sights(scenario, imaging_of(world), campaign.variant)
+        folder = context.run / "chain" / scenario.spec.name
+        return cls.made(campaign, scenario, number, world=world, sights=sights, folder=folder)
 
     def draw(self, trial: int) -> NavigationDraw:
         """Plan the images of a trial and take them; there may be no arc."""
@@ -147,7 +141,6 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
         return NavigationDraw(NavigationTrial.take(self.world, self.sights, self.seed, trial, stages), stages)
 
     def row(self, drawn: NavigationDraw) -> Record:
-        """Return the range at the epoch."""
         return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.taken.flown.wanted_states[0, :3]))}
 
     def ask(self, method: CraterNavigation, drawn: NavigationDraw) -> NavigationAnswer:
@@ -163,8 +156,6 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
         return NavigationAnswer(searched, searched_in(method, stages), navigation, *scored)
 
     def check(self, answer: NavigationAnswer, drawn: NavigationDraw) -> None:
-        """Refuse an orbit that breaks the contract."""
-        del drawn
         check_orbit(answer.estimate, answer.data)
 
     def score(self, answer: NavigationAnswer, drawn: NavigationDraw) -> Records:

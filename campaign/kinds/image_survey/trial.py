@@ -118,7 +118,6 @@ class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, None]:
         """Refuse options."""
-        del scenario
         for entry in campaign.spec.estimators:
             with located(campaign, entry.label):
                 if entry.options:
@@ -136,30 +135,16 @@ class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         if not isinstance(sights, DrawnSights):
             raise TypeError("the sights of drawn detections are not drawn")
-        return cls(
-            scenario=scenario.spec.name,
-            methods=dict.fromkeys(campaign.labels),
-            seed=campaign.seed,
-            world=world,
-            sights=sights,
-            folder=context.run / "plans" / scenario.spec.name,
-        )
+        folder = context.run / "plans" / scenario.spec.name
+        return cls.made(campaign, scenario, number, world=world, sights=sights, folder=folder)
 
     def draw(self, trial: int) -> NavigationTrial:
         """Plan the images of an arc, and take them."""
         return NavigationTrial.take(self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}"))
 
-    def row(self, drawn: NavigationTrial) -> Record:
-        """Return nothing: an arc has no columns of its own."""
-        del drawn
-        return {}
-
     def ask(self, method: None, drawn: NavigationTrial) -> NavigationTrial:
         """Return the arc."""
         return drawn
-
-    def check(self, answer: NavigationTrial, drawn: NavigationTrial) -> None:
-        """Accept the arc, which is ours."""
 
     def score(self, answer: NavigationTrial, drawn: NavigationTrial) -> Records:
         """Count what the images of an arc have in common, and the craters that they show."""

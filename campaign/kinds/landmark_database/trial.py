@@ -65,7 +65,6 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:
         """Return the options of each way to make a data base; refuse wrong ones."""
-        del scenario
         found = {}
         for entry in campaign.spec.estimators:
             with located(campaign, entry.label):
@@ -89,14 +88,7 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Take the options."""
-        del context, number
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
-            believed=believed(scenario),
-            variant=campaign.variant,
-        )
+        return cls.made(campaign, scenario, number, believed=believed(scenario), variant=campaign.variant)
 
     def draw(self, trial: int) -> DatabaseDraw:
         """Return the number of a trial: images depend on the options."""
@@ -111,8 +103,6 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
         return DatabaseDraw(drawn.trial, candidates.by_image)
 
     def row(self, drawn: DatabaseDraw) -> Record:
-        """Return the columns that a data base has no number for."""
-        del drawn
         return {"n_landmarks": 0}
 
     def ask(self, method: DatabaseOptions, drawn: DatabaseDraw) -> LandmarkDatabaseBuild:
@@ -121,9 +111,6 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
             return build_database(drawn.candidates, at_trial(method, self.seed, drawn.trial))
         except NoProductError as error:
             raise GaveUpError(str(error)) from error
-
-    def check(self, answer: LandmarkDatabaseBuild, drawn: DatabaseDraw) -> None:
-        """Accept the data base, which is made by boresight."""
 
     def score(self, answer: LandmarkDatabaseBuild, drawn: DatabaseDraw) -> Records:
         """Count what the data base was made of, and what it is."""

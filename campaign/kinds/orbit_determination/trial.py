@@ -75,7 +75,6 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
 
     @classmethod
     def method_class(cls, name: str) -> type[OrbitEstimator]:
-        """Return the class of an estimator of orbits."""
         return orbit_estimator_class(name)
 
     @classmethod
@@ -88,21 +87,13 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Lay the craters, compute the gravity and build the estimators."""
-        del context
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
-            world=open_orbit_world(scenario, campaign.seed, number),
-            database=dict.fromkeys(campaign.labels, number) if campaign.spec.databases > 1 else {},
-        )
+        return cls.made(campaign, scenario, number, world=open_orbit_world(scenario, campaign.seed, number))
 
     def draw(self, trial: int) -> OrbitDraw:
         """Draw an orbit and its data; chance may lead it into the body."""
         return OrbitDraw(trial, *draw_orbit(self.world, self.seed, trial))
 
     def row(self, drawn: OrbitDraw) -> Record:
-        """Return the range at the epoch."""
         return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.truth.states[0, :3]))}
 
     def ask(self, method: OrbitEstimator, drawn: OrbitDraw) -> OrbitEstimate:
@@ -110,7 +101,6 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
         return method.determine(own_copy(drawn.data))
 
     def check(self, answer: OrbitEstimate, drawn: OrbitDraw) -> None:
-        """Refuse an estimate that breaks the contract."""
         check_orbit(answer, drawn.data)
 
     def score(self, answer: OrbitEstimate, drawn: OrbitDraw) -> Records:
@@ -119,7 +109,6 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
         return scored_orbit(answer, drawn.truth, drawn.data, with_residuals=drawn.trial == 0) | timings
 
     def shown(self, answer: OrbitEstimate | None, drawn: OrbitDraw) -> DeterminedOrbit:
-        """Return truth, data and what can be drawn of the estimate."""
         return DeterminedOrbit(self.world, drawn.truth, drawn.data, drawable(answer, drawn.data))
 
 

@@ -158,7 +158,6 @@ class PoseConvergence(Trials):
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, PoseSolverOptions]:
         """Return the options of each solver; refuse wrong ones, and solvers of different data bases."""
-        del scenario
         found = {}
         for entry in campaign.spec.estimators:
             with located(campaign, entry.label):
@@ -179,18 +178,12 @@ class PoseConvergence(Trials):
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Read the data base."""
-        solvers, place = cls.build_methods(campaign, scenario), context.run / "products"
+        place = context.run / "products"
         assets = BuiltAssets(scenario, place, None, campaign.variant, None, campaign.draft, number)
-        return cls(
-            scenario=scenario.spec.name,
-            methods=solvers,
-            seed=campaign.seed,
-            spec=scenario.spec,
-            landmarks=_database(solvers, assets),
-        )
+        landmarks = _database(cls.build_methods(campaign, scenario), assets)
+        return cls.made(campaign, scenario, number, spec=scenario.spec, landmarks=landmarks)
 
     def trial(self, trial: int) -> Records:
-        """Run one trial."""
         return self.run(range(trial, trial + 1))
 
     def run(self, trials: range) -> Records:

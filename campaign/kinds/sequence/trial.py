@@ -89,7 +89,6 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
 
     @classmethod
     def method_class(cls, name: str) -> type[SequenceEstimator]:
-        """Return the class of an estimator of sequences."""
         return sequence_estimator_class(name)
 
     @classmethod
@@ -107,22 +106,13 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
     ) -> Self:
         """Lay the ground and build the estimators."""
-        del context, number
         section, ground, images = _section(scenario), ground_of(scenario), None
         if section.images is not None:
             images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
-        return cls(
-            scenario=scenario.spec.name,
-            methods=cls.build_methods(campaign, scenario),
-            seed=campaign.seed,
-            spec=section,
-            camera=scenario.spec.camera.camera().pinhole,
-            ground=ground,
-            images=images,
-        )
+        camera = scenario.spec.camera.camera().pinhole
+        return cls.made(campaign, scenario, number, spec=section, camera=camera, ground=ground, images=images)
 
     def flush(self) -> None:
-        """Keep what was rendered."""
         if self.images is not None:
             self.images.images.flush()
 
@@ -134,11 +124,9 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
 
     def given(self, drawn: Seen | Watch, label: str) -> Seen | Watch:
         """Return the tracks; where an estimator guides the vision layer, a vision layer of its own."""
-        del label
         return drawn if isinstance(drawn, Seen) else drawn.anew()
 
     def row(self, drawn: Seen | Watch) -> Record:
-        """Return the range at the last frame."""
         return {"range_m": float(np.linalg.norm(drawn.path.poses[-1].translation_m))}
 
     def ask(self, method: SequenceEstimator, drawn: Seen | Watch) -> SequenceEstimate:
@@ -146,7 +134,6 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         return method.follow(own_copy(drawn.sequence))
 
     def check(self, answer: SequenceEstimate, drawn: Seen | Watch) -> None:
-        """Refuse an estimate that breaks the contract."""
         check_sequence(answer, drawn.seen().sequence)
 
     def score(self, answer: SequenceEstimate, drawn: Seen | Watch) -> Records:
@@ -172,13 +159,11 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         }
 
     def of_all(self, drawn: Seen | Watch) -> Records:
-        """Return what the vision layer was like, where it saw images."""
         seen = drawn.seen()
         timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
         return {"vision": list(seen.vision), "timings": timings}
 
     def shown(self, answer: SequenceEstimate | None, drawn: Seen | Watch) -> FollowedSequence:
-        """Return the tracks with an estimate."""
         return FollowedSequence(drawn.seen(), answer)
 
     def known(self, trial: int) -> tuple[CameraTrajectory, TrackSequence]:

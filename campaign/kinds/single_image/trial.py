@@ -117,7 +117,6 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         )
 
     def flush(self) -> None:
-        """Keep what was rendered."""
         self.world.source.flush()
 
     def draw(self, trial: int) -> ImageDraw:
@@ -125,7 +124,6 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         return draw_image(self.world, self.seed, trial, self.folder)
 
     def row(self, drawn: ImageDraw) -> Record:
-        """Describe a trial as far as no estimator can change it."""
         trial_image, true = drawn.trial_image, drawn.trial_image.view.T_cam_body
         x, y, z = true.camera_position_m
         prior = pose_error(drawn.observation.frame.prior_T_cam_body, true)
@@ -144,8 +142,6 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         return method.estimate(own_copy(drawn.observation), rng=estimator_generator(self.seed, drawn.trial))
 
     def check(self, answer: Estimate, drawn: ImageDraw) -> None:
-        """Refuse an estimate that breaks the contract."""
-        del drawn
         check(answer)
 
     def score(self, answer: Estimate, drawn: ImageDraw) -> Records:
@@ -175,11 +171,9 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         }
 
     def of_all(self, drawn: ImageDraw) -> Records:
-        """Return the time of the image."""
         return drawn.timings
 
     def shown(self, answer: Estimate | None, drawn: ImageDraw) -> EstimatedImage:
-        """Return the image with its estimate."""
         return EstimatedImage(drawn.trial_image, drawn.observation, answer)
 
     def _landmarks(self, table: Table | None, trial_image: TrialImage) -> list[Record]:
