@@ -109,7 +109,7 @@ class Cache:
         final = self._entry_folder(kind, key)
         return final if self._is_sound(final) else None
 
-    def put(self, kind: str, key: str, write: Callable[[Path], None]) -> bool:
+    def put(self, kind: str, key: str, write: Callable[[Path], object]) -> bool:
         """Store an entry made by ``write(empty_folder)``, replacing an older one; return whether it was stored.
 
         If the cache cannot be written, log a warning and store nothing.

@@ -20,6 +20,12 @@ from boresight.campaign.runs.request import RunRequest
 from boresight.reports.schema.tables import FORMAT_VERSION
 from boresight.scenarios.load import canonical_json
 
+_DRAFT = (
+    "A draft of scale {:g}: fewer trials, data bases of fewer images, shorter arcs of images, and fewer sets of images,"
+    " than are meant."
+)
+_EMBEDDED = "On embedded bodies, which give values but no verdicts"
+
 
 def make_manifest(
     campaign: ResolvedCampaign,
@@ -58,8 +64,8 @@ def make_manifest(
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
         "notes": [
             *(note for s in campaign.scenarios for note in left_out_notes(s)),
-            *_draft_notes(campaign),
-            *_embedded_notes(campaign),
+            *([_DRAFT.format(campaign.draft)] if campaign.draft < 1.0 else []),
+            *([f"{_EMBEDDED}: {', '.join(campaign.embedded)}."] if campaign.embedded else []),
             *missing_notes(products),
         ],
         "products": [_product(request.out, product) for product in products if isinstance(product, BuiltProduct)],
@@ -84,21 +90,6 @@ def missing_notes(products: Sequence[BuiltProduct | MissingProduct]) -> list[str
         for missing in products
         if isinstance(missing, MissingProduct)
     ]
-
-
-def _draft_notes(campaign: ResolvedCampaign) -> list[str]:
-    if campaign.draft == 1.0:
-        return []
-    return [
-        f"A draft of scale {campaign.draft:g}: fewer trials, data bases of fewer images, shorter arcs of images, and"
-        " fewer sets of images, than are meant."
-    ]
-
-
-def _embedded_notes(campaign: ResolvedCampaign) -> list[str]:
-    if not campaign.embedded:
-        return []
-    return [f"On embedded bodies, which give values but no verdicts: {', '.join(campaign.embedded)}."]
 
 
 def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:

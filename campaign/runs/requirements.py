@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from types import MappingProxyType
 
 from boresight.estimators.slam.registry import EXTRAS
@@ -107,7 +106,7 @@ def remember(name: str, trials: int, seconds: float, jobs: int) -> None:
     """Keep how long the trials of a run took; a few tell nothing, as the first ones compile and open what they need."""
     if trials >= _LEAST_TRIALS and _NAME.fullmatch(name):
         told = json.dumps({"core_s": seconds * jobs / trials, "trials": trials})
-        default_cache().put(_KIND, name, lambda folder: _write(folder, told))
+        default_cache().put(_KIND, name, lambda folder: (folder / _FILE).write_text(told, encoding="utf-8"))
 
 
 def rate_of(name: str) -> Rate | None:
@@ -117,7 +116,3 @@ def rate_of(name: str) -> Rate | None:
         return None if kept is None else Rate(float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _write(folder: Path, told: str) -> None:
-    (folder / _FILE).write_text(told, encoding="utf-8")

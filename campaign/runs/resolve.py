@@ -39,7 +39,10 @@ def resolve(
     loaded, scenarios = read.loaded, read.scenarios
     spec = _with_whole_paths(loaded.spec, loaded.path.parent)
     files = read_campaign(name_or_path, overrides).scenarios if embedded else scenarios
-    kind = _kind_of(loaded)
+    try:
+        kind = kind_named(spec.experiment)
+    except BoresightError as error:
+        raise BoresightError(f"{loaded.place_of('experiment')}: {error}") from error
     if spec.databases > 1:
         _check_databases(loaded, kind, scenarios)
     versions = _versions(spec, loaded)
@@ -89,14 +92,6 @@ def of_scenario(
     return ResolvedCampaign(spec, (scenario,), seed, _versions(spec), variant)
 
 
-def _kind_of(loaded: LoadedCampaign) -> type[Trials]:
-    """Look up the kind of trial of a campaign; an unknown one is refused with its place in the file."""
-    try:
-        return kind_named(loaded.spec.experiment)
-    except BoresightError as error:
-        raise BoresightError(f"{loaded.place_of('experiment')}: {error}") from error
-
-
 def _check_databases(loaded: LoadedCampaign, kind: type[Trials], scenarios: Sequence[LoadedScenario]) -> None:
     """Refuse several data bases where images are real, or where the kind of trial has one alone."""
     key = f"{loaded.place_of('databases')}: databases"
@@ -129,11 +124,6 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
                 f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
                 f" add the section, or leave the estimator out"
             )
-
-
-def _in_order(manifest: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """List the scenarios as the campaign names them; a manifest is sorted by name."""
-    return [(entry["name"], manifest["scenarios"][entry["name"]]) for entry in manifest["identity"]["scenarios"]]
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
@@ -174,13 +164,15 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     """Read the campaign of a manifest; None where it is not one that this version writes."""
     try:
         spec = CampaignSpec.model_validate_json(json.dumps(manifest["campaign"]))
+        # In the order of the campaign: a manifest is sorted by name.
+        names = [entry["name"] for entry in manifest["identity"]["scenarios"]]
         scenarios = tuple(
             LoadedScenario(
-                ScenarioSpec.model_validate_json(json.dumps(scenario)),
+                ScenarioSpec.model_validate_json(json.dumps(manifest["scenarios"][name])),
                 Path(manifest["files"][name][0]),
                 tuple(map(Path, manifest["files"][name][1:])),
             )
-            for name, scenario in _in_order(manifest)
+            for name in names
         )
         machine, seed = manifest["machine"], int(manifest["seed"])
         variant = str(machine["variant"])

@@ -183,15 +183,13 @@ def start(
     check_campaign(campaign, wanted)
     if trial_limit_s is not None and not 0.0 < trial_limit_s < math.inf:
         raise BoresightError(f"--trial-limit {trial_limit_s:g}: give a number of seconds above 0")
-    condition = None if until is None else _condition(until, campaign)
+    condition = None
+    if until is not None:
+        from boresight.campaign.runs.until import parse_until
+
+        condition = parse_until(until, campaign.spec.experiment)
     folder = out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}"
     if cluster is not None and keep_images:
         raise BoresightError("--keep-images: workers of a cluster cannot write to the run folder: leave it out")
     request = RunRequest(folder, wanted, processes, keep_images, command, cluster, trial_limit_s)
     return Start(campaign, request, condition, chosen.advice)
-
-
-def _condition(until: str, campaign: ResolvedCampaign) -> Until:
-    from boresight.campaign.runs.until import parse_until
-
-    return parse_until(until, campaign.spec.experiment)

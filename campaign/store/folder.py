@@ -194,11 +194,6 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
 
-    @property
-    def manifest_path(self) -> Path:
-        """Path of the manifest."""
-        return self.path / "manifest.json"
-
     def read_manifest(self) -> dict[str, Any] | None:
         """Return the manifest, or None where no run has started.
 
@@ -208,13 +203,12 @@ class RunFolder:
             If the file is there but cannot be read as a manifest, or is that of a run that another version of
             boresight stored in another way.
         """
-        if not self.manifest_path.exists():
-            return None
-        return read_manifest(self.manifest_path)
+        path = self.path / "manifest.json"
+        return read_manifest(path) if path.exists() else None
 
     def write_manifest(self, manifest: Mapping[str, object]) -> None:
         """Write the manifest atomically."""
-        write_text(self.manifest_path, json.dumps(manifest, indent=1, sort_keys=True, default=str) + "\n")
+        write_text(self.path / "manifest.json", json.dumps(manifest, indent=1, sort_keys=True, default=str) + "\n")
 
     def sweep(self) -> None:
         """Remove what a killed process left half written; only for who holds the lock."""

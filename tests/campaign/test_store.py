@@ -238,7 +238,7 @@ def test_a_foreign_manifest_is_refused(tmp_path):
     folder = RunFolder(tmp_path)
     assert folder.read_manifest() is None
     for text in ("{", "[]", '{"name": "x"}'):
-        folder.manifest_path.write_text(text)
+        (folder.path / "manifest.json").write_text(text)
         with pytest.raises(BoresightError, match="manifest"):
             folder.read_manifest()
 
