@@ -9,10 +9,8 @@ import numpy as np
 import pandas as pd
 
 from boresight.reports.compare.metrics import (
-    N_FINDABLE,
     Metric,
     choose_metric,
-    detection_counts,
     metric_names,
     metric_values,
 )
@@ -153,12 +151,11 @@ def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
 
 def crater_faults(run: RunData) -> pd.Series | None:
     """Count missed and wrong craters of each row; None for a run without craters in images."""
-    if not run.table("crater_matches").empty:
-        matched = run.table("crater_matches")
-        counted = matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
-    elif not run.table("crater_images").empty:
-        counts = detection_counts(run)
-        counted = counts.assign(faults=counts[N_FINDABLE] - counts["n_hits"] + counts["n_false"])
-    else:
+    # Imported here, as displays are made of cases.
+    from boresight.campaign.inspection.show import show_of
+
+    show = show_of(run.manifest.experiment) if run.manifest.experiment else None
+    counted = None if show is None or show.faults is None else show.faults(run)
+    if counted is None or counted.empty:
         return None
     return pd.Series(in_order_of(run.rows, counted.set_index(TRIAL_KEY)["faults"]), index=run.rows.index)

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from typing import TypeVar, cast
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import Case
@@ -115,6 +116,9 @@ class Show:
         Returns the camera poses of a recomputed case in body axes.
     trajectory
         Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
+    faults
+        Counts the missed and the wrong craters of the trials of a run, in a column ``faults``, by which trials are
+        ranked.
     pooled
         Whether the poses of all trials refer to the same fixed body, and form one model.
     long
@@ -127,6 +131,7 @@ class Show:
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
+    faults: Callable[[RunData], pd.DataFrame] | None = None
     pooled: bool = False
     long: Callable[[ResolvedCampaign], bool] = lambda campaign: False
 

@@ -158,4 +158,10 @@ def kept(shown: object) -> CaseFiles:
     )
 
 
-SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples)
+def faults(run: RunData) -> pd.DataFrame:
+    """Count missed and wrong matches."""
+    matched = run.table("crater_matches")
+    return matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
+
+
+SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples, faults=faults)
