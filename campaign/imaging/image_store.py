@@ -31,7 +31,7 @@ from boresight.renderers.mitsuba3 import (
 )
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.bodies import load_body
-from boresight.scenarios.cache import Cache, default_cache
+from boresight.scenarios.cache import default_cache
 from boresight.scenarios.craters import CrateredSurface, CraterTruth, crater_truth, cratered_surface, shape_digest
 from boresight.scenarios.draw import Stream
 from boresight.scenarios.errors import BoresightError
@@ -122,13 +122,10 @@ def _stored(path: Path) -> pa.Table:
             raise ValueError(f"{path}: no images, or more than a file holds")
         rows = file.read()
     sizes = rows.select(["height_px", "width_px"]).to_pylist()
-    if min((min(size.values()) for size in sizes), default=1) < 1 or sum(map(_pixels, sizes)) > MOST_PIXELS:
+    pixels = sum(size["height_px"] * size["width_px"] for size in sizes)
+    if min((min(size.values()) for size in sizes), default=1) < 1 or pixels > MOST_PIXELS:
         raise ValueError(f"{path}: no images, or more pixels than a file holds")
     return rows
-
-
-def _pixels(size: Mapping[str, int]) -> int:
-    return size["height_px"] * size["width_px"]
 
 
 def store_is_on() -> bool:
@@ -217,7 +214,8 @@ class ImageStore:
         chunk = f"{self.key}-{seed:x}-{index // self.chunk_images:07d}"
         if chunk != self._chunk:
             self.flush()
-            self._chunk, self._images = chunk, _read(chunk)
+            folder = default_cache().find(KIND, chunk) if store_is_on() else None
+            self._chunk, self._images = chunk, {} if folder is None else read_chunk(folder / _FILE)
         kept = self._images.get(index)
         wanted = fingerprint(view)
         if kept is not None and kept.view == wanted:
@@ -230,20 +228,10 @@ class ImageStore:
 
     def flush(self) -> None:
         """Write the images rendered since the last call, and release the memory."""
-        images, cache = self._images, _cache()
-        if self._fresh and self._writable and cache is not None:
-            self._writable = cache.put(KIND, self._chunk, lambda folder: write_images(folder / _FILE, images))
+        images = self._images
+        if self._fresh and self._writable and store_is_on():
+            self._writable = default_cache().put(KIND, self._chunk, lambda folder: write_images(folder / _FILE, images))
         self._chunk, self._images, self._fresh = "", {}, set()
-
-
-def _cache() -> Cache | None:
-    return default_cache() if store_is_on() else None
-
-
-def _read(chunk: str) -> dict[int, StoredImage]:
-    cache = _cache()
-    folder = None if cache is None else cache.find(KIND, chunk)
-    return {} if folder is None else read_chunk(folder / _FILE)
 
 
 def read_chunk(path: Path) -> dict[int, StoredImage]:

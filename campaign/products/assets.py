@@ -262,7 +262,7 @@ class BuiltAssets:
             # Not cached: a later run may have more memory, or a corrected version of the code.
             _store_failure(folder, error, options)
             return
-        _copy_into_run(cached, folder)
+        _write_folder(folder, lambda place: [shutil.copy2(file, place) for file in sorted(cached.iterdir())])
 
 
 def _in_words(kind: str) -> str:
@@ -277,16 +277,6 @@ def _raise_machine_error(folder: Path, error: BaseException) -> None:
         raise MachineError(str(error)) from error
 
 
-def _copy_into_run(cached: Path, folder: Path) -> None:
-    """Copy a cached product into the run folder."""
-
-    def copy(place: Path) -> None:
-        for file in sorted(cached.iterdir()):
-            shutil.copy2(file, place)
-
-    _write_folder(folder, copy)
-
-
 def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> None:
     """Store in the run folder why a product could not be built."""
     given = options.model_dump_json(exclude_defaults=True)
@@ -299,7 +289,7 @@ def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> No
     _write_folder(folder, write)
 
 
-def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+def _write_folder(folder: Path, fill: Callable[[Path], object]) -> None:
     """Write a folder of the run atomically."""
     temporary = folder.with_name(f".{folder.name}.tmp")
     try:

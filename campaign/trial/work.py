@@ -80,7 +80,15 @@ class Work:
         captured = CapturedOutput()
         try:
             with unmoved(), captured.capturing():
-                valid = self._valid(work, check)
+                result = guarded(self.call, work)
+                try:
+                    check(result)
+                except KeyboardInterrupt:
+                    raise
+                except BaseException as error:
+                    why = str(error) if type(error) is ValueError else _named(error)
+                    raise _InvalidResultError(f"returned an invalid result: {why}") from error
+                valid = result
         except GaveUpError as failure:
             row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
             found: Records = {"rows": [row]}
@@ -91,32 +99,16 @@ class Work:
         except BaseException as error:  # noqa: BLE001  here alone: an error of a method is a result
             found = self._fault(_why(error), error)
         else:
-            found = self._scored(valid, score)
+            try:
+                found = score(valid)
+            except Exception as error:
+                error.add_note(f"while scoring {self.call}: this is an error of boresight, and no row is stored")
+                raise
         finally:
             show(valid)
         for row in found["rows"]:
             row["reason"] = printable(str(row["reason"]))
         return found | captured.records()
-
-    def _valid(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
-        """Return a result that keeps the contract."""
-        result = guarded(self.call, work)
-        try:
-            check(result)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise _InvalidResultError(
-                f"returned an invalid result: {error if type(error) is ValueError else _named(error)}"
-            ) from error
-        return result
-
-    def _scored(self, result: T, score: Callable[[T], Records]) -> Records:
-        try:
-            return score(result)
-        except Exception as error:
-            error.add_note(f"while scoring {self.call}: this is an error of boresight, and no row is stored")
-            raise
 
     def _fault(self, what: str, error: BaseException) -> Records:
         """Return the row of a trial in which the method raised or returned something invalid, and its traceback."""

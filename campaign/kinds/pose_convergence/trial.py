@@ -111,16 +111,6 @@ def problem_stack(draws: Sequence[LandmarkDraw], database: LandmarkDatabase, cam
     return ProblemStack(points, np.stack([draw.uv_px for draw in draws]), information, camera)
 
 
-def true_poses(draws: Sequence[LandmarkDraw]) -> PoseStack:
-    """Stack the true poses."""
-    return PoseStack.of([draw.view.T_cam_body for draw in draws])
-
-
-def prior_poses(draws: Sequence[LandmarkDraw]) -> PoseStack:
-    """Stack the disturbed poses."""
-    return PoseStack.of([draw.prior for draw in draws])
-
-
 @dataclass(frozen=True, eq=False)
 class PoseConvergence(Trials):
     """Trials of pose solvers; every one gets the same observations, and a block of trials is solved at once.
@@ -192,7 +182,8 @@ class PoseConvergence(Trials):
         full = [i for i, draw in enumerate(draws) if len(draw.chosen) == LANDMARKS]
         scored = self._scored([draws[i] for i in full]) if full else {}
         row_of = {i: row for row, i in enumerate(full)}
-        priors = pose_errors(prior_poses(draws), true_poses(draws))
+        true = PoseStack.of([draw.view.T_cam_body for draw in draws])
+        priors = pose_errors(PoseStack.of([draw.prior for draw in draws]), true)
         records: Records = {"rows": [], "diagnostics": []}
         for i, (trial, draw) in enumerate(zip(trials, draws, strict=True)):
             circumstances: Record = {
@@ -218,7 +209,8 @@ class PoseConvergence(Trials):
         can look for; a solver that is stuck shows there.
         """
         problems = problem_stack(draws, self.landmarks, self.spec.camera.camera())
-        truths, priors, closed = true_poses(draws), prior_poses(draws), closed_forms(problems)
+        truths, closed = PoseStack.of([draw.view.T_cam_body for draw in draws]), closed_forms(problems)
+        priors = PoseStack.of([draw.prior for draw in draws])
         lowest = refine_poses(problems, truths, _MINIMUM).chi2
         scored = {}
         for label, options in self.methods.items():
