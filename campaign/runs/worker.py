@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from boresight.campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
-from boresight.campaign.pool.workers import Call as Arguments
 from boresight.campaign.pool.workers import no_replacement
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import TABLES
@@ -27,6 +26,15 @@ _TRIES = 3
 _log = logging.getLogger("campaign")
 
 
+class BlockCall(NamedTuple):
+    """Arguments of `run_block`."""
+
+    campaign: ResolvedCampaign
+    block: Block
+    context: WorkerContext
+    lost: Mapping[Call, Loss]
+
+
 class Losses:
     """Remembers which methods and blocks lost their process; it grows with these alone.
 
@@ -39,7 +47,7 @@ class Losses:
         self._calls: Counter[Call] = Counter()
         self._blocks: Counter[Block] = Counter()
 
-    def after(self, lost: Sequence[Arguments], note: Path) -> list[Arguments]:
+    def after(self, lost: Sequence[tuple[Any, ...]], note: Path) -> list[tuple[Any, ...]]:
         """Return the arguments of `campaign.runs.worker.run_block` to go on with.
 
         Raises
@@ -47,10 +55,20 @@ class Losses:
         BoresightError
             If a block loses its process again and again and no method is to blame.
         """
+        blocks = [BlockCall(*arguments) for arguments in lost]
         found = last_call(note)
-        at = [index for index, one in enumerate(lost) if found is not None and _holds(one, found[0])]
-        if found is None or not at:
-            return self._unexplained(lost, note)
+        at = next(
+            (one for one in blocks if found is not None and one.block.holds(found[0].scenario, found[0].trial)), None
+        )
+        if found is None or at is None:
+            block = blocks[0].block
+            self._blocks[block] += 1
+            if self._blocks[block] == _TRIES:
+                return list(no_replacement(lost, note))
+            self._tell(
+                f"trials {block.first} to {block.last - 1} of {block.scenario}: their process ended: tried again"
+            )
+            return list(lost)
         call, trace = found
         self._calls[call] += 1
         what = f"trial {call.trial} of {call.scenario}, {call.label}"
@@ -59,30 +77,8 @@ class Losses:
             return list(lost)
         why = "does not stop when its time is over, so its process was ended" if trace else "ended its process again"
         self._tell(f"{what}: {why}: stored as an error")
-        return [_without(one, call, trace) if index == at[0] else one for index, one in enumerate(lost)]
-
-    def _unexplained(self, lost: Sequence[Arguments], note: Path) -> list[Arguments]:
-        block = lost[0][1]
-        if not isinstance(block, Block):
-            raise TypeError(f"{block!r} is no block")
-        self._blocks[block] += 1
-        if self._blocks[block] == _TRIES:
-            return list(no_replacement(lost, note))
-        self._tell(f"trials {block.first} to {block.last - 1} of {block.scenario}: their process ended: tried again")
-        return list(lost)
-
-
-def _holds(arguments: Arguments, call: Call) -> bool:
-    block = arguments[1]
-    return isinstance(block, Block) and block.scenario == call.scenario and block.first <= call.trial < block.last
-
-
-def _without(arguments: Arguments, call: Call, trace: str) -> Arguments:
-    campaign, block, context, known = arguments
-    if not (isinstance(context, WorkerContext) and isinstance(known, dict)):
-        raise TypeError(f"{arguments!r} are not the arguments of a block")
-    loss = Loss(over_time(context.limit_s) if trace else ENDED, trace)
-    return campaign, block, context, {**known, call: loss}
+        loss = Loss(over_time(at.context.limit_s) if trace else ENDED, trace)
+        return [one._replace(lost={**one.lost, call: loss}) if one is at else one for one in blocks]
 
 
 def run_block(

@@ -144,6 +144,10 @@ class Block:
         """Number of trials."""
         return self.last - self.first
 
+    def holds(self, scenario: str, trial: int) -> bool:
+        """Return whether a trial of a scenario is in the block."""
+        return self.scenario == scenario and self.first <= trial < self.last
+
     @property
     def file_name(self) -> str:
         """Name of the block's file in each table's folder; names sort in the order of trials."""

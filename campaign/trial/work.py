@@ -20,11 +20,6 @@ _MOST_CHARACTERS = 300
 _ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
 
 
-def _not_shown(result: object) -> None:
-    """Ignore a result: there is no witness."""
-    del result
-
-
 class GaveUpError(Exception):
     """A failure with a reason, which is not an error of the method."""
 
@@ -56,7 +51,7 @@ class Work:
         work: Callable[[], T],
         check: Callable[[T], None],
         score: Callable[[T], Records],
-        show: Callable[[T | None], None] = _not_shown,
+        show: Callable[[T | None], None] = lambda result: None,
     ) -> Records:
         """Run the method, then validate and score its result; its output is stored in the table ``said``.
 

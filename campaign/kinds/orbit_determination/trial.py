@@ -128,7 +128,8 @@ def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
 def open_orbit_world(scenario: LoadedScenario, seed: int, number: int = 0) -> OrbitWorld:
     """Make the orbit section of a scenario real, with a draw of the craters; scenarios of one body share it."""
     section = _section(scenario)
-    part = _body_part(section)
+    # Only what the body and its craters depend on, so that scenarios share them.
+    part = OrbitSpec(asteroid=section.asteroid, sightings={"craters": section.sightings.craters})
     asteroid = _asteroid(_Body(scenario), part, seed)
     believed = _believed(asteroid, section.knowledge.shape_degree, part)
     cratered = _other_craters(asteroid, part, seed, number) if number else asteroid
@@ -171,11 +172,6 @@ class _Body:
 
     def __hash__(self) -> int:
         return hash(self.digest)
-
-
-def _body_part(section: OrbitSpec) -> OrbitSpec:
-    """Leave only what the body and its craters depend on, so that scenarios share them."""
-    return OrbitSpec(asteroid=section.asteroid, sightings={"craters": section.sightings.craters})
 
 
 @lru_cache(maxsize=2)

@@ -134,16 +134,13 @@ class OrbitImages:
         """Share of the features of a slot, of those in sight from another, that are found there within 2 px."""
         first, second = self.found(realisation, before), self.found(realisation, after)
         if (before, after) not in self._repeated:
-            self._repeated[before, after] = self._repeated_share(after, first, second)
+            places, share = self.places_px(after, first.points_m), 0.0
+            seen = self._in_sight(after, first.points_m, places)
+            if seen.any() and len(second.features):
+                apart, _ = cKDTree(second.features.uv_px).query(places[seen])
+                share = float(np.mean(apart <= REPEATED_PX))
+            self._repeated[before, after] = share
         return self._repeated[before, after]
-
-    def _repeated_share(self, after: int, first: Found, second: Found) -> float:
-        places = self.places_px(after, first.points_m)
-        seen = self._in_sight(after, first.points_m, places)
-        if not seen.any() or len(second.features) == 0:
-            return 0.0
-        apart, _ = cKDTree(second.features.uv_px).query(places[seen])
-        return float(np.mean(apart <= REPEATED_PX))
 
     def flush(self) -> None:
         """Keep what was rendered."""

@@ -54,12 +54,47 @@ def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
     figures = []
     if estimate.frames and records.get("epochs"):
         followed = followed_of(estimate, sequence, truth, records["epochs"], again.trials.ground.reach_m)
-        figures += [_trajectory(followed, what), _bands(followed, what)]
+        figures += [
+            NamedFigure(
+                "trajectory",
+                draw_trajectory(followed, what),
+                f"{what}. True and estimated trajectory in inertial space: in the plane of the orbit, and against its"
+                " normal.",
+                "A circle about the body and an estimate of it, seen from above and from the side.",
+            ),
+            NamedFigure(
+                "errors",
+                draw_error_bands(followed, what),
+                f"{what}. Error of the camera's position right after each frame, and three standard deviations of what"
+                " the estimator says of it.",
+                "Three curves over the anomaly in bands about zero.",
+            ),
+        ]
     ends = last_seen(estimate, sequence, truth)
     if sequence.frames:
-        figures.append(_tracks(lives_of(sequence, truth, ends, len(estimate.frames)), what))
+        figures.append(
+            NamedFigure(
+                "tracks",
+                draw_tracks(lives_of(sequence, truth, ends, len(estimate.frames)), what),
+                f"{what}. Above, each track from its first to its last frame, in the colour of its landmark's"
+                " error when it was seen last; crosses are sightings at a wrong place. Below, how many tracks each frame"
+                " has.",
+                "Short lines rising from left to right, and the number of tracks over the anomaly.",
+            )
+        )
     if ends:
-        figures.append(_landmarks(truth, ends, what))
+        tracks = list(ends)
+        errors = np.array([ends[track][0] for track in tracks])
+        new = np.array([ends[track][1] < 2 for track in tracks])
+        figures.append(
+            NamedFigure(
+                "landmarks",
+                draw_landmark_map(truth.points_m[tracks], errors, new, what),
+                f"{what}. Left, landmarks on the body by their error when they were seen last. Right, the error of"
+                " their height over that along the ground.",
+                "Coloured dots over longitude and latitude, and a scatter of two components of their errors.",
+            )
+        )
     notes = [
         f"The estimate has {len(estimate.frames)} of {len(sequence.frames)} frames.",
         "Estimators of sequences tell the covariance of the camera's position, and none of landmarks: those are drawn"
@@ -140,48 +175,6 @@ def _columns(records: list[Record], *names: str) -> FloatArray:
     return np.array([[float(str(record[name])) for name in names] for record in records])
 
 
-def _trajectory(followed: TrajectoryErrors, what: str) -> NamedFigure:
-    return NamedFigure(
-        "trajectory",
-        draw_trajectory(followed, what),
-        f"{what}. True and estimated trajectory in inertial space: in the plane of the orbit, and against its normal.",
-        "A circle about the body and an estimate of it, seen from above and from the side.",
-    )
-
-
-def _bands(followed: TrajectoryErrors, what: str) -> NamedFigure:
-    return NamedFigure(
-        "errors",
-        draw_error_bands(followed, what),
-        f"{what}. Error of the camera's position right after each frame, and three standard deviations of what the"
-        " estimator says of it.",
-        "Three curves over the anomaly in bands about zero.",
-    )
-
-
-def _tracks(lives: TrackLifetimes, what: str) -> NamedFigure:
-    return NamedFigure(
-        "tracks",
-        draw_tracks(lives, what),
-        f"{what}. Above, each track from its first to its last frame, in the colour of its landmark's error when it was"
-        " seen last; crosses are sightings at a wrong place. Below, how many tracks each frame has.",
-        "Short lines rising from left to right, and the number of tracks over the anomaly.",
-    )
-
-
-def _landmarks(truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], what: str) -> NamedFigure:
-    tracks = list(ends)
-    errors = np.array([ends[track][0] for track in tracks])
-    new = np.array([ends[track][1] < 2 for track in tracks])
-    return NamedFigure(
-        "landmarks",
-        draw_landmark_map(truth.points_m[tracks], errors, new, what),
-        f"{what}. Left, landmarks on the body by their error when they were seen last. Right, the error of their height"
-        " over that along the ground.",
-        "Coloured dots over longitude and latitude, and a scatter of two components of their errors.",
-    )
-
-
 def look_at_sequences(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one, in the axes that the body has at each frame."""
     marks, cameras, ground = [], [], None
@@ -194,19 +187,15 @@ def look_at_sequences(scene: EstimatorRun) -> View3D:
         cameras += _paths(again.shown, case, name, colour)
     if ground is None:
         raise BoresightError(f"{scene.folder.path}: no trial of {scene.title} has a sequence to look at")
-    body = coarsened(
-        _mesh_of(scene.campaign, scene.scenario, isinstance(ground, MeshGround), ground.reach_m), MOST_FACES
-    )
+    if isinstance(ground, MeshGround):
+        loaded = scene.campaign.scenario(scene.scenario)
+        mesh = load_body(loaded.spec.body, loaded.search_dirs).mesh
+    else:
+        ball = sphere()
+        mesh = TriangleMesh(ball.vertices_m * (ground.reach_m / ball.radius_m), ball.faces)
+    body = coarsened(mesh, MOST_FACES)
     note = "The trial of median error and the worst one; a landmark stands where it truly is."
     return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
-
-
-def _mesh_of(campaign: ResolvedCampaign, scenario: str, meshed: bool, radius_m: float) -> TriangleMesh:
-    if meshed:
-        loaded = campaign.scenario(scenario)
-        return load_body(loaded.spec.body, loaded.search_dirs).mesh
-    ball = sphere()
-    return TriangleMesh(ball.vertices_m * (radius_m / ball.radius_m), ball.faces)
 
 
 def _track_marks(shown: FollowedSequence, name: str) -> list[PointSet]:
@@ -290,15 +279,11 @@ def trajectory(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> lis
     return frames
 
 
-def _on_images(campaign: ResolvedCampaign) -> bool:
-    return any(s.spec.sequence is not None and s.spec.sequence.images is not None for s in campaign.scenarios)
-
-
 SHOW = Show(
     draw=draw_sequence_case,
     kept=kept,
     look=look_at_sequences,
     posed=posed,
     trajectory=trajectory,
-    long=_on_images,
+    long=lambda campaign: any(s.spec.sequence and s.spec.sequence.images for s in campaign.scenarios),
 )
