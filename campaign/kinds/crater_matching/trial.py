@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +52,8 @@ class MatchedPair:
     observation: tuple[CraterImage, CraterImage]
     estimate: CraterMatches | None
 
-    @property
-    def image(self) -> None:
-        """None: a matcher sees two, where any is rendered."""
+    image: ClassVar[None] = None
+    """A matcher sees two, where any is rendered."""
 
 
 @dataclass(slots=True, eq=False)

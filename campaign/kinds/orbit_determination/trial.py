@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -51,9 +51,8 @@ class DeterminedOrbit:
     data: OrbitData
     estimate: OrbitEstimate | None
 
-    @property
-    def image(self) -> None:
-        """None: a method sees data."""
+    image: ClassVar[None] = None
+    """A method sees data."""
 
     @property
     def observation(self) -> OrbitData:

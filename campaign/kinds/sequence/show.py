@@ -77,8 +77,8 @@ def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
                 "tracks",
                 draw_tracks(lives_of(sequence, truth, ends, len(estimate.frames)), what),
                 f"{what}. Above, each track from its first to its last frame, in the colour of its landmark's"
-                " error when it was seen last; crosses are sightings at a wrong place. Below, how many tracks each frame"
-                " has.",
+                " error when it was seen last; crosses are sightings at a wrong place. Below, how many tracks each"
+                " frame has.",
                 "Short lines rising from left to right, and the number of tracks over the anomaly.",
             )
         )

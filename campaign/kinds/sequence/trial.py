@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -46,9 +46,8 @@ class FollowedSequence:
     seen: Seen
     estimate: SequenceEstimate | None
 
-    @property
-    def image(self) -> None:
-        """None: a method sees tracks."""
+    image: ClassVar[None] = None
+    """A method sees tracks."""
 
     @property
     def truth(self) -> SequenceTruth:
