@@ -37,7 +37,7 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     """Trials in which every method is asked about the same draw: a kind is ``draw``, ``ask``, ``check`` and ``score``.
 
     What a method raises or returns against its contract becomes a row with status ``error``. What the other steps
-    raise is our fault, and ends the run.
+    raise is an error of boresight, and ends the run.
     """
 
     called: ClassVar[str] = "estimator"
