@@ -210,20 +210,16 @@ class BuiltAssets:
         if not folder.exists():
             self._build(kind, wanted, folder)
         if (folder / _FAILURE).exists():
-            raise self._stored_failure(kind, folder)
+            reason = (folder / _FAILURE).read_text(encoding="utf-8")
+            failure = NoProductError(f"the {_in_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
+            if (folder / _TRACE).exists():
+                failure.add_note((folder / _TRACE).read_text(encoding="utf-8"))
+            raise failure
         self._used.append((kind, folder.name))
         try:
             return product.load(folder)
         except BoresightError as error:
             raise MachineError(str(error)) from error
-
-    def _stored_failure(self, kind: str, folder: Path) -> NoProductError:
-        """Read the stored reason why a product cannot be built."""
-        reason = (folder / _FAILURE).read_text(encoding="utf-8")
-        error = NoProductError(f"the {_in_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
-        if (folder / _TRACE).exists():
-            error.add_note((folder / _TRACE).read_text(encoding="utf-8"))
-        return error
 
     def products_of(self, estimator: str) -> list[BuiltProduct]:
         """Return the products used so far, attributed to an estimator."""
@@ -257,8 +253,12 @@ class BuiltAssets:
             cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         except (KeyboardInterrupt, MachineError):
             raise
-        except BaseException as error:  # noqa: BLE001  a failed product must not end the run
-            _raise_machine_error(folder, error)
+        except BaseException as error:
+            # A fault of the machine, such as a full disk: the same command can succeed later.
+            if isinstance(error, OSError):
+                raise MachineError(explain_write_error(error.filename or folder, error)) from error
+            if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
+                raise MachineError(str(error)) from error
             # Not cached: a later run may have more memory, or a corrected version of the code.
             _store_failure(folder, error, options)
             return
@@ -267,14 +267,6 @@ class BuiltAssets:
 
 def _in_words(kind: str) -> str:
     return kind.replace("-", " ")
-
-
-def _raise_machine_error(folder: Path, error: BaseException) -> None:
-    """Raise `MachineError` for a fault of the machine, such as a full disk: the same command can succeed later."""
-    if isinstance(error, OSError):
-        raise MachineError(explain_write_error(error.filename or folder, error)) from error
-    if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
-        raise MachineError(str(error)) from error
 
 
 def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> None:

@@ -114,20 +114,16 @@ def read_manifest(path: Path) -> dict[str, Any]:
     try:
         found = plain_json(path)
         manifest: dict[str, Any] = found if isinstance(found, dict) else {}
-        _check_version(manifest, path)
+        missing = [key for key, entry in _Entries.model_fields.items() if entry.is_required() and key not in manifest]
+        if missing:
+            raise BoresightError(
+                f"{path}: not a manifest of boresight, which has a {missing[0]}: choose another folder with --out"
+            )
+        refuse_older(manifest, path)
         held_to(_Entries, manifest)
     except (OSError, ValueError) as error:
         raise unreadable(path, "a manifest", error) from error
     return manifest
-
-
-def _check_version(manifest: Mapping[str, Any], path: Path) -> None:
-    missing = [key for key, entry in _Entries.model_fields.items() if entry.is_required() and key not in manifest]
-    if missing:
-        raise BoresightError(
-            f"{path}: not a manifest of boresight, which has a {missing[0]}: choose another folder with --out"
-        )
-    refuse_older(manifest, path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +240,7 @@ class RunFolder:
         """Tell what is stored of a block; more trials than it has are fine."""
         if not (self.path / "rows" / block.file_name).exists():
             return BlockState.ABSENT
-        if any(self._damaged(block)):
+        if any(checksums.damaged_of(self.path, self.path / checksums.FOLDER / block.checksums_name)):
             return BlockState.DAMAGED
         try:
             trials = read_column(self.path / "rows" / block.file_name, "trial")
@@ -252,10 +248,6 @@ class RunFolder:
             return BlockState.DAMAGED
         wanted = [trial for trial in range(block.first, block.last) for _ in range(estimators)]
         return BlockState.WHOLE if trials[: len(wanted)] == wanted else BlockState.SHORT
-
-    def _damaged(self, block: Block) -> Iterator[str]:
-        """Yield the files of a block that are not what was stored."""
-        return checksums.damaged_of(self.path, self.path / checksums.FOLDER / block.checksums_name)
 
     def table(self, name: str) -> pd.DataFrame:
         """Read one stored table whole; an empty frame with its columns where nothing is stored.
@@ -283,14 +275,12 @@ class RunFolder:
         BoresightError
             If the table is damaged.
         """
-        path = self._file_of(name, scenario, trial)
-        if path is None:
-            return schema(name).empty_table()
-        return read_where(path, layout(name), {"scenario": scenario, "trial": trial, "estimator": estimator})
-
-    def _file_of(self, name: str, scenario: str, trial: int) -> Path | None:
-        """Find the file that holds a trial where one does: names sort in the order of trials, and files may be many."""
-        files = [path for path in (self.path / name).glob("*.parquet") if path.stem.rpartition("-")[0] == scenario]
-        files.sort()
+        # Names sort in the order of trials, and files may be many.
+        files = sorted(
+            path for path in (self.path / name).glob("*.parquet") if path.stem.rpartition("-")[0] == scenario
+        )
         later = bisect_right(files, trial, key=lambda path: _first_trial(path, trial))
-        return files[later - 1] if later else None
+        if not later:
+            return schema(name).empty_table()
+        wanted = {"scenario": scenario, "trial": trial, "estimator": estimator}
+        return read_where(files[later - 1], layout(name), wanted)

@@ -142,7 +142,10 @@ class Watch:
         fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
         self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
         here = FrameTracks(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
-        ranges = self._ranges(index, here, self._rng)
+        knowledge = self._tracks.spec.knowledge
+        ranges: tuple[TrackRange, ...] = ()
+        if index == 0 or (knowledge.range_every and index % knowledge.range_every == 0):
+            ranges = measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, self._rng)
         self._tracked.append(seen)
         self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
 
@@ -162,12 +165,6 @@ class Watch:
         self._seen = Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
         return self._seen
 
-    def _ranges(self, index: int, here: FrameTracks, rng: np.random.Generator) -> tuple[TrackRange, ...]:
-        knowledge = self._tracks.spec.knowledge
-        if index and (not knowledge.range_every or index % knowledge.range_every):
-            return ()
-        return measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, rng)
-
     def _look(self, index: int) -> MatchedImage:
         slot = self._slots[index]
         pairs = np.empty((0, 2), dtype=np.int64)
@@ -186,7 +183,7 @@ class Watch:
             "n_features": len(found.features),
             "n_tracks": len(tracked.tracks),
             "n_wrong": int(wrong.sum()),
-            "error_px": _root_mean(error[~wrong]),
+            "error_px": float(np.sqrt(np.mean(error[~wrong] ** 2))) if error[~wrong].size else None,
             "sigma_px": images.spec.sigma_px,
             **dict.fromkeys(("repeatability", "n_matches", "n_kept", "right_share", "kept_right_share", "survival")),
         }
@@ -246,11 +243,6 @@ class ImageTracks:
         turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.images.spec.starts})
         still = np.zeros((orbit.frames - 1, 3))
         return camera_trajectory(self.spec.model_copy(update={"orbit": turned}), self.ground, still)
-
-
-def _root_mean(errors_px: FloatArray) -> float | None:
-    """RMS of a coordinate."""
-    return float(np.sqrt(np.mean(errors_px**2))) if errors_px.size else None
 
 
 def _share(flags: BoolArray) -> float | None:

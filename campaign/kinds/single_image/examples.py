@@ -84,7 +84,14 @@ def fit_figures(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[Named
                 continue
             what = f"{scenario.spec.name}, {label}, trial {trial} {look.image_name}".strip()
             stem = file_stem("fit", scenario.spec.name, label, str(trial))
-            yield NamedFigure(stem, draw_fit_panels(fit, what, credit_lines(scenario.spec)), *_words(what))
+            yield NamedFigure(
+                stem,
+                draw_fit_panels(fit, what, credit_lines(scenario.spec)),
+                f"{what}: the trial of median position error. Left, the prior pose: mesh of the data base, 6-sigma"
+                " search ellipses and both brightness centroids. Middle, the mesh rendered for the first iteration."
+                " Right, the converged fit with the corners of the image.",
+                "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place.",
+            )
 
 
 def credit_lines(spec: ScenarioSpec) -> list[str]:
@@ -96,16 +103,6 @@ def median_trial(rows: pd.DataFrame) -> int | None:
     """Return the solved trial whose position error is the median (the lower one of two); None without any."""
     solved = rows[rows["status"] == "ok"].sort_values(["position_error_m", "trial"])
     return None if solved.empty else int(solved.iloc[(len(solved) - 1) // 2]["trial"])
-
-
-def _words(what: str) -> tuple[str, str]:
-    """Return the caption of the panels, and what they show for those who cannot see them."""
-    caption = (
-        f"{what}: the trial of median position error. Left, the prior pose: mesh of the data base, 6-sigma search"
-        " ellipses and both brightness centroids. Middle, the mesh rendered for the first iteration. Right, the"
-        " converged fit with the corners of the image."
-    )
-    return caption, "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
 
 
 def fit_of(look: SecondLook) -> FitPanels | None:
