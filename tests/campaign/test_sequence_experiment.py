@@ -185,6 +185,7 @@ def test_what_goes_wrong_becomes_a_row_and_the_campaign_goes_on():
     stopped = found["rows"][1]
     assert stopped["reason"] == "the scale became unobservable"
     assert stopped["error_after_1_m"] is None
+    assert "position_error_m" not in stopped
     assert sum(epoch["estimator"] == "b" for epoch in found["epochs"]) == 20
 
 
