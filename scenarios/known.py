@@ -1,0 +1,355 @@
+"""A priori knowledge of the estimators by scenario: which parts are identical with the truth and which are not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
+from boresight.scenarios.spec.distribution import Law, Law3
+from boresight.scenarios.spec.orbit import OrbitSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.sequence import SequenceSpec
+
+ALBEDO = "albedo variation"
+THRESHOLDS = (
+    "The thresholds of the crater detectors were chosen in the world of eros-like-msi (its body, reflectance, camera,"
+    " noise, renderer and crater statistics) on other craters and views; the network of crater-learned was trained on"
+    " another body, with other craters and by another renderer"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One part of the truth and its a priori knowledge on board.
+
+    Parameters
+    ----------
+    name
+        Name of the part.
+    standing
+        ``exactly``: identical with the truth. ``not``: different from it or unknown. ``absent``: the truth has no such
+        effect, which favours the estimators. ``partly``: exact or absent in some scenarios only.
+    detail
+        By how much it differs, or why it is absent.
+    """
+
+    name: str
+    standing: Literal["exactly", "not", "absent", "partly"]
+    detail: str = ""
+
+    def words(self, short: bool) -> str:
+        """Return name and detail; the short form keeps the detail of absent parts only."""
+        named = f"no {self.name}" if self.standing == "absent" else self.name
+        wanted = self.detail and (not short or self.standing == "absent")
+        return f"{named} ({self.detail})" if wanted else named
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A priori knowledge on board.
+
+    Parameters
+    ----------
+    items
+        In the order of the line, each name once.
+    remarks
+        Sentences about further dependences of the estimators on the truth.
+    aligned
+        Names of reference poses that were determined by methods like those that are evaluated against them.
+    """
+
+    items: tuple[Item, ...]
+    remarks: tuple[str, ...] = ()
+    aligned: tuple[str, ...] = ()
+
+    @property
+    def exactly(self) -> tuple[str, ...]:
+        """Names of what is known exactly."""
+        return tuple(item.name for item in self.items if item.standing == "exactly")
+
+    @property
+    def not_exactly(self) -> tuple[str, ...]:
+        """Names of what is not."""
+        return tuple(item.name for item in self.items if item.standing == "not")
+
+    def line(self, short: bool = False) -> str:
+        """Return the record as one line; the short one is without details and remarks."""
+        said = {
+            standing: [item.words(short) for item in self.items if item.standing == standing]
+            for standing in ("exactly", "absent", "partly", "not")
+        }
+        sentences = ["; ".join([f"Known exactly: {', '.join(said['exactly']) or 'nothing'}", *said["absent"]])]
+        if said["partly"]:
+            sentences.append(f"In some scenarios alone: {', '.join(said['partly'])}")
+        sentences.append(f"Not known exactly: {', '.join(said['not']) or 'nothing'}")
+        sentences += [*([] if short else self.remarks), *map(correlated, self.aligned)]
+        return " ".join(f"{sentence}." for sentence in sentences)
+
+
+def correlated(reference: str) -> str:
+    """Return the remark on a reference pose that was determined by aligning renderings."""
+    return (
+        f"Errors against {reference} are correlated with those of methods that align renderings of the shape, for"
+        f" {reference} was found by doing so"
+    )
+
+
+def merged(several: Sequence[Known]) -> Known:
+    """Merge the knowledge of several scenarios.
+
+    A part that only some scenarios have becomes ``not`` if it is unknown there, and ``partly`` if it is exact there. It
+    stays ``exactly`` if it is absent from the other scenarios. A detail is kept if all have the same.
+    """
+    items = []
+    for name in dict.fromkeys(one.name for known in several for one in known.items):
+        own = [one for known in several for one in known.items if one.name == name]
+        standings, details = {one.standing for one in own}, {one.detail for one in own}
+        everywhere = len(own) == len(several)
+        if standings == {"exactly", "absent"} and everywhere:
+            items.append(Item(name, "exactly"))
+        elif standings == {"not"} or (len(standings) == 1 and everywhere):
+            items.append(Item(name, own[0].standing, own[0].detail if len(details) == 1 else ""))
+        else:
+            items.append(Item(f"no {name}" if standings == {"absent", "not"} else name, "partly"))
+    remarks = dict.fromkeys(line for known in several for line in known.remarks)
+    aligned = dict.fromkeys(name for known in several for name in known.aligned)
+    return Known(tuple(items), tuple(remarks), tuple(aligned))
+
+
+def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
+    """Return which parts of the truth an estimator has exactly, with errors, or not at all.
+
+    Parameters
+    ----------
+    spec
+        The scenario.
+    experiment
+        The kind of the trials, which determines the data given to estimators.
+    """
+    if spec.sequence is not None:
+        return Known(tuple(_of_sequences(spec.sequence)))
+    if spec.orbit is not None:
+        rendered = spec.orbit.imaging is not None and spec.orbit.imaging.detections != "drawn"
+        if experiment == "image-survey" or not rendered:
+            return Known(tuple(_of_orbits(spec.orbit, planning=experiment == "image-survey")))
+        return Known((*_of_orbits(spec.orbit), *_nots("reflectance"), *_unmodelled(spec)), (THRESHOLDS,))
+    if spec.crater_pairs is not None:
+        known = (_shape(spec), *_exacts("camera", "Sun", "spin"), *_pose(spec), *_nots("rims"))
+        if spec.crater_pairs.images is not None:
+            return Known((*known, *_unmodelled(spec)), (THRESHOLDS,))
+        return Known((*known, *_nots("heights of craters above the shape")))
+    if spec.images is not None:
+        # No model of a real body is exact, but priors are drawn about the reference pose.
+        onboard, lens = spec.onboard, ["lens"] if spec.camera.distortion is not None else []
+        unknown = ["shape", ALBEDO, "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
+        sun = _errors(f"Sun as the pose {spec.images.truth} has it", {"": onboard.sun_error_deg})
+        return Known((sun, *_pose(spec), *_nots(*unknown)), ("The images are real",), spec.images.aligned)
+    if experiment == "pose-convergence":  # landmark errors are drawn from the covariances that solvers use
+        exact = _exacts("camera", "which landmark is which", "covariances that the landmarks are drawn from")
+        return Known((*exact, *_pose(spec), *_nots("places of the landmarks")))
+    if experiment == "crater-detection":  # an image and the Sun's direction, no model of the body
+        optics = (item for item in _optics(spec) if item.name != "spin")
+        nothing = _nots("craters", "shape", "reflectance", "pose")
+        return Known((*optics, *nothing, *_unmodelled(spec)), (THRESHOLDS,))
+    cratered = _exacts(*(["craters in the images of data bases"] if spec.craters is not None else []))
+    lent = (_shape(spec), _albedo(spec), *cratered, _reflectance(spec), *_optics(spec), *_exacts("renderer"))
+    if experiment == "landmark-database":  # built and counted, not compared with a truth
+        ideal = (Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images"))
+        return Known((*lent, *_exacts("poses of the images that data bases are made of"), *ideal))
+    return Known((*lent, *_pose(spec), *_exposure(spec)), () if spec.craters is None else (THRESHOLDS,))
+
+
+def _exacts(*names: str) -> list[Item]:
+    return [Item(name, "exactly") for name in names]
+
+
+def _nots(*names: str) -> list[Item]:
+    return [Item(name, "not") for name in names]
+
+
+def _item(name: str, exact: bool, detail: str = "") -> Item:
+    """Make an item that is exact or not; the detail applies to the latter."""
+    return Item(name, "exactly") if exact else Item(name, "not", detail)
+
+
+def _wrong(name: str, *parts: str) -> Item:
+    """Make an item that is exact unless a part of it is said to be wrong."""
+    detail = _listed(parts)
+    return _item(name, not detail, detail)
+
+
+def _listed(parts: Iterable[str]) -> str:
+    return ", ".join(part for part in parts if part)
+
+
+def _share(value: float, words: str = "") -> str:
+    """Format a share in per cent with what it is of, for example " wrong"; '' for none."""
+    return f"{100.0 * value:g} %{words}" if value else ""
+
+
+# --- single images ----------------------------------------------------------------------------------------------------
+
+
+def _shape(spec: ScenarioSpec) -> Item:
+    onboard, detail = spec.onboard, spec.body.detail
+    wrong = onboard.height_error.rms_m if onboard.height_error is not None else 0.0
+    parts = [
+        "another shape" if onboard.body is not None else "",
+        f"{onboard.facets:,} facets of {detail.facets:,}" if onboard.facets and detail is not None else "",
+        f"other relief below {onboard.relief.below_m:g} m" if onboard.relief is not None else "",
+        f"heights wrong by {wrong:g} m" if wrong else "",
+    ]
+    smooth = "smooth shape" if spec.craters is not None else "shape"
+    return _item(smooth, _form(onboard_spec(spec).body) == _form(spec.body), _listed(parts))
+
+
+def _form(body: BodySpec) -> BodySpec:
+    """Return a body without its albedo and without a height error of zero, for comparison."""
+    detail = None if body.detail is None else body.detail.model_copy(update={"albedo": None})
+    wrong = body.height_error if body.height_error is not None and body.height_error.rms_m > 0.0 else None
+    return body.model_copy(update={"detail": detail, "height_error": wrong})
+
+
+def _albedo(spec: ScenarioSpec) -> Item:
+    """Compare the variation of the albedo with that of the onboard shape; none in both is knowledge too."""
+    true, believed = _variation(spec.body), _variation(onboard_spec(spec).body)
+    if true is believed is None:
+        return Item(ALBEDO, "absent")
+    return _item(ALBEDO, believed == true, "taken as uniform" if believed is None else "another")
+
+
+def _variation(body: BodySpec) -> AlbedoSpec | None:
+    pattern = None if body.detail is None else body.detail.albedo
+    return pattern if pattern is not None and pattern.sigma > 0.0 else None
+
+
+def _unmodelled(spec: ScenarioSpec) -> list[Item]:
+    """List what images show and no model of the body is used for: albedo variation, blur and noise."""
+    return [Item(ALBEDO, "absent" if _variation(spec.body) is None else "not"), *_exposure(spec)]
+
+
+def _exposure(spec: ScenarioSpec) -> tuple[Item, Item]:
+    """Return blur and noise of the detector, which have no onboard model."""
+    detector = spec.detector
+    if detector is None:
+        return Item("blur", "absent"), Item("noise", "absent", "no `detector`")
+    blurred = detector.psf_sigma_px > 0.0
+    blur = Item("blur", "not", f"{detector.psf_sigma_px:g} px") if blurred else Item("blur", "absent")
+    return blur, Item("noise", "not")
+
+
+def _reflectance(spec: ScenarioSpec) -> Item:
+    true, believed = spec.brdf, onboard_spec(spec).brdf
+    named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
+    return _item("reflectance", believed == true, named)
+
+
+def _optics(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield camera, lens, Sun and spin."""
+    onboard, believed = spec.onboard, onboard_spec(spec).camera
+    du, dv = onboard.principal_point_error_px
+    focal = f"focal length wrong by {100.0 * onboard.focal_error:g} %" if onboard.focal_error else ""
+    middle = f"principal point by ({du:g}, {dv:g}) px" if du or dv else ""
+    pinholes = [camera.model_copy(update={"distortion": None}) for camera in (believed, spec.camera)]
+    yield _item("camera", pinholes[0] == pinholes[1], _listed([focal, middle]))
+    if spec.camera.distortion is not None:
+        wrong = f"distortion wrong by {100.0 * onboard.distortion_error:g} %"
+        yield _item("lens", believed.distortion == spec.camera.distortion, wrong)
+    yield _errors("Sun", {"": onboard.sun_error_deg})
+    yield _errors("spin", {"pole ": onboard.pole_error_deg, "rotation ": onboard.rotation_error_deg})
+
+
+def _errors(name: str, laws: dict[str, Law | None]) -> Item:
+    """Make an item whose parts have errors of these distributions, degrees."""
+    return _wrong(name, *(f"{part}{law.text('deg')}" for part, law in laws.items() if law and not _nothing(law)))
+
+
+def _nothing(law: Law | Law3 | None) -> bool:
+    """Return whether a distribution draws only zeros."""
+    return law is None or not any(np.any(value) for name, value in law if name != "within")
+
+
+def _pose(spec: ScenarioSpec) -> list[Item]:
+    """List the pose and the error distributions of its prior and of an altimeter."""
+    wrong = spec.pose_error
+    places = (wrong.position_cam_m, wrong.position_cam_px, wrong.position_body_m)
+    if all(map(_nothing, (*places, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg))):
+        return _exacts("pose")
+    altimeter = ["law of the altimeter's error"] if spec.sensors.altimeter is not None else []
+    return [*_exacts("law of the pose errors", *altimeter), *_nots("pose")]
+
+
+# --- orbits and sequences ---------------------------------------------------------------------------------------------
+
+
+def _spin(pole_sigma_deg: float, rate_sigma: float) -> Item:
+    rate = f"rate {_share(rate_sigma)}" if rate_sigma else ""
+    return _wrong("spin", f"pole {pole_sigma_deg:g} deg" if pole_sigma_deg else "", rate)
+
+
+def _of_orbits(section: OrbitSpec, planning: bool = False) -> Iterator[Item]:
+    """Yield the knowledge of orbit filters and of the chain from images to an orbit, or of ``planning`` alone."""
+    known, pointing, imaging = section.knowledge, section.pointing, section.imaging
+    yield _spin(known.pole_sigma_deg, known.spin_sigma)
+    yield from _exacts("centre of mass", "Sun and Earth", "law of the forces", "RMS error of the shape on board")
+    yield Item("orbit", "not", f"{known.position_m:g} m at the epoch")
+    yield _wrong("GM", _share(known.gm_sigma))
+    yield _wrong("solar pressure", _share(known.light_sigma))
+    if section.light.noise_share:
+        yield Item("accelerations that nothing models", "not", _share(section.light.noise_share, " of it"))
+    yield Item("shape", "not", f"harmonics of degree {known.shape_degree}")
+    yield Item("gravity", "not", "that of the shape on board")
+    yield _item("camera", not pointing.focal_error, f"focal length to {_share(pointing.focal_error)}")
+    yield Item("attitude", "not", f"{pointing.attitude_urad:g} microrad")
+    yield _item("mounting of the camera", not pointing.misalignment_urad, f"{pointing.misalignment_urad:g} microrad")
+    if planning:
+        return
+    # The law of the sightings' errors is exact only if sightings are drawn from it.
+    yield from _exacts("laws of all errors but those of sightings" if imaging else "laws of all errors")
+    yield from _nots("places of the craters")
+    if imaging is not None:
+        yield Item("which crater is which", "not", "matched")
+    else:
+        shares = section.sightings
+        yield _wrong(
+            "which crater is which", _share(shares.wrong_share, " wrong"), _share(shares.merged_share, " merged")
+        )
+
+
+def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
+    """Yield the knowledge of sequence estimators, which get tracks, attitudes, predicted motion and ranges."""
+    known, forces, vision, images = section.knowledge, section.orbit.forces, section.vision, section.images
+    yield from _exacts("camera")
+    sigmas = {"each": known.attitude_sigma_deg, "the camera's alignment": known.misalignment_sigma_deg}
+    yield _wrong("attitude", *(f"{name} {sigma:g} deg" for name, sigma in sigmas.items() if sigma))
+    yield _spin(known.pole_sigma_deg, known.spin_sigma)
+    yield _item("first position", not known.position_sigma_m, f"{known.position_sigma_m:g} m")
+    yield _wrong("motion from frame to frame", _share(known.motion_error, " of each"))
+    if known.ranges:
+        yield Item("ranges", "not", f"{known.range_sigma_m:g} m")
+        if known.range_to == "lasting":
+            yield from _exacts("how long tracks will last")
+    if known.dynamics:
+        yield _item("law of gravity", forces.gravity == "point-mass", "a point mass for the body's shape")
+        yield _wrong("GM", _share(known.gm_sigma))
+        yield from _exacts("Sun")
+        yield _wrong("solar pressure", _share(known.radiation_sigma))
+        yield _item("first velocity", not known.velocity_sigma_m_s, f"{known.velocity_sigma_m_s:g} m/s")
+        exact = known.noise_m_s2 is None or known.noise_m_s2 == forces.noise_m_s2
+        noise = f"{known.noise_m_s2} for {forces.noise_m_s2:g} m/s2"
+        yield _item("size of what is not modelled", exact, noise)
+    yield from _exacts("laws of all errors" + (" but those of pixels" if images else ""))
+    if images is not None:
+        yield Item("which landmark is which", "not", "matched in images")
+        yield Item("pixel noise", "not", f"{images.sigma_px:g} px are told, a number of the scenario")
+    else:
+        shares = {"mismatches": vision.mismatch_share, "outliers": vision.outlier_share, "mistaken": vision.mistaken}
+        yield _wrong("which landmark is which", *(_share(share, f" {name}") for name, share in shares.items()))
+        if not vision.noise_px:
+            yield Item("pixel noise", "absent")
+    yield from _nots("landmarks")
