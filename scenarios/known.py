@@ -83,10 +83,10 @@ class Known:
             standing: [item.words(short) for item in self.items if item.standing == standing]
             for standing in ("exactly", "absent", "partly", "not")
         }
-        sentences = ["; ".join([f"Known exactly: {', '.join(said['exactly']) or 'nothing'}", *said["absent"]])]
+        sentences = ["; ".join([f"Perfect knowledge of: {', '.join(said['exactly']) or 'nothing'}", *said["absent"]])]
         if said["partly"]:
-            sentences.append(f"In some scenarios alone: {', '.join(said['partly'])}")
-        sentences.append(f"Not known exactly: {', '.join(said['not']) or 'nothing'}")
+            sentences.append(f"In some scenarios only: {', '.join(said['partly'])}")
+        sentences.append(f"Imperfect or no knowledge of: {', '.join(said['not']) or 'nothing'}")
         sentences += [*([] if short else self.remarks), *map(correlated, self.aligned)]
         return " ".join(f"{sentence}." for sentence in sentences)
 

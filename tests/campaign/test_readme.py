@@ -87,7 +87,7 @@ LINES = sorted(
         line.removeprefix("- ")
         for page in PAGES
         for line in page.read_text(encoding="utf-8").splitlines()
-        if re.match(r"(- )?`[\w-]+`.*Known exactly: ", line)
+        if re.match(r"(- )?`[\w-]+`.*Perfect knowledge of: ", line)
     }
 )
 
@@ -97,13 +97,13 @@ def test_every_table_of_results_says_what_was_known_on_board():
     results = text[text.index("## What comes out") : text.index("## What is in it")]
     _, *after = results.split("\n|---")
     assert after
-    assert all("Known exactly: " in part for part in after)
+    assert all("Perfect knowledge of: " in part for part in after)
 
 
 @pytest.mark.parametrize("line", LINES)
 def test_what_was_known_on_board_is_what_the_scenarios_say(line: str):
     """A line names campaigns, and after a colon those of their scenarios that the table shows, if not all."""
-    head, _, _ = line.partition("Known exactly: ")
+    head, _, _ = line.partition("Perfect knowledge of: ")
     names = re.findall(r"`([\w-]+)`", head)
     campaigns = [resolve(name) for name in names if name in campaign_names()]
     shown = {name for name in names if name not in campaign_names()}
@@ -118,7 +118,7 @@ def test_what_was_known_on_board_is_what_the_scenarios_say(line: str):
 
 def test_headline_campaigns_draw_several_data_bases():
     """Intervals that are printed include the variation between data bases, wherever the kind of trial has several."""
-    named = {name for line in LINES for name in re.findall(r"`([\w-]+)`", line.partition("Known exactly: ")[0])}
+    named = {name for line in LINES for name in re.findall(r"`([\w-]+)`", line.partition("Perfect knowledge of: ")[0])}
     specs = [resolve(name).spec for name in sorted(named & set(campaign_names()))]
     databases = {spec.name: spec.databases for spec in specs if kind_named(spec.experiment).databases}
     names = ("cheng2003-detection", "cheng2003-orbit", "compare-mismatched", "trade-craters")

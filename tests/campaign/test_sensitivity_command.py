@@ -28,7 +28,7 @@ def test_a_key_that_changes_nothing_is_told(tmp_path, capsys):
     assert "sensors.altimeter.sigma_m changes no result of landmark-harris" in said
     assert "angle_deg.max changes no result" not in said
     for text in (said, (out / "sensitivity" / "sensitivity.md").read_text()):
-        assert "Known exactly: shape, reflectance, camera, Sun, spin," in text
+        assert "Perfect knowledge of: shape, reflectance, camera, Sun, spin," in text
     samples = pd.read_csv(out / "sensitivity" / "samples.csv")
     assert len(samples) == 4
     assert len(set(samples["landmark-harris"])) > 1

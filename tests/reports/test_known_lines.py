@@ -21,12 +21,12 @@ CAMERA, VIEW = {"width_px": 64, "height_px": 64, "fov_deg": 20}, {"range_m": 200
 IDEAL = {"name": SCENARIO, "camera": CAMERA, "viewpoint": VIEW}
 BLURRED = IDEAL | {"detector": {"psf_sigma_px": 0.8}, "onboard": {"focal_error": 0.01}}
 LINE = (
-    "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo variation; no"
-    " blur; no noise (no `detector`). Not known exactly: pose."
+    "Perfect knowledge of: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo"
+    " variation; no blur; no noise (no `detector`). Imperfect or no knowledge of: pose."
 )
 SHORT = (
-    "Known exactly: shape, reflectance, Sun, spin, renderer, law of the pose errors; no albedo variation."
-    " Not known exactly: camera,"
+    "Perfect knowledge of: shape, reflectance, Sun, spin, renderer, law of the pose errors; no albedo variation."
+    " Imperfect or no knowledge of: camera,"
 )
 
 
@@ -65,14 +65,14 @@ def test_scenarios_with_the_same_share_a_line_and_others_have_their_own(builder)
     assert first == f"itokawa, again: {LINE}"
     assert second.startswith("other: ")
     assert short_line(run, scenario="again") == LINE
-    assert "In some scenarios alone: camera, no blur, no noise." in short_line(run)
+    assert "In some scenarios only: camera, no blur, no noise." in short_line(run)
 
 
 def test_a_grid_of_scenarios_has_one_line(builder):
     builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
     cells = {f"cell-{n}": IDEAL | {"name": f"cell-{n}", "onboard": {"focal_error": 0.01 * n}} for n in range(6)}
     (line,) = known_lines(read_run(builder.write(scenarios={SCENARIO: IDEAL} | cells)))
-    assert "In some scenarios alone: camera." in line
+    assert "In some scenarios only: camera." in line
 
 
 def test_the_kind_of_trials_comes_from_the_campaign(builder):
@@ -105,16 +105,17 @@ def test_errors_against_an_aligned_reference_are_called_correlated(builder):
 
 
 def test_a_grid_keeps_the_line_in_fewer_columns():
-    grid = Grid("T", ("a", "b"), (("x", "1"),), known="Known exactly: a.")
-    assert grid.keep("b").known == "Known exactly: a."
-    assert grid.markdown().endswith("| x | 1 |\n\nKnown exactly: a.\n")
+    grid = Grid("T", ("a", "b"), (("x", "1"),), known="Perfect knowledge of: a.")
+    assert grid.keep("b").known == "Perfect knowledge of: a."
+    assert grid.markdown().endswith("| x | 1 |\n\nPerfect knowledge of: a.\n")
 
 
 def test_numbers_beyond_all_bounds_are_told_like_others(builder):
     """A stored run may hold what no camera meets: its report is read all the same."""
     builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
     huge = {"pose_error": {"position_cam_m": {"normal": [1e300] * 3}}, "onboard": {"sun_error_deg": {"normal": 1e300}}}
-    assert "Not known exactly: Sun, pose." in short_line(read_run(builder.write(scenarios={SCENARIO: IDEAL | huge})))
+    run = read_run(builder.write(scenarios={SCENARIO: IDEAL | huge}))
+    assert "Imperfect or no knowledge of: Sun, pose." in short_line(run)
 
 
 @pytest.mark.parametrize(

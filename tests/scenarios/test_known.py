@@ -157,8 +157,8 @@ def test_exact_items_of_the_crater_navigation_chain():
 
 def test_the_line_of_an_ideal_world():
     assert line_of("itokawa-2km-lambert") == (
-        "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo variation;"
-        " no blur; no noise (no `detector`). Not known exactly: pose."
+        "Perfect knowledge of: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no albedo"
+        " variation; no blur; no noise (no `detector`). Imperfect or no knowledge of: pose."
     )
 
 
@@ -205,14 +205,14 @@ def test_a_variation_is_known_if_it_is_exact_or_absent_everywhere():
     several = [known_on_board(load_scenario(name, changes).spec) for changes in ((), (VARYING,))]
     assert "albedo variation" in merged(several).exactly
     wrong = known_on_board(load_scenario(name, (VARYING, "onboard.albedo=uniform")).spec)
-    assert "In some scenarios alone: no albedo variation." in merged([several[0], wrong]).line()
+    assert "In some scenarios only: no albedo variation." in merged([several[0], wrong]).line()
 
 
 def test_details_are_for_the_long_line():
     coarse = "onboard={facets: 196000, height_error: {rms_m: 0.5}}"
     long, short = (line_of("itokawa-2km-lambert", coarse, short=short) for short in (False, True))
-    assert "Not known exactly: shape (196,000 facets of 3,100,000, heights wrong by 0.5 m), pose." in long
-    assert short.endswith("Not known exactly: shape, pose.")
+    assert "Imperfect or no knowledge of: shape (196,000 facets of 3,100,000, heights wrong by 0.5 m), pose." in long
+    assert short.endswith("Imperfect or no knowledge of: shape, pose.")
 
 
 def test_an_error_of_zero_is_none():
@@ -223,7 +223,7 @@ def test_an_error_of_zero_is_none():
 def test_a_detector_adds_blur_and_noise_as_not_known():
     assert "blur (0.8 px), noise" in line_of("quickstart", "detector={psf_sigma_px: 0.8}")
     sharp = line_of("quickstart", "detector={psf_sigma_px: 0}")
-    assert "; no blur. Not known exactly: pose, noise." in sharp
+    assert "; no blur. Imperfect or no knowledge of: pose, noise." in sharp
 
 
 def test_kinds_of_trials_have_different_knowledge():
@@ -234,7 +234,7 @@ def test_kinds_of_trials_have_different_knowledge():
 
 def test_a_pose_without_error_is_known():
     exact = ("pose_error={position_cam_m: {normal: [0, 0, 0]}, attitude: {angle_deg: {normal: 0}}}",)
-    assert line_of("quickstart", *exact).endswith("Not known exactly: nothing.")
+    assert line_of("quickstart", *exact).endswith("Imperfect or no knowledge of: nothing.")
 
 
 def test_real_images_have_only_the_reference_pose_as_exact_knowledge():
@@ -260,11 +260,12 @@ def test_lines_of_several_scenarios_are_merged():
     )
     both = merged([one, other])
     assert both.line().startswith(
-        "Known exactly: a. In some scenarios alone: b, no d. Not known exactly: c, e. R. Errors against ref"
+        "Perfect knowledge of: a. In some scenarios only: b, no d. Imperfect or no knowledge of: c, e. R. Errors"
+        " against ref"
     )
     assert merged([one, one]) == one
     assert (
         merged([Known((Item("a", "exactly"),)), Known(())])
         .line()
-        .startswith("Known exactly: nothing. In some scenarios alone: a.")
+        .startswith("Perfect knowledge of: nothing. In some scenarios only: a.")
     )
