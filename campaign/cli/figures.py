@@ -20,7 +20,7 @@ from boresight.campaign.papers import PAPERS
 from boresight.campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.check import check_campaign, check_shapes
+from boresight.campaign.runs.check import check_campaign, check_data
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.request import RUNS, RunRequest
 from boresight.campaign.runs.requirements import needs
@@ -66,7 +66,7 @@ class Wanted:
     def of(self, name: str, variant: str, jobs: int) -> tuple[ResolvedCampaign, RunRequest]:
         """Resolve a campaign, and say how it is run."""
         campaign = as_draft(resolve(name, variant=variant, embedded=self.embedded), self.share)
-        check_shapes(campaign)
+        check_data(campaign)
         scaled = kept(campaign.spec.trials, self.share)
         trials = scaled if self.trials is None else min(self.trials, scaled)
         folder = self.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
@@ -98,7 +98,7 @@ def _run(name: str, wanted: Wanted, variant: str, jobs: int, lanes: int) -> None
         with sharing_cores(lanes), listening as listener:
             run_campaign(campaign, request, listener)
     except BoresightError as error:
-        lines.message(str(error))
+        lines.message(str(error).removeprefix(f"{name}: "))
         return
     if lanes > 1:
         lines.message(f"done in {time.monotonic() - began:.0f} s")
@@ -192,7 +192,8 @@ def _print(written: _Written, arguments: argparse.Namespace) -> None:
 def _needed(paper: str, arguments: argparse.Namespace) -> Iterator[str]:
     """Yield what would run for a paper without any finished run, and which data it lacks here."""
     campaigns = [load_campaign(name, CATALOG) for name in paper_campaigns(paper_called(paper))]
-    trials = sum(one.spec.trials * len(sources(one.spec)) for one in campaigns)
+    share = arguments.trials_scale
+    trials = sum(kept(one.spec.trials, share) * len(sources(one.spec)) for one in campaigns)
     yield f"{paper}: no finished run; to run: {count_of(len(campaigns), 'campaign')}, {trials:,} trials in all"
     lacking: dict[str, list[str]] = {}
     for one in campaigns:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.imaging.world import check_bodies, trial_limit, views_in_words
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names
+from boresight.campaign.runs.requirements import needs_of_scenario
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.labels import count_of
 from boresight.scenarios.bodies import Body
-from boresight.scenarios.data import data_folder, is_there
+from boresight.scenarios.data import data_folder
+from boresight.scenarios.data.datasets import datasets, datasets_providing
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.body import STAND_INS
 
 _MOST_LINES = 4
@@ -39,7 +41,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
         If a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an option is wrong,
         there are no such published values, or more trials are asked for than there are real images.
     """
-    check_shapes(campaign)
+    check_data(campaign)
     if campaign.spec.report is not None:
         try:
             load_published(campaign.spec.report)
@@ -58,26 +60,36 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
             raise BoresightError(f"{asked}: {scenario.spec.name} has real images for {limit} trials at most")
 
 
-def check_shapes(campaign: ResolvedCampaign) -> None:
-    """Refuse a campaign whose shape files are missing, if an embedded body can stand for them.
+def check_data(campaign: ResolvedCampaign) -> None:
+    """Refuse a campaign if files of known data sets are missing.
 
     Raises
     ------
     BoresightError
-        Naming the commands that fetch the file, or do without it.
+        Naming all of them, and the commands that fetch them or do without.
     """
+    absent: dict[str, str] = {}  # file or folder, as the scenario names it, to the data set that has it
     for scenario in campaign.scenarios:
-        for body in (scenario.spec.body, onboard_spec(scenario.spec).body):
-            stand_in = STAND_INS.get(body.shape)
-            if stand_in is None or scenario.spec.images or is_there(body.shape, scenario.search_dirs, "shapes"):
-                continue
-            name = campaign.spec.name
-            own = name if campaign.root is None or name in campaign_names() else campaign.root.place
-            fetched = next((paper for paper in PAPERS if name.startswith(f"{paper}-")), own)
-            raise BoresightError(
-                f"{name}: {body.shape} is missing, in {data_folder() / 'shapes'} too: boresight fetch {fetched} brings"
-                f" it; or give the same command with --embedded, for values on the embedded body {stand_in}"
-            )
+        for need in needs_of_scenario(scenario):
+            sets = [] if need.found else datasets_providing([f"{need.kind}/{need.name}", need.name])
+            if sets:
+                absent[need.name] = sets[0].name
+    if not absent:
+        return
+    name, (they, them) = campaign.spec.name, ("is", "it") if len(absent) == 1 else ("are", "them")
+    own = name if campaign.root is None or name in campaign_names() else campaign.root.place
+    fetched = next((paper for paper in PAPERS if name.startswith(f"{paper}-")), own)
+    ways = f"boresight fetch {fetched} brings {them}"
+    if any(datasets()[one].published for one in absent.values()):
+        ways += ", or says where to get what cannot be passed on"
+    bodies = [STAND_INS[one] for one in absent if one in STAND_INS]
+    if len(bodies) == len(absent) and all(scenario.spec.images is None for scenario in campaign.scenarios):
+        ways += f"; or give the same command with --embedded, for values on the embedded body {' and '.join(bodies)}"
+    named = [
+        next(file for file, of in absent.items() if of == one) if count == 1 else f"{count} files of {one}"
+        for one, count in Counter(absent.values()).items()
+    ]
+    raise BoresightError(f"{name}: {', '.join(named)} {they} missing, in {data_folder()} too: {ways}")
 
 
 def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int | None, tuple[Body, Body]]:

@@ -55,7 +55,7 @@ def needs(campaign: LoadedCampaign, known: Mapping[str, LoadedScenario] = Mappin
 
     ``known`` are scenarios of the catalogue by name, which are not read again.
     """
-    found = {need.name: need for scenario in _scenarios(campaign, known) for need in _of_scenario(scenario)}
+    found = {need.name: need for scenario in _scenarios(campaign, known) for need in needs_of_scenario(scenario)}
     for extra in dict.fromkeys(EXTRAS[one.name] for one in campaign.spec.estimators if one.name in EXTRAS):
         found[extra] = Need(extra, find_spec(extra) is not None)
     return tuple(found.values())
@@ -78,7 +78,8 @@ def _change_data(overrides: Iterable[str]) -> bool:
     return any(key.split(".")[0] in _OF_DATA for key in overrides)
 
 
-def _of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
+def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
+    """Yield the shapes, images and kernels that a scenario reads, whether they are there or not."""
     spec, dirs = scenario.spec, scenario.search_dirs
     named = [("shapes", spec.body.shape), ("shapes", onboard_spec(spec).body.shape)]
     if spec.images is not None:

@@ -51,5 +51,5 @@ def test_the_real_campaign_says_in_one_line_what_to_fetch(tmp_path, monkeypatch,
     assert main(["run", "rowell2015-real", "--out", str(tmp_path / "run")]) == 2
     captured = capsys.readouterr()
     assert len(captured.err.splitlines()) == 1
-    assert "images.folder: hayabusa_amica_20051001 was not found" in captured.err
-    assert "bring your own: Hayabusa AMICA images of 2005-10-01" in captured.err
+    assert "hayabusa_amica_20051001" in captured.err.partition(" are missing, ")[0]
+    assert "boresight fetch rowell2015 brings them, or says where to get" in captured.err
