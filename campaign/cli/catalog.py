@@ -131,7 +131,7 @@ def show_command(arguments: argparse.Namespace) -> int:
 
 
 def _is_estimator(name: str) -> bool:
-    """Whether a name is that of an estimator of any kind.
+    """Return whether a name is that of an estimator of any kind.
 
     Raises
     ------

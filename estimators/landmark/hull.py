@@ -142,7 +142,7 @@ class _Solid:
         return np.flatnonzero((across < 0) | ~self._in_solid[across])
 
     def _removable(self, tetrahedron: int) -> bool:
-        """Whether the solid without this tetrahedron is still a ball.
+        """Return whether the solid without this tetrahedron is still a ball.
 
         With one face on the surface, the opposite vertex must be inside the solid; with two, the edge opposite to the
         one that they share.

@@ -40,7 +40,7 @@ class Matches:
         return len(self.landmark)
 
     def same_pairs(self, other: Matches) -> bool:
-        """Whether both contain the same pairs, regardless of distances."""
+        """Return whether both contain the same pairs, regardless of distances."""
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
 
 

@@ -46,7 +46,7 @@ def find_edges(faces: IntArray) -> MeshEdges:
 
 
 def is_closed(faces: IntArray) -> bool:
-    """Whether each edge belongs to exactly two faces that run along it in opposite directions."""
+    """Return whether each edge belongs to exactly two faces that run along it in opposite directions."""
     forward, backward = (np.sort(keys) for keys in directed_edge_keys(faces))
     # Each half-edge has its opposite, and none occurs twice.
     return bool((forward == backward).all() and (forward[1:] != forward[:-1]).all())

@@ -89,7 +89,7 @@ def _key(name: str, field: FieldInfo, model: type[SpecModel]) -> Key:
 
 
 def _law(annotation: Any) -> bool:
-    """Whether an annotation is the model of a distribution: a value in a file, not a section."""
+    """Return whether an annotation is the model of a distribution: a value in a file, not a section."""
     return isinstance(annotation, type) and issubclass(annotation, Law | Law3)
 
 
@@ -108,7 +108,7 @@ def _input_type(metadata: Sequence[Any]) -> Any:
 
 
 def _numeric(annotation: Any) -> bool:
-    """Whether an annotation contains a number."""
+    """Return whether an annotation contains a number."""
     return annotation in (float, int) or _law(annotation) or any(_numeric(part) for part in get_args(annotation))
 
 
