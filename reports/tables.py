@@ -8,14 +8,24 @@ from collections.abc import Sequence
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import short_line
 from boresight.reports.run.outcomes import MEANING, unsolved
-from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, value_of
+from boresight.reports.schema.grid import (
+    ESTIMATOR,
+    NO_VALUE,
+    SCENARIO,
+    Grid,
+    GridColumn,
+    counts,
+    named,
+    number,
+    record_column,
+    record_grid,
+    unit_column,
+)
 from boresight.reports.schema.labels import stage_label
-from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
 from boresight.reports.schema.tables import measure_label, measures
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from boresight.scenarios.known import correlated
-
-_POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
 
 _SMALL_P = 1e-3
 
@@ -39,124 +49,113 @@ def chance(p: float | None) -> str:
     return f"< {_SMALL_P:g}" if p is not None and p < _SMALL_P else number(p)
 
 
-def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
-    """Tabulate pose errors after each stage, a grid for each scenario."""
-    note = (
-        "Median with its 95 % interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
-        "along the camera axes (x right, y down, z along the boresight), in m. "
-        f"{MEANING} Failures at prior: every trial, one without an estimate with the error of its prior."
+def _magnitude(head: str, name: str) -> tuple[GridColumn, ...]:
+    return (
+        record_column(head, name, MEDIAN.name, interval=True),
+        record_column("RMS", name, RMS.name),
+        record_column("95th", name, P95.name),
     )
-    heads = ("estimator", "stage", "solved", "success", *_POSE_HEADS)
-    own = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name and r.reference == ""]
-    grids = []
-    for scenario in dict.fromkeys(r.scenario for r in own):
-        lines = _pose_lines([r for r in own if r.scenario == scenario])
-        rows = tuple(
-            (_who(line), stage_label(line.stage), counts(line), _success(records, line), *_pose_cells(records, line))
-            for line in lines
-        )
-        known = short_line(run, scenario=scenario)
-        grids.append(Grid(f"Pose error, {scenario}", heads, rows, frozenset({0, 1}), note, known))
-    return grids
 
 
-def _pose_lines(own: Sequence[Record]) -> list[Record]:
-    """Choose the lines of one scenario: the common prior once; failures at the prior where there are any."""
-    priors = [r for r in own if r.stage == CONTROL]
-    later = [r for r in own if r.stage != CONTROL]
-    failed = {r.estimator for r in later if r.n_ok < r.n}
-    return priors[:1] + [r for r in later if r.stage != FAILURES_AT_PRIOR or r.estimator in failed]
-
-
-def _success(records: Sequence[Record], line: Record) -> str:
-    """Print the successes of all trials on the line of an estimator's final stage."""
-    key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage}
-    share = find(records, **key, measure="success_share", statistic=MEAN.name)
+def _count_of_share(share: Record | None) -> str:
+    """Print a share of trials as their number of all."""
     return NO_VALUE if share is None or share.value is None else f"{round(share.value * share.n / 100.0)}/{share.n}"
 
 
-def _who(line: Record) -> str:
-    return "" if line.stage == CONTROL else line.estimator
+_POSE_COLUMNS = (
+    *_magnitude("position m", "position_error_m"),
+    *(record_column(axis, f"position_error_{axis}_m", ROOT_MEDIAN_SQUARE.name) for axis in "xyz"),
+    *_magnitude("attitude deg", "attitude_error_deg"),
+)
+_STAGE_COLUMNS = (
+    named("estimator", lambda key: "" if key.stage == CONTROL else key.estimator),
+    named("stage", lambda key: stage_label(key.stage)),
+    record_column("solved", printed=counts),
+    record_column("success", "success_share", MEAN.name, printed=_count_of_share),
+    *_POSE_COLUMNS,
+)
+_POSE_NOTE = (
+    "Median with its 95 % interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
+    "along the camera axes (x right, y down, z along the boresight), in m. "
+    f"{MEANING} Failures at prior: every trial, one without an estimate with the error of its prior."
+)
+_DETAIL_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    named("quantity", lambda key: measure_label(key.measure) + (f" against {key.reference}" if key.reference else "")),
+    named("statistic", lambda key: key.statistic),
+    record_column("value [95 %]", interval=True),
+    unit_column(),
+    record_column("ok", printed=counts),
+)
+_DIAGNOSTIC_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    named("number", lambda key: key.measure),
+    record_column("median [95 %]", interval=True),
+    record_column("mean", statistic=MEAN.name),
+    record_column("RMS", statistic=RMS.name),
+    record_column("95th percentile", statistic=P95.name),
+    unit_column(),
+    record_column("trials", printed=counts),
+)
+_TIMING_COLUMNS = (
+    SCENARIO,
+    named("estimator", lambda key: key.estimator or NO_VALUE),
+    named("stage", lambda key: stage_label(key.stage, timed=True)),
+    record_column("median [95 %]", interval=True),
+    record_column("mean", statistic=MEAN.name),
+    record_column("95th percentile", statistic=P95.name),
+    record_column("trials", printed=lambda line: str(line.n_ok) if line else NO_VALUE),
+)
 
 
-def _pose_cells(records: Sequence[Record], line: Record) -> tuple[str, ...]:
-    """Cells of `_POSE_HEADS`."""
+def _pose_medians(records: Sequence[Record]) -> list[Record]:
+    return [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name]
 
-    def get(measure: str, statistic: str) -> Record | None:
-        return find(
-            records,
-            scenario=line.scenario,
-            estimator=line.estimator,
-            stage=line.stage,
-            reference=line.reference,
-            measure=measure,
-            statistic=statistic,
-        )
 
-    def magnitude(name: str) -> list[str]:
-        return [
-            value_of(get(name, MEDIAN.name), interval=True),
-            value_of(get(name, RMS.name)),
-            value_of(get(name, P95.name)),
-        ]
+def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
+    """Tabulate pose errors after each stage, a grid for each scenario.
 
-    axes = [value_of(get(f"position_error_{axis}_m", ROOT_MEDIAN_SQUARE.name)) for axis in "xyz"]
-    return (*magnitude("position_error_m"), *axes, *magnitude("attitude_error_deg"))
+    The common prior has one line, failures at the prior one where there are any.
+    """
+    own = [r for r in _pose_medians(records) if r.reference == ""]
+    grids = []
+    for scenario in dict.fromkeys(r.scenario for r in own):
+        here = [r for r in own if r.scenario == scenario]
+        priors, later = ([r for r in here if (r.stage == CONTROL) is prior] for prior in (True, False))
+        failed = {r.estimator for r in later if r.n_ok < r.n}
+        lines = [*priors[:1], *(r for r in later if r.stage != FAILURES_AT_PRIOR or r.estimator in failed)]
+        known = short_line(run, scenario=scenario)
+        grids.append(record_grid(f"Pose error, {scenario}", _STAGE_COLUMNS, records, lines, _POSE_NOTE, known))
+    return [grid for grid in grids if grid is not None]
 
 
 def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     """Tabulate final pose errors against the truth and each further reference; None if there is only the truth."""
-    medians = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name]
+    medians = _pose_medians(records)
     ends = {(r.scenario, r.estimator, r.stage) for r in medians if r.reference}
     lines = [r for r in medians if (r.scenario, r.estimator, r.stage) in ends]
-    heads = ("estimator", "against", "ok", *_POSE_HEADS)
     aligned = dict.fromkeys(name for known in (run.known or {}).values() for name in known.aligned)
     note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
     note = " ".join([note, *(f"{correlated(name)}." for name in aligned)])
-    rows = tuple(
-        (line.estimator, line.reference or run.truth_name(line.scenario), counts(line), *_pose_cells(records, line))
-        for line in lines
-    )
-    return Grid("Scored against each reference pose", heads, rows, frozenset({0, 1}), note) if rows else None
+    against = named("against", lambda key: key.reference or run.truth_name(key.scenario))
+    columns = (ESTIMATOR, against, record_column("ok", printed=counts), *_POSE_COLUMNS)
+    return record_grid("Scored against each reference pose", columns, records, lines, note)
 
 
 def detail_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate the improvement of each trial, landmarks and data base; None if none of them was measured."""
     listed = {name for name, measure in measures().items() if measure.detail}
-    chosen = [r for r in records if r.measure in listed and r.stage != DIAGNOSTICS]
-    heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
-
-    def cells(r: Record) -> tuple[str, ...]:
-        quantity = measure_label(r.measure) + (f" against {r.reference}" if r.reference else "")
-        return (r.scenario, r.estimator, quantity, r.statistic, value_of(r, interval=True), r.unit, counts(r))
-
-    rows = tuple(cells(r) for r in chosen)
+    lines = [r for r in records if r.measure in listed and r.stage != DIAGNOSTICS]
     note = "A reduction is the prior's error minus the final error of the same trial: positive where the pose improved."
-    return Grid("Improvement, landmarks and data base", heads, rows, frozenset({0, 1, 2, 3, 5}), note) if rows else None
+    return record_grid("Improvement, landmarks and data base", _DETAIL_COLUMNS, records, lines, note)
 
 
 def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate the numbers that estimators report in addition to the pose; None if there are none."""
     lines = [r for r in records if r.stage == DIAGNOSTICS and r.statistic == MEDIAN.name]
-    heads = ("scenario", "estimator", "number", "median [95 %]", "mean", "RMS", "95th percentile", "unit", "trials")
-
-    def other(line: Record, statistic: str) -> str:
-        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": DIAGNOSTICS, "measure": line.measure}
-        return value_of(find(records, **key, statistic=statistic))
-
-    rows = tuple(
-        (
-            line.scenario,
-            line.estimator,
-            line.measure,
-            value_of(line, interval=True),
-            *(other(line, statistic.name) for statistic in (MEAN, RMS, P95)),
-            line.unit,
-            counts(line),
-        )
-        for line in lines
-    )
-    return Grid("Diagnostics", heads, rows, frozenset({0, 1, 2, 7})) if rows else None
+    return record_grid("Diagnostics", _DIAGNOSTIC_COLUMNS, records, lines)
 
 
 def diagnostic_brief(records: Sequence[Record]) -> list[Grid]:
@@ -171,25 +170,7 @@ def diagnostic_brief(records: Sequence[Record]) -> list[Grid]:
 def timing_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate wall time by stage; None if no times were stored."""
     lines = [r for r in records if r.measure == "seconds" and r.statistic == MEDIAN.name]
-    heads = ("scenario", "estimator", "stage", "median [95 %]", "mean", "95th percentile", "trials")
-
-    def other(line: Record, statistic: str) -> str:
-        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage}
-        return value_of(find(records, **key, measure="seconds", statistic=statistic))
-
-    rows = tuple(
-        (
-            line.scenario,
-            line.estimator or NO_VALUE,
-            stage_label(line.stage, timed=True),
-            value_of(line, interval=True),
-            other(line, MEAN.name),
-            other(line, P95.name),
-            str(line.n_ok),
-        )
-        for line in lines
-    )
-    return Grid("Time per stage of a trial", heads, rows, frozenset({0, 1, 2})) if rows else None
+    return record_grid("Time per stage of a trial", _TIMING_COLUMNS, records, lines)
 
 
 def failure_grid(run: RunData) -> Grid | None:

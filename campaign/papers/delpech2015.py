@@ -21,9 +21,9 @@ from boresight.reports.kinds.sequence.tables import (
     sign_grids,
     start_figure,
     trace_figure,
+    vision_grid,
     without_pooled,
 )
-from boresight.reports.kinds.sequence.vision import vision_grid
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError

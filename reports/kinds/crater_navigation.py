@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 
 from boresight.reports.figures.orbit import draw_crater_counts, draw_landmark_spans
 from boresight.reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
-from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
 from boresight.reports.run.limits import limited_title
-from boresight.reports.schema.grid import Grid, value_of_ended
+from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, record_column, record_grid
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import Record, find
-from boresight.reports.schema.tables import unit_of
-from boresight.reports.statistics.measured import MEAN, MEDIAN, measure
+from boresight.reports.schema.records import Key, Record
+from boresight.reports.statistics.measured import MEAN, MEDIAN
+from boresight.reports.statistics.measures import table_records
 
 NAVIGATION = "navigation"
 """Stage of what the chain comes to before the orbit."""
@@ -29,33 +27,13 @@ _NOTE = (
 )
 
 
-def navigation_records(run: RunData) -> list[Record]:
+def navigation_records(run: RunData) -> Iterable[Record]:
     """Compute error statistics of the navigation runs, under the stage ``navigation``."""
-    records: list[Record] = []
     if run.table("navigation").empty:
-        return records
+        return ()
     table = _measured(run)
-    for scenario, estimator in run.pairs():
-        own, n = select(table, scenario, estimator), len(select(run.rows, scenario, estimator))
-        for name in _MEASURES:
-            numbers = own[name].to_numpy(dtype=np.float64)
-            known = np.isfinite(numbers)
-            for statistic in (MEAN, MEDIAN):
-                (found,) = measure(numbers[known], clusters_of(run, own)[known], (statistic,))
-                records.append(
-                    Record(
-                        scenario, estimator, NAVIGATION, "", name, unit_of(name), statistic.name, found.value,
-                        found.low, found.high, int(known.sum()), n,
-                    )
-                )  # fmt: skip
-    return records
-
-
-_MEASURES = (
-    "rounds", "images_taken", "craters_detected", "craters_per_image", "median_craters_per_image",
-    "listed_false_alarm_share", "image_pairs", "matching_recall_share", "matching_wrong_share", "database_landmarks",
-    "hits_per_landmark", "mixed_share", "processing_seconds",
-)  # fmt: skip
+    names = [name for name in table if name not in TRIAL_KEY]
+    return table_records(run, table, NAVIGATION, dict.fromkeys(names, (MEAN, MEDIAN)))
 
 
 def _measured(run: RunData) -> pd.DataFrame:
@@ -89,24 +67,26 @@ def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
     return 100.0 * part / whole.where(whole > 0)
 
 
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    *(
+        record_column(head, name, MEAN.name, ended=True)
+        for name, head in {
+            "rounds": "rounds", "images_taken": "images", "craters_per_image": "craters an image",
+            "listed_false_alarm_share": "false %", "image_pairs": "pairs", "matching_recall_share": "found %",
+            "matching_wrong_share": "wrong %", "database_landmarks": "landmarks", "hits_per_landmark": "images each",
+            "mixed_share": "mixed %", "processing_seconds": "time s",
+        }.items()
+    ),
+)  # fmt: skip
+
+
 def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     """Tabulate the chain up to the data base; None without one."""
-    if run.table("navigation").empty:
-        return None
-    heads = {
-        "rounds": "rounds", "images_taken": "images", "craters_per_image": "craters an image",
-        "listed_false_alarm_share": "false %", "image_pairs": "pairs", "matching_recall_share": "found %",
-        "matching_wrong_share": "wrong %", "database_landmarks": "landmarks", "hits_per_landmark": "images each",
-        "mixed_share": "mixed %", "processing_seconds": "time s",
-    }  # fmt: skip
-    rows = []
-    for scenario, estimator in run.pairs():
-        key = {"scenario": scenario, "estimator": estimator, "stage": NAVIGATION, "statistic": MEAN.name}
-        cells = [value_of_ended(find(records, **key, measure=name), interval=False) for name in heads]
-        rows.append((scenario, estimator, *cells))
-    columns = ("scenario", "estimator", *heads.values())
+    lines = [] if run.table("navigation").empty else [Key(*pair, NAVIGATION) for pair in run.pairs()]
     title = limited_title("From images to the data base", run)
-    return Grid(title, columns, tuple(rows), frozenset({0, 1}), _NOTE)
+    return record_grid(title, _COLUMNS, records, lines, _NOTE)
 
 
 def navigation_figures(run: RunData) -> Iterator[NamedFigure]:

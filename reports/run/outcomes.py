@@ -12,6 +12,7 @@ from boresight.reports.run.data import RunData, select
 from boresight.reports.schema.common import POSE_COLUMNS
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.tables import kind_schema
 
 MEANING = (
     "Solved: trials with an estimate. Success: those of them whose position error is not above that of their prior,"
@@ -31,7 +32,8 @@ def unsolved(run: RunData) -> tuple[pd.DataFrame, bool]:
     Reasons that differ in numbers alone are merged, with n for the number; of sequences, those of all frames.
     """
     failed = run.rows[run.rows["status"] != "ok"]
-    reason = failed["reason"] if run.table("epochs").empty else failed["reason"].str.replace(_FRAME, "", regex=True)
+    framed = kind_schema(run.manifest.experiment).frames
+    reason = failed["reason"].str.replace(_FRAME, "", regex=True) if framed else failed["reason"]
     alike = reason.str.replace(_NUMBER, "n", regex=True)
     merged = reason.groupby(alike).transform("nunique") > 1
     return failed.assign(reason=reason.where(~merged, alike)), bool(merged.any())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import pyarrow as pa
 
@@ -104,6 +105,11 @@ class KindSchema:
         Measures that are no columns: worked out of them.
     metrics
         Measures of each trial that comparisons may go by before there is a run, the usual one first.
+    nees
+        Table that has the normalised squared errors of its trials: ``rows`` those of poses, ``epochs`` those of
+        positions frame by frame, ``orbits`` those of states at an epoch.
+    frames
+        Whether a trial consists of frames, one of which the reason of a failure names.
     databases_note
         What intervals rest on where ``{n}`` data bases take turns.
     """
@@ -112,6 +118,8 @@ class KindSchema:
     tables: Mapping[str, Columns] = field(default_factory=dict)
     measures: tuple[Measure, ...] = ()
     metrics: tuple[str, ...]
+    nees: Literal["rows", "epochs", "orbits"] = "rows"
+    frames: bool = False
     databases_note: str = (
         "Each estimator's data base was drawn {n} times, with the errors of the shape on board where it has some, and"
         " with another world of craters where there is one; trials have them in turn. Intervals and tests take the"

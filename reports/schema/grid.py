@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from boresight.reports.schema.records import Record
+from boresight.reports.schema.records import Key, Record, by_key
 
 NO_VALUE = "-"
 _OF = " of the "
@@ -164,3 +165,93 @@ def says_of_ended(cell: str) -> bool:
 def counts(record: Record | None) -> str:
     """Print n_ok/n."""
     return NO_VALUE if record is None else f"{record.n_ok}/{record.n}"
+
+
+Printed = Callable[[Key, Mapping[Key, Record]], str]
+"""A cell of the line with a key, from the records of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridColumn:
+    """A column of a table of records.
+
+    Parameters
+    ----------
+    head
+        Its heading.
+    cell
+        Its cells, of the key of each line.
+    text
+        Whether they are texts rather than numbers.
+    """
+
+    head: str
+    cell: Printed
+    text: bool = False
+
+
+def named(head: str, of: Callable[[Key], str]) -> GridColumn:
+    """Make a column of texts that the key of a line gives."""
+    return GridColumn(head, lambda key, _: of(key), text=True)
+
+
+def record_column(
+    head: str,
+    measure: str = "",
+    statistic: str = "",
+    *,
+    reference: str = "",
+    interval: bool = False,
+    ended: bool = False,
+    printed: Callable[[Record | None], str] | None = None,
+) -> GridColumn:
+    """Make a column of the records with a measure, statistic and reference; '' for those of the line's own key.
+
+    Parameters
+    ----------
+    interval
+        Whether cells have the 95 % interval.
+    ended
+        Whether they say of how many trials they are, where others have no value.
+    printed
+        How a record is printed otherwise.
+    """
+    with_interval = value_of_ended if ended else value_of
+
+    def cell(key: Key, known: Mapping[Key, Record]) -> str:
+        given = {"measure": measure, "statistic": statistic, "reference": reference}
+        found = known.get(key._replace(**{name: value for name, value in given.items() if value}))
+        return with_interval(found, interval=interval) if printed is None else printed(found)
+
+    return GridColumn(head, cell)
+
+
+def unit_column(head: str = "unit") -> GridColumn:
+    """Make a column of the units of the lines."""
+    return GridColumn(head, lambda key, known: known[key].unit, text=True)
+
+
+SCENARIO = named("scenario", lambda key: key.scenario)
+ESTIMATOR = named("estimator", lambda key: key.estimator)
+
+
+def record_grid(
+    title: str,
+    columns: Sequence[GridColumn],
+    records: Iterable[Record],
+    lines: Iterable[Record | Key],
+    note: str = "",
+    short_line: str = "",
+) -> Grid | None:
+    """Tabulate records, a line for each of some keys or records; None without lines.
+
+    ``short_line``: what on board is identical with the truth.
+    """
+    index, rows = by_key(records), []
+    for line in lines:
+        key, own = (line, {}) if isinstance(line, Key) else (line.key, {line.key: line})
+        known = ChainMap(own, index)
+        rows.append(tuple(column.cell(key, known) for column in columns))
+    text = frozenset(i for i, column in enumerate(columns) if column.text)
+    heads = tuple(column.head for column in columns)
+    return Grid(title, heads, tuple(rows), text, note, short_line) if rows else None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""
@@ -19,6 +20,17 @@ REDUCTION = "reduction"
 """Stage of what an error comes down by from one scenario or estimator, which the ``reference`` names, to another."""
 RATIO = "ratio"
 """Stage of a mean over that of another estimator, which the ``reference`` names."""
+
+
+class Key(NamedTuple):
+    """What a record is of: it stands once in the records of a run."""
+
+    scenario: str
+    estimator: str
+    stage: str
+    reference: str = ""
+    measure: str = ""
+    statistic: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +66,18 @@ class Record:
     n_ok: int
     n: int
 
+    @property
+    def key(self) -> Key:
+        """What it is of."""
+        return Key(self.scenario, self.estimator, self.stage, self.reference, self.measure, self.statistic)
 
-def find(records: Sequence[Record], **wanted: str) -> Record | None:
+
+def by_key(records: Iterable[Record]) -> dict[Key, Record]:
+    """Index records by their keys; of several with the same key, the first."""
+    return {record.key: record for record in reversed(list(records))}
+
+
+def find(records: Iterable[Record], **wanted: str) -> Record | None:
     """Return the first record whose fields equal ``wanted`` (``reference`` is '' unless given)."""
     wanted = {"reference": "", **wanted}
     return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)

@@ -17,9 +17,19 @@ from scipy.special import gammaincinv
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
-from boresight.reports.schema.grid import NO_VALUE, Grid, number, value_of
-from boresight.reports.schema.records import Record, find
-from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
+from boresight.reports.schema.grid import (
+    ESTIMATOR,
+    NO_VALUE,
+    SCENARIO,
+    Grid,
+    GridColumn,
+    number,
+    record_column,
+    record_grid,
+)
+from boresight.reports.schema.records import Key, Record, by_key
+from boresight.reports.schema.tables import kind_schema
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, Sample, measure, share_of
 from boresight.scenarios.arrays import FloatArray
 
 CONSISTENCY = "consistency"
@@ -101,26 +111,31 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
 
     The mean innovation that an estimator reports leaves out those that its gate rejected, and is a little small for it.
     """
-    if run.table("orbits").empty:  # Rows of orbits repeat what the table of orbits has.
-        rows = run.rows[(run.rows["status"] == "ok") & run.rows[NEES].notna()]
-        yield from _some(NEES, POSE_DEGREES, rows.assign(ratio=rows[NEES], degrees=POSE_DEGREES))
-    if not run.table("epochs").empty:
-        known = run.table("epochs")[run.table("epochs")[NEES].notna()]
-        known = known.assign(ratio=known[NEES], degrees=POSITION_DEGREES)
-        last = float(run.table("epochs")["anomaly_deg"].max())
+    source = kind_schema(run.manifest.experiment).nees
+    table = run.rows if source == "rows" else run.table(source)
+    if source == "rows":
+        yield from _some(NEES, POSE_DEGREES, table[table["status"] == "ok"], NEES, POSE_DEGREES)
+    elif source == "epochs":
+        last = float(table["anomaly_deg"].max()) if len(table) else 0.0
         for k in range(1, int((last + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
-            at = known[(known["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
-            yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at)
-    if _EPOCH in run.table("orbits"):
-        # The table has it over the number of degrees of freedom, so that 1 is expected.
-        solved = run.table("orbits")[run.table("orbits")[_EPOCH].notna()]
-        squares = solved.assign(ratio=STATE_DEGREES * solved[_EPOCH], degrees=STATE_DEGREES)
-        yield from _some(AT_EPOCH, STATE_DEGREES, squares)
+            at = table[(table["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
+            yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at, NEES, POSITION_DEGREES)
+    else:  # over its degrees of freedom, so that 1 is expected
+        whole = table.assign(**{_EPOCH: STATE_DEGREES * table[_EPOCH]})
+        yield from _some(AT_EPOCH, STATE_DEGREES, whole, _EPOCH, STATE_DEGREES)
     told = run.table("diagnostics")[run.table("diagnostics")["name"].isin([NIS, _NIS_DEGREES])]
     wide = told.pivot_table(index=TRIAL_KEY, columns="name", values="value").reset_index()
     if {NIS, _NIS_DEGREES} <= set(wide):
-        whole = wide.dropna().rename(columns={NIS: "ratio", _NIS_DEGREES: "degrees"})
-        yield from _some(NIS, 1, whole)
+        yield from _some(NIS, 1, wide.dropna(), NIS, wide.dropna()[_NIS_DEGREES])
+
+
+def _some(
+    name: str, expected: int, table: pd.DataFrame, column: str, degrees: int | pd.Series
+) -> Iterator[NormalisedErrors]:
+    """Yield the normalised errors of the rows that have one in a column; nothing where none has."""
+    known = table.assign(ratio=table[column], degrees=degrees)[[*TRIAL_KEY, "ratio", "degrees"]].dropna()
+    if len(known):
+        yield NormalisedErrors(name, expected, known)
 
 
 def normalised_label(name: str) -> str:
@@ -130,11 +145,6 @@ def normalised_label(name: str) -> str:
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
     known = {NEES: "NEES of the pose", AT_EPOCH: "NEES of the orbit at its epoch", NIS: "NIS of a measurement"}
     return known.get(name, name)
-
-
-def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[NormalisedErrors]:
-    if len(table):
-        yield NormalisedErrors(name, expected, table[["scenario", "estimator", "trial", "ratio", "degrees"]])
 
 
 def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, estimator: str) -> ConsistencyTest | None:
@@ -169,23 +179,6 @@ def consistent_mean(degrees: float, expected: int) -> Measured:
     return Measured(float(expected), low, high)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _SolvedTrials:
-    """The solved trials of an estimator, their clusters, and the number of all its trials."""
-
-    scenario: str
-    estimator: str
-    rows: pd.DataFrame
-    clusters: NDArray[np.generic]
-    n: int
-
-    def record(self, name: str, statistic: str, measured: Measured, n_ok: int) -> Record:
-        return Record(
-            self.scenario, self.estimator, CONSISTENCY, "", name, "", statistic,
-            measured.value, measured.low, measured.high, n_ok, self.n,
-        )  # fmt: skip
-
-
 def consistency_records(run: RunData) -> list[Record]:
     """Compare errors with every covariance and bound; no records of estimators that give neither."""
     records: list[Record] = []
@@ -193,37 +186,30 @@ def consistency_records(run: RunData) -> list[Record]:
     posed = set(run.posed_pairs())
     for scenario, estimator in run.pairs():
         own = select(run.rows, scenario, estimator)
-        rows = own[own["status"] == "ok"]
-        subject = _SolvedTrials(scenario, estimator, rows, clusters_of(run, rows), len(own))
+        sample = Sample(scenario, estimator, CONSISTENCY, len(own), unit="")
         for kind in kinds:
             found = pair_consistency(run, kind, scenario, estimator)
-            records += [] if found is None else _consistency_records(subject, kind.name, found)
+            if found is not None:
+                parts = {MEAN.name: found.mean, MEDIAN.name: found.median, BAND: found.band, INSIDE: found.inside}
+                records += [sample.record(kind.name, name, part, found.n) for name, part in parts.items()]
         if (scenario, estimator) in posed:
-            records += _ratio_records(subject)
+            records += _ratio_records(run, sample, own[own["status"] == "ok"])
     return records
 
 
-def _consistency_records(subject: _SolvedTrials, name: str, found: ConsistencyTest) -> Iterator[Record]:
-    for statistic, measured in (
-        (MEAN.name, found.mean),
-        (MEDIAN.name, found.median),
-        (BAND, found.band),
-        (INSIDE, found.inside),
-    ):
-        yield subject.record(name, statistic, measured, found.n)
-
-
-def _ratio_records(subject: _SolvedTrials) -> Iterator[Record]:
+def _ratio_records(run: RunData, sample: Sample, rows: pd.DataFrame) -> Iterator[Record]:
+    """Compare the pose errors of solved trials with what covariances and bounds foretell."""
+    clusters = clusters_of(run, rows)
     for what, error in ERRORS.items():
         for name, column in (PREDICTED | BOUNDED).items():
             foretold = f"{column}_{_UNITS[what]}"
-            if name.startswith(what) and foretold in subject.rows:
-                pair = subject.rows[[error, foretold]].to_numpy(dtype=np.float64)
+            if name.startswith(what) and foretold in rows:
+                pair = rows[[error, foretold]].to_numpy(dtype=np.float64)
                 # A prior without error predicts a zero RMS, over which no ratio exists.
                 known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
                 if known.any():
-                    measured = rms_ratio(pair[known, 0], pair[known, 1], subject.clusters[known])
-                    yield subject.record(name, RATIO, measured, int(known.sum()))
+                    measured = rms_ratio(pair[known, 0], pair[known, 1], clusters[known])
+                    yield sample.record(name, RATIO, measured, int(known.sum()))
 
 
 def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.generic]) -> Measured:
@@ -238,30 +224,40 @@ def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.gener
     return Measured(*(None if end is None else float(np.sqrt(max(end, 0.0))) for end in ends))
 
 
+def _ratio_column(head: str, name: str) -> GridColumn:
+    """Make a column of RMS ratios, on the lines of poses and of what has no normalised errors."""
+    ratio = record_column(head, name, RATIO, interval=True)
+    return GridColumn(head, lambda key, known: ratio.cell(key, known) if key.measure in ("", NEES) else NO_VALUE)
+
+
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    GridColumn(
+        "normalised",
+        lambda key, known: (
+            f"{normalised_label(key.measure)} ({number(known[key].value)} expected)" if key in known else NO_VALUE
+        ),
+        text=True,
+    ),
+    record_column("mean [95 %]", statistic=MEAN.name, interval=True),
+    record_column("band", printed=lambda band: f"{number(band.low)} to {number(band.high)}" if band else NO_VALUE),
+    record_column("within 95 %", statistic=INSIDE, interval=True),
+)
+_RATIOS = tuple(
+    _ratio_column(f"{name.partition('_')[0]}, RMS over {of}", name)
+    for of, names in (("predicted", PREDICTED), ("bound", BOUNDED))
+    for name in names
+)
+
+
 def consistency_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate the consistency of covariances and bounds; None where no estimator gives any."""
     own = [r for r in records if r.stage == CONSISTENCY]
-    lines = dict.fromkeys((r.scenario, r.estimator, r.measure) for r in own if r.statistic == BAND)
-    told = {(scenario, estimator) for scenario, estimator, _ in lines}
-    lines |= dict.fromkeys((r.scenario, r.estimator, "") for r in own if (r.scenario, r.estimator) not in told)
-    heads = (
-        "scenario", "estimator", "normalised", "mean [95 %]", "band", "within 95 %", "position, RMS over predicted",
-        "attitude, RMS over predicted", "position, RMS over bound", "attitude, RMS over bound",
-    )  # fmt: skip
-
-    def cells(scenario: str, estimator: str, kind: str) -> tuple[str, ...]:
-        def get(measure: str, statistic: str) -> Record | None:
-            return find(own, scenario=scenario, estimator=estimator, measure=measure, statistic=statistic)
-
-        band = get(kind, BAND)
-        ends = NO_VALUE if band is None else f"{number(band.low)} to {number(band.high)}"
-        what = NO_VALUE if band is None else f"{normalised_label(kind)} ({number(band.value)} expected)"
-        posed = kind in ("", NEES)
-        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*PREDICTED, *BOUNDED))
-        mean, inside = (value_of(get(kind, name), interval=True) for name in (MEAN.name, INSIDE))
-        return (scenario, estimator, what, mean, ends, inside, *ratios)
-
-    rows = tuple(cells(*line) for line in lines)
-    grid = Grid("Covariance and bound", heads, rows, frozenset({0, 1, 2}), _NOTE)
-    empty = {i for i in range(6, len(heads)) if all(row[i] == NO_VALUE for row in rows)}
-    return grid.keep(*(head for i, head in enumerate(heads) if i not in empty)) if rows else None
+    bands = [r.key for r in own if r.statistic == BAND]
+    with_band = {(key.scenario, key.estimator) for key in bands}
+    others = [r for r in own if (r.scenario, r.estimator) not in with_band]
+    lines = [*bands, *dict.fromkeys(Key(r.scenario, r.estimator, CONSISTENCY, statistic=BAND) for r in others)]
+    known = by_key(own)
+    shown = [one for one in _RATIOS if any(one.cell(key, known) != NO_VALUE for key in lines)]
+    return record_grid("Covariance and bound", (*_COLUMNS, *shown), own, lines, _NOTE)

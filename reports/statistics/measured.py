@@ -13,8 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.intervals import Interval, has_quantile, interval_of_sums, quantile_interval, wilson
 from boresight.scenarios.arrays import FloatArray
 
@@ -212,3 +215,46 @@ def cluster_interval(
     if not len(numbers):
         return None, None
     return interval_of_sums(numbers, np.unique(clusters, return_inverse=True)[1], of_sums, positive)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What some records are of, and the number n of its trials or other samples; ``unit`` None: that of a measure."""
+
+    scenario: str
+    estimator: str
+    stage: str
+    n: int
+    reference: str = ""
+    unit: str | None = None
+
+    def record(self, name: str, statistic: str, measured: Measured, n_ok: int | None = None) -> Record:
+        """Record a measured statistic; ``n_ok`` samples are behind it, without it all."""
+        unit = unit_of(name) if self.unit is None else self.unit
+        return Record(
+            self.scenario, self.estimator, self.stage, self.reference, name, unit, statistic, measured.value,
+            measured.low, measured.high, self.n if n_ok is None else n_ok, self.n,
+        )  # fmt: skip
+
+    def records(
+        self,
+        name: str,
+        values: pd.Series | FloatArray,
+        clusters: NDArray[np.generic],
+        statistics: Sequence[Statistic],
+    ) -> list[Record]:
+        """Evaluate statistics over the finite ones of ``values`` (k,) in clusters (k,)."""
+        numbers = np.asarray(values, dtype=np.float64)
+        known = np.isfinite(numbers)
+        measured = measure(numbers[known], clusters[known], statistics)
+        n_ok = int(known.sum())
+        return [self.record(name, s.name, m, n_ok) for s, m in zip(statistics, measured, strict=True)]
+
+    def share(self, name: str, yes: NDArray[np.bool_], clusters: NDArray[np.generic]) -> Record:
+        """Measure the share of the marked trials (k,), in percent."""
+        return self.record(name, MEAN.name, percent(share_of(yes, clusters)), len(yes))
+
+
+def percent(share: Measured) -> Measured:
+    """Return a share in percent."""
+    return Measured(*(None if end is None else 100.0 * end for end in (share.value, share.low, share.high)))

@@ -8,7 +8,6 @@ equal chance; the noise realisations of one real image count as one, by the sign
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -17,11 +16,10 @@ from numpy.typing import NDArray
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import succeeded
-from boresight.reports.schema.grid import Grid, counts, value_of
-from boresight.reports.schema.records import CONTROL, Record, find
-from boresight.reports.schema.tables import unit_of
+from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, named, record_column, record_grid
+from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
-from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of, widened
+from boresight.reports.statistics.measured import MEDIAN, Measured, Sample, share_of, widened
 
 PAIRED = "paired"
 """Stage of the records that compare an estimator with another, which their ``reference`` names."""
@@ -83,56 +81,41 @@ def _solution(counts: np.ndarray, normal: np.ndarray, right: np.ndarray) -> np.n
         return np.full(right.shape[1], np.nan)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
-    """Two estimators on the trials of a scenario: their rows, trial for trial."""
-
-    scenario: str
-    estimator: str
-    against: str
-    rows: pd.DataFrame
-    base: pd.DataFrame
-
-    def record(self, name: str, statistic: str, measured: Measured, n_ok: int) -> Record:
-        return Record(
-            self.scenario, self.estimator, PAIRED, self.against, name, unit_of(name), statistic,
-            measured.value, measured.low, measured.high, n_ok, len(self.rows),
-        )  # fmt: skip
-
-
 def paired_records(run: RunData) -> list[Record]:
     """Compare every estimator with the first one of its scenario; nothing where there is only one."""
     records: list[Record] = []
-    for pair in _pairs(run):
-        both = ((pair.rows["status"] == "ok") & (pair.base["status"] == "ok")).to_numpy()
-        clusters = clusters_of(run, pair.rows[["scenario", "trial"]])
-        for name, error in DIFFERENCES.items():
-            difference = (pair.rows[error].to_numpy() - pair.base[error].to_numpy())[both]
-            records += _difference_records(pair, name, difference, clusters[both])
-        records += _failure_records(pair, clusters)
-    return records
-
-
-def _pairs(run: RunData) -> Iterator[_Pair]:
     order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         found = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
-        names = sorted(found, key=lambda name: order.get(name, len(order)))
-        tables = {name: select(run.rows, scenario, name).set_index("trial", drop=False) for name in names}
-        for name in names[1:]:
-            trials = tables[name].index.intersection(tables[names[0]].index)
-            yield _Pair(scenario, name, names[0], tables[name].loc[trials], tables[names[0]].loc[trials])
+        first, *others = sorted(found, key=lambda name: order.get(name, len(order))) or [""]
+        of_first = select(run.rows, scenario, first).set_index("trial", drop=False)
+        for name in others:
+            rows = select(run.rows, scenario, name).set_index("trial", drop=False)
+            trials = rows.index.intersection(of_first.index)
+            sample = Sample(scenario, name, PAIRED, len(trials), first)
+            records += _pair_records(run, sample, rows.loc[trials], of_first.loc[trials])
+    return records
 
 
-def _difference_records(
-    pair: _Pair, name: str, difference: NDArray[np.float64], clusters: NDArray[np.generic]
-) -> Iterator[Record]:
-    """Yield the median of the differences (negative is better), the share of negative ones and the test's p."""
-    n = len(difference)
-    yield pair.record(name, MEDIAN.name, measure(difference, clusters, (MEDIAN,))[0], n)
-    share, chance, decided = sign_test(difference, clusters)
-    yield pair.record(name, BETTER, share, decided)
-    yield pair.record(name, SIGN_TEST, chance, decided)
+def _pair_records(run: RunData, sample: Sample, rows: pd.DataFrame, base: pd.DataFrame) -> Iterator[Record]:
+    """Compare the rows of two estimators, trial for trial.
+
+    Of the errors: the median of the differences (negative is better), the share of negative ones and the test's p; of
+    the failures: both rates, and their difference.
+    """
+    both = ((rows["status"] == "ok") & (base["status"] == "ok")).to_numpy()
+    clusters = clusters_of(run, rows[["scenario", "trial"]])
+    for name, error in DIFFERENCES.items():
+        difference = (rows[error].to_numpy() - base[error].to_numpy())[both]
+        yield from sample.records(name, difference, clusters[both], (MEDIAN,))
+        share, chance, decided = sign_test(difference, clusters[both])
+        yield sample.record(name, BETTER, share, decided)
+        yield sample.record(name, SIGN_TEST, chance, decided)
+    mine, theirs = ~succeeded(rows), ~succeeded(base)
+    if len(mine):
+        yield sample.record(FAILURE_RATE, OWN, share_of(mine, clusters))
+        yield sample.record(FAILURE_RATE, THEIRS, share_of(theirs, clusters))
+        yield sample.record(FAILURE_RATE, DIFFERENCE, rate_difference(mine, theirs, clusters))
 
 
 def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
@@ -204,43 +187,33 @@ def rate_difference(
     return widened(found, mine.astype(np.float64) - theirs.astype(np.float64), clusters, (-1.0, 1.0))
 
 
-def _failure_records(pair: _Pair, clusters: NDArray[np.generic]) -> Iterator[Record]:
-    """Yield both failure rates with their intervals, and their difference, negative where there are fewer."""
-    mine, theirs = ~succeeded(pair.rows), ~succeeded(pair.base)
-    if not len(mine):
-        return
-    for name, failed in ((OWN, mine), (THEIRS, theirs)):
-        yield pair.record(FAILURE_RATE, name, share_of(failed, clusters), len(mine))
-    yield pair.record(FAILURE_RATE, DIFFERENCE, rate_difference(mine, theirs, clusters), len(mine))
+_NOTE = (
+    "On the same images and priors: median of the differences of the errors, trial by trial (negative is better),"
+    " share of trials in which it is better, and p of the sign test. Failures: no estimate, or a position error"
+    " above the prior's."
+)
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    named("against", lambda key: key.reference),
+    record_column("both ok", printed=counts),
+    *(
+        column
+        for name, head in zip(DIFFERENCES, ("position m [95 %]", "attitude deg [95 %]"), strict=True)
+        for column in (
+            record_column(head, name, MEDIAN.name, interval=True),
+            record_column("better", name, BETTER),
+            record_column("p", name, SIGN_TEST),
+        )
+    ),
+    record_column("failures", FAILURE_RATE, OWN),
+    record_column("of the other", FAILURE_RATE, THEIRS),
+    record_column("difference [95 %]", FAILURE_RATE, DIFFERENCE, interval=True),
+)
 
 
 def paired_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate estimators against the first one on the same trials; None where there is only one."""
-    names = list(DIFFERENCES)
-    lines = [r for r in records if r.stage == PAIRED and r.measure == names[0] and r.statistic == MEDIAN.name]
-    heads = (
-        "scenario", "estimator", "against", "both ok", "position m [95 %]", "better", "p", "attitude deg [95 %]",
-        "better", "p", "failures", "of the other", "difference [95 %]",
-    )  # fmt: skip
-
-    def cells(line: Record) -> tuple[str, ...]:
-        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": PAIRED, "reference": line.reference}
-
-        def get(measure: str, statistic: str, interval: bool = False) -> str:
-            return value_of(find(records, **key, measure=measure, statistic=statistic), interval)
-
-        differences = [
-            cell
-            for name in names
-            for cell in (get(name, MEDIAN.name, interval=True), get(name, BETTER), get(name, SIGN_TEST))
-        ]
-        rates = (get(FAILURE_RATE, OWN), get(FAILURE_RATE, THEIRS), get(FAILURE_RATE, DIFFERENCE, interval=True))
-        return (line.scenario, line.estimator, line.reference, counts(line), *differences, *rates)
-
-    note = (
-        "On the same images and priors: median of the differences of the errors, trial by trial (negative is better),"
-        " share of trials in which it is better, and p of the sign test. Failures: no estimate, or a position error"
-        " above the prior's."
-    )
-    rows = tuple(cells(line) for line in lines)
-    return Grid("Estimators on the same trials", heads, rows, frozenset({0, 1, 2}), note) if rows else None
+    key = (PAIRED, next(iter(DIFFERENCES)), MEDIAN.name)
+    lines = [r for r in records if (r.stage, r.measure, r.statistic) == key]
+    return record_grid("Estimators on the same trials", _COLUMNS, records, lines, _NOTE)

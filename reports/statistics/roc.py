@@ -18,10 +18,19 @@ from scipy.special import ndtri
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.grid import Grid, value_of
-from boresight.reports.schema.records import CONTROL, Record, find
+from boresight.reports.schema.grid import (
+    ESTIMATOR,
+    NO_VALUE,
+    SCENARIO,
+    Grid,
+    GridColumn,
+    named,
+    record_column,
+    record_grid,
+)
+from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
-from boresight.reports.statistics.measured import Measured
+from boresight.reports.statistics.measured import Measured, Sample
 from boresight.scenarios.arrays import BoolArray, FloatArray
 
 ABOVE_PRIOR, ABOVE_MEDIANS = "above-prior", "above-3-medians"
@@ -174,57 +183,36 @@ def operating_point(found: OutlierScore) -> tuple[float, float]:
     return float(true[best]), float(sign * thresholds[best])
 
 
-def outlier_records(run: RunData) -> list[Record]:
+def outlier_records(run: RunData) -> Iterator[Record]:
     """Measure every score: area under the curve, and the point of 5 % false positives."""
-    records = []
     for found in outlier_scores(run):
+        sample = Sample(found.scenario, found.estimator, found.definition, len(found.bad), unit="")
         true, threshold = operating_point(found)
-        for statistic, measured in (
-            (AUC, measured_area(found)),
-            (TRUE_POSITIVES, Measured(true)),
-            (THRESHOLD, Measured(threshold if np.isfinite(threshold) else None)),
-            (BAD, Measured(float(found.bad.sum()))),
-        ):
-            records.append(_record(found, statistic, measured))
-    return records
+        yield sample.record(MEASURE + found.name, AUC, measured_area(found))
+        yield sample.record(MEASURE + found.name, TRUE_POSITIVES, Measured(true))
+        yield sample.record(MEASURE + found.name, THRESHOLD, Measured(threshold if np.isfinite(threshold) else None))
+        yield sample.record(MEASURE + found.name, BAD, Measured(float(found.bad.sum())))
 
 
-def _record(found: OutlierScore, statistic: str, measured: Measured) -> Record:
-    n = len(found.bad)
-    return Record(
-        found.scenario, found.estimator, found.definition, "", MEASURE + found.name, "", statistic,
-        measured.value, measured.low, measured.high, n, n,
-    )  # fmt: skip
+_NOTE = (
+    "How well a number that the estimator reports indicates its bad solutions: area under the receiver operating"
+    " characteristic (0.5 is chance; below it, small values indicate them), and the share of bad solutions beyond"
+    " the threshold that flags 5 % of the good ones."
+)
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    named("bad", lambda key: DEFINITIONS[key.stage]),
+    named("number", lambda key: key.measure.removeprefix(MEASURE)),
+    record_column("of", statistic=BAD, printed=lambda bad: f"{round(bad.value or 0)}/{bad.n}" if bad else NO_VALUE),
+    record_column("AUC [95 %]", interval=True),
+    record_column(TRUE_POSITIVES, statistic=TRUE_POSITIVES),
+    record_column("threshold", statistic=THRESHOLD),
+    GridColumn("flagged", lambda key, known: "below" if (known[key].value or 0.0) < 0.5 else "above", text=True),
+)
 
 
 def outlier_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate how well the numbers that estimators report indicate bad solutions; None where there are none."""
     lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
-    heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
-
-    def cells(line: Record) -> tuple[str, ...]:
-        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage, "measure": line.measure}
-        true, threshold, bad = (find(records, **key, statistic=name) for name in (TRUE_POSITIVES, THRESHOLD, BAD))
-        return (
-            line.scenario,
-            line.estimator,
-            DEFINITIONS[line.stage],
-            line.measure.removeprefix(MEASURE),
-            f"{0 if bad is None else round(bad.value or 0)}/{line.n}",
-            value_of(line, interval=True),
-            value_of(true),
-            value_of(threshold),
-            "below" if (line.value or 0.0) < 0.5 else "above",
-        )
-
-    note = (
-        "How well a number that the estimator reports indicates its bad solutions: area under the receiver operating"
-        " characteristic (0.5 is chance; below it, small values indicate them), and the share of bad solutions beyond"
-        " the threshold that flags 5 % of the good ones."
-    )
-    rows = tuple(cells(line) for line in lines)
-    return (
-        Grid("Bad solutions, and the numbers that indicate them", heads, rows, frozenset({0, 1, 2, 3, 8}), note)
-        if rows
-        else None
-    )
+    return record_grid("Bad solutions, and the numbers that indicate them", _COLUMNS, records, lines, _NOTE)

@@ -7,8 +7,12 @@ from terminal_text import terminal_lines
 
 from boresight.reports.kinds.designs.tables import DesignData, Outcome
 from boresight.reports.kinds.sequence.contrasts import ratio_records
-from boresight.reports.kinds.sequence.tables import revolution_figure, revolution_series
-from boresight.reports.kinds.sequence.vision import vision_records
+from boresight.reports.kinds.sequence.tables import (
+    revolution_figure,
+    revolution_series,
+    sequence_measures,
+    vision_records,
+)
 from boresight.reports.pages.build import write_report
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run
@@ -40,7 +44,12 @@ def add_trial(builder, trial, landmarks, *, estimator=OURS, error_m=1.0, **colum
 def landmarks_of(run, estimator=OURS, scenario="itokawa"):
     """Mean number of landmarks with its interval, and of how many trials."""
     found = find(
-        measure_run(run), scenario=scenario, estimator=estimator, stage="final", measure="n_landmarks", statistic="mean"
+        measure_run(run),
+        scenario=scenario,
+        estimator=estimator,
+        stage="final",
+        measure="n_landmarks",
+        statistic="mean",
     )
     return (found.value, found.low, found.high), (found.n_ok, found.n)
 
@@ -136,7 +145,7 @@ def written(builder, errors, **manifest):
 
 def pooled(run, statistic, name="error_after_1_m"):
     (pool,) = pools(run)
-    return find(measure_run(run), scenario=pool.name, stage=SEQUENCE, measure=name, statistic=statistic)
+    return find(sequence_measures(run), scenario=pool.name, stage=SEQUENCE, measure=name, statistic=statistic)
 
 
 def test_two_sets_of_equal_starts_are_two_numbers(builder):
@@ -155,7 +164,7 @@ def test_a_scenario_without_images_beside_those_with_sets_has_independent_trials
     simulated = (4.0, 5.0, 6.0, 8.0, 9.0, 10.0)
     scenarios = {f"sphere-{i}": spec(i) for i in range(2)} | {"sphere-2": spec(2, sequence={"images": None})}
     run = written(builder, {"one": [[4.0] * 6, [5.0] * 6, simulated]}, scenarios=scenarios)
-    found = find(measure_run(run), scenario="sphere-2", measure="error_after_1_m", statistic="mean")
+    found = find(sequence_measures(run), scenario="sphere-2", measure="error_after_1_m", statistic="mean")
     assert (found.value, found.low, found.high) == student_mean(simulated)
     assert (pooled(run, "mean").value, pooled(run, "mean").n) == (4.5, 12)
 
@@ -181,7 +190,8 @@ def test_the_deviation_is_resampled_by_sets(builder):
 def test_one_set_has_a_value_and_no_interval(builder):
     run = written(builder, {"one": [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]], "two": [[2.0] * 6]})
     assert pools(run) == ()
-    record = find(measure_run(run), scenario="sphere-0", estimator="one", measure="error_after_1_m", statistic="mean")
+    wanted = {"scenario": "sphere-0", "estimator": "one", "measure": "error_after_1_m", "statistic": "mean"}
+    record = find(sequence_measures(run), **wanted)
     assert (record.value, record.low, record.high, record.n_ok) == (3.5, None, None, 6)
     ratio = next(iter(ratio_records(run)))
     assert (ratio.value, ratio.low) == (1.75, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-import pandas as pd
+import numpy as np
 from matplotlib.figure import Figure
 
 from boresight.reports.figures.axes import band_label
@@ -17,24 +17,52 @@ from boresight.reports.figures.sequences import (
     draw_starts,
     draw_traces,
 )
-from boresight.reports.kinds.designs.tables import design_grids
 from boresight.reports.kinds.sequence.contrasts import ERROR_RATIOS
-from boresight.reports.kinds.sequence.vision import vision_grid
-from boresight.reports.run.clusters import clusters_of, pooled_scenarios, pools
+from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools, rows_by_group
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
+from boresight.reports.schema.grid import (
+    ESTIMATOR,
+    NO_VALUE,
+    SCENARIO,
+    Grid,
+    GridColumn,
+    counts,
+    named,
+    number,
+    of_ended,
+    record_column,
+    record_grid,
+    unit_column,
+)
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.labels import as_title, count_of
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import RATIO, SEQUENCE, Record, find
-from boresight.reports.schema.tables import measure_label
-from boresight.reports.statistics.consistency import consistency_grid
-from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
+from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record
+from boresight.reports.schema.tables import measure_heading, measure_label
+from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS, Sample, measure_deviation
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST
-from boresight.reports.tables import diagnostic_grid, timing_grid
-from boresight.reports.verdicts import ComparedValue, comparison_grid
 
+VISION = "vision"
+"""Stage of what the vision layer did to the images, whatever estimator used its tracks."""
+_VISION = {
+    "n_features": "features_per_image",
+    "repeatability": "repeatability_share",
+    "n_matches": "matches_per_image",
+    "right_share": "right_share",
+    "n_kept": "kept_per_image",
+    "kept_right_share": "kept_right_share",
+    "lost_right": "lost_right_share",
+    "survival": "track_survival_share",
+    "n_tracks": "tracks_per_image",
+    "n_wrong": "wrong_per_image",
+    "error_px": "track_error_px",
+    "sigma_px": "track_sigma_px",
+}
+_VISION_NOTE = (
+    "Mean over the frames of a trial, then over trials. The starts on one set of images are not independent of each"
+    " other: intervals are over sets, and one set by itself has none."
+)
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
-
 _SIGN_NOTE = (
     "A set of images counts once, by the sign of the median difference of the errors from its starts; p of the exact"
     " two-sided sign test."
@@ -51,24 +79,67 @@ _NOTE = (
 )
 
 
-def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
-    """List the tables of a run of sequences; where one thing at a time is varied, those of the grid alone."""
-    design = run.manifest.grid
-    if design is not None and design.design == "one-at-a-time":
-        return design_grids(run)
-    shown = without_pooled(run, records)
-    found = (
-        comparison_grid(compared),
-        *ratio_grids(shown),
-        *sign_grids(shown, run),
-        sequence_grid(shown),
-        consistency_grid(shown),
-        vision_grid(shown),
-        *design_grids(run),
-        diagnostic_grid(shown),
-        timing_grid(shown),
-    )
-    return [grid for grid in found if grid is not None]
+def _mean_and_deviation(key: Key, known: Mapping[Key, Record]) -> str:
+    mean, deviation = (known.get(key._replace(statistic=name)) for name in (MEAN.name, DEVIATION))
+    if mean is None or mean.value is None:
+        return NO_VALUE
+    spread = "" if deviation is None or deviation.value is None else f" +- {number(deviation.value)}"
+    return of_ended(f"{number(mean.value)}{spread}", known[key].n_ok, known[key].n)
+
+
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    named("number", lambda key: measure_label(key.measure)),
+    record_column("median [95 %]", interval=True, ended=True),
+    GridColumn("mean +- deviation", _mean_and_deviation),
+    record_column("RMS", statistic=RMS.name, ended=True),
+    record_column("95 %", statistic=P95.name, ended=True),
+    unit_column(),
+    record_column("trials", printed=counts),
+)
+_SIGN_COLUMNS = (
+    named("quantity", lambda key: measure_label(key.measure.replace("_ratio", "_m"))),
+    ESTIMATOR,
+    named("against", lambda key: key.reference),
+    record_column(
+        "sets in which better",
+        printed=lambda test: f"{round((test.value or 0.0) * test.n_ok)}/{test.n_ok}" if test else NO_VALUE,
+    ),
+    record_column("p", statistic=SIGN_TEST),
+)
+
+
+def sequence_measures(run: RunData) -> Iterator[Record]:
+    """Measure the errors of whole sequences, under the stage ``sequence``."""
+    for group, estimator, rows in rows_by_group(run) if len(run.table("epochs")) else ():
+        sample, clusters = Sample(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
+        for name in SEQUENCE_COLUMNS:
+            known = rows[name].notna().to_numpy()
+            if known.any():
+                yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                values = rows[name].to_numpy(dtype=np.float64)[known]
+                yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
+
+
+def vision_records(run: RunData) -> list[Record]:
+    """Measure the vision layer of each scenario and estimator: means over the frames of each trial.
+
+    Right matches of a frame that were not kept are all of them where nothing was kept.
+    """
+    records: list[Record] = []
+    frames = run.table("vision")
+    right = frames["n_matches"] * frames["right_share"]
+    kept = (frames["n_kept"] * frames["kept_right_share"]).where(frames["n_kept"] > 0, 0.0)
+    frames = frames.assign(lost_right=1.0 - kept / right.where(right > 0.0))
+    for group, members in groups(run):
+        for estimator, own in frames[frames["scenario"].isin(members)].groupby("estimator", sort=False):
+            trials = own.groupby(["scenario", "trial"], as_index=False)[[*_VISION]].mean()
+            sample, clusters = Sample(group, str(estimator), VISION, len(trials)), clusters_of(run, trials)
+            for column, name in _VISION.items():
+                scale = 100.0 if name.endswith("_share") else 1.0
+                records += sample.records(name, scale * trials[column], clusters, (MEAN, MEDIAN))
+    return records
 
 
 def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
@@ -77,92 +148,72 @@ def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
     return [record for record in records if record.scenario not in pooled]
 
 
-def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
+def ratio_grids(records: Sequence[Record]) -> Iterator[Grid | None]:
     """Tabulate the mean error of each estimator over that of each other one, a grid for each scenario and error."""
     ratios = [r for r in records if r.stage == RATIO and r.measure in ERROR_RATIOS and r.statistic == MEAN.name]
     for scenario, name in dict.fromkeys((r.scenario, r.measure) for r in ratios):
         own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
         labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
-        rows = tuple(
-            (one, *(value_of_ended(find(own, estimator=one, reference=other), interval=True) for other in labels))
-            for one in labels
+        lines = [Key(scenario, label, RATIO, measure=name, statistic=MEAN.name) for label in labels]
+        columns = (
+            named("mean error of / over", lambda key: key.estimator),
+            *(record_column(label, reference=label, interval=True, ended=True) for label in labels),
         )
-        title = f"{as_title(measure_label(name))}, {scenario}"
-        yield Grid(title, ("mean error of / over", *labels), rows, frozenset({0}), _RATIO_NOTE)
+        yield record_grid(f"{as_title(measure_label(name))}, {scenario}", columns, own, lines, _RATIO_NOTE)
 
 
-def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
+def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid | None]:
     """Tabulate in how many sets of images each estimator is better than each other one, a grid for each pool."""
     pooled = {pool.name for pool in pools(run)}
     tests = [r for r in records if r.stage == RATIO and r.statistic == BETTER and r.scenario in pooled and r.n_ok]
     for scenario in dict.fromkeys(r.scenario for r in tests):
-        rows = []
-        for test in (r for r in tests if r.scenario == scenario):
-            key = {"scenario": scenario, "estimator": test.estimator, "reference": test.reference}
-            chance = find(records, **key, stage=RATIO, measure=test.measure, statistic=SIGN_TEST)
-            better = f"{round((test.value or 0.0) * test.n_ok)}/{test.n_ok}"
-            quantity = measure_label(test.measure.replace("_ratio", "_m"))
-            rows.append((quantity, test.estimator, test.reference, better, value_of(chance)))
-        heads = ("quantity", "estimator", "against", "sets in which better", "p")
-        yield Grid(f"Sign tests, {scenario}", heads, tuple(rows), frozenset({0, 1, 2}), _SIGN_NOTE)
+        lines = [r for r in tests if r.scenario == scenario]
+        yield record_grid(f"Sign tests, {scenario}", _SIGN_COLUMNS, records, lines, _SIGN_NOTE)
 
 
 def sequence_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate the results of sequences; None if there are none."""
     lines = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name]
-    heads = ("scenario", "estimator", "number", "median [95 %]", "mean +- deviation", "RMS", "95 %", "unit", "trials")
-    rows = tuple(
-        (
-            line.scenario,
-            line.estimator,
-            measure_label(line.measure),
-            value_of_ended(line, interval=True),
-            of_ended(_mean_and_deviation(records, line), line.n_ok, line.n),
-            *(value_of_ended(_other(records, line, statistic.name)) for statistic in (RMS, P95)),
-            line.unit,
-            counts(line),
-        )
-        for line in lines
-    )
-    return Grid("Sequences", heads, rows, frozenset({0, 1, 2, 7}), _NOTE) if rows else None
+    return record_grid("Sequences", _COLUMNS, records, lines, _NOTE)
 
 
-def sequence_brief(records: Sequence[Record]) -> Iterator[Grid]:
+def sequence_brief(records: Sequence[Record]) -> Iterator[Grid | None]:
     """Tabulate the medians of each scenario for the terminal, a line for each estimator."""
     found = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name and r.measure in _BRIEF]
     for scenario in dict.fromkeys(r.scenario for r in found):
         own = [r for r in found if r.scenario == scenario]
-        shown = {name: head for name, head in _BRIEF.items() if any(r.measure == name for r in own)}
-        rows = tuple(
-            (
-                label,
-                counts(next(r for r in own if r.estimator == label)),
-                *(value_of_ended(find(own, estimator=label, measure=name), interval=True) for name in shown),
-            )
-            for label in dict.fromkeys(r.estimator for r in own)
+        first: dict[str, Record] = {}
+        for record in own:
+            first.setdefault(record.estimator, record)
+        shown = [name for name in _BRIEF if any(r.measure == name for r in own)]
+        columns = (
+            ESTIMATOR,
+            record_column("trials", printed=counts),
+            *(record_column(_BRIEF[name], name, interval=True, ended=True) for name in shown),
         )
-        yield Grid(f"Median errors, {scenario}", ("estimator", "trials", *shown.values()), rows, frozenset({0}))
+        yield record_grid(f"Median errors, {scenario}", columns, own, first.values())
 
 
-def _other(records: Sequence[Record], line: Record, statistic: str) -> Record | None:
-    key = {"scenario": line.scenario, "estimator": line.estimator, "stage": SEQUENCE, "measure": line.measure}
-    return find(records, **key, statistic=statistic)
-
-
-def _mean_and_deviation(records: Sequence[Record], line: Record) -> str:
-    mean, deviation = (_other(records, line, statistic) for statistic in (MEAN.name, DEVIATION))
-    if mean is None or mean.value is None:
-        return NO_VALUE
-    if deviation is None or deviation.value is None:
-        return number(mean.value)
-    return f"{number(mean.value)} +- {number(deviation.value)}"
+def vision_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate the vision layer; estimators that saw the same tracks share a line, None without images."""
+    shared: dict[tuple[object, ...], list[Record]] = {}
+    for line in records:
+        if line.stage == VISION and line.statistic == MEAN.name:
+            shared.setdefault((line.scenario, line.measure, line.value, line.low, line.high), []).append(line)
+    whose = {alike[0].key: ", ".join(line.estimator for line in alike) for alike in shared.values()}
+    columns = (
+        SCENARIO,
+        named("tracks of", lambda key: whose[key]),
+        named("quantity", lambda key: measure_heading(key.measure)),
+        record_column("mean [95 %]", interval=True),
+        record_column("trials", printed=counts),
+    )
+    return record_grid("Vision layer", columns, records, [alike[0] for alike in shared.values()], _VISION_NOTE)
 
 
 def sequence_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
-    for scenario in dict.fromkeys(
-        run.table("epochs")["scenario"]
-    ):  # where no frame was estimated there is nothing to draw
+    for scenario in dict.fromkeys(run.table("epochs")["scenario"]):
         labels = [name for where, name in run.pairs() if where == scenario]
         yield NamedFigure(file_stem(f"traces_{scenario}"), *trace_figure(run, scenario, labels))
     series = revolution_series(run)
@@ -223,16 +274,15 @@ def _lines(found: Iterable[tuple[str, str, tuple[str, str]]]) -> dict[str, dict[
     return {line: levels for line, levels in lines.items() if len(levels) > 1}
 
 
-def _clustered(run: RunData, rows: pd.DataFrame) -> pd.DataFrame:
-    return rows.assign(cluster=clusters_of(run, rows))
-
-
 def revolution_figure(
     run: RunData, series: Mapping[str, Mapping[str, tuple[str, str]]], abscissa: str = ""
 ) -> tuple[Figure, str, str]:
     """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
     errors = {
-        line: {level: _clustered(run, select(run.rows, *pair)) for level, pair in levels.items()}
+        line: {
+            level: (rows := select(run.rows, *pair)).assign(cluster=clusters_of(run, rows))
+            for level, pair in levels.items()
+        }
         for line, levels in series.items()
     }
     axes = run.manifest.grid.axes if run.manifest.grid is not None else ()

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator
 from pydantic import ValidationError
 
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs import REPORT as DESIGN_REPORT
+from boresight.reports.kinds.designs.figures import design_figures
+from boresight.reports.kinds.designs.tables import design_grids
 from boresight.reports.kinds.single_image.figures import image_figures
 from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from boresight.reports.kinds.single_image.tradeoff import trade_grid
@@ -75,7 +76,7 @@ def tables(content: Content) -> Tables:
     """List the tables of single images, or of the grid that their scenarios are."""
     measured, run = content.records, content.run
     if run.manifest.grid is not None:
-        return DESIGN_REPORT.tables(content)
+        return design_grids(run)
     return (
         *pose_grids(measured, run),
         reference_grid(measured, run),
@@ -101,13 +102,13 @@ def pose_brief(content: Content) -> list[Grid]:
 def brief(content: Content) -> Tables:
     """List what the terminal shows: errors of poses, of other trials the numbers that they report."""
     if content.run.manifest.grid is not None:
-        return DESIGN_REPORT.brief(content)
+        return design_grids(content.run, brief=True)
     return pose_brief(content) or diagnostic_brief(content.records)
 
 
 def figures(content: Content) -> Iterable[NamedFigure]:
     """Draw the figures of single images, or of the grid that their scenarios are."""
-    return image_figures(content) if content.run.manifest.grid is None else DESIGN_REPORT.figures(content)
+    return image_figures(content) if content.run.manifest.grid is None else design_figures(content.run)
 
 
 REPORT = ReportKind(records=records, tables=tables, brief=brief, figures=figures)

@@ -48,4 +48,5 @@ SCHEMA = KindSchema(
         ),
     },
     metrics=METRICS,
+    nees="orbits",
 )

@@ -73,6 +73,7 @@ SCHEMA = KindSchema(
         ),
     },
     metrics=METRICS,
+    nees="orbits",
     databases_note=(
         "Positions and prominence of the craters were drawn {n} times; trials have them in turn. Intervals take that"
         " draw for what is independent (Student's t over the draws), so that they include the variation between them."

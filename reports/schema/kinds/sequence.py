@@ -102,4 +102,6 @@ SCHEMA = KindSchema(
         *_VISION,
     ),
     metrics=("position_error_m", *SEQUENCE_COLUMNS),
+    nees="epochs",
+    frames=True,
 )
