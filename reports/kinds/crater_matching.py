@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import pandas as pd
 
 from boresight.reports.figures.craters import ShareCurve, draw_shares
 from boresight.reports.kinds import ReportKind
-from boresight.reports.run.data import RunData
-from boresight.reports.schema.grid import NO_VALUE, Grid, value_of
+from boresight.reports.run.data import TRIAL_KEY, RunData
+from boresight.reports.schema.grid import Grid, GridColumn, named, record_column, record_grid
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import Record
-from boresight.reports.schema.tables import unit_of
-from boresight.reports.statistics.measured import MEDIAN, P95, measure, measure_share
+from boresight.reports.schema.records import Key, Record, by_key
+from boresight.reports.statistics.measured import MEDIAN, P95, Sample, measure_share
 from boresight.reports.verdicts import comparison_grid
 
 RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
 OFFSET = "epipolar_offset_px"
 MATCHING = "matching"
-_OFFSETS = (MEDIAN, P95)
 _VIEWS = ((0.0, 10.0), (10.0, 20.0), (0.0, 20.0), (20.0, 30.0), (30.0, 90.0))
 _SUNS = ((0.0, 10.0), (10.0, 30.0), (0.0, 30.0), (30.0, 50.0), (50.0, 60.0), (60.0, 90.0))
 _DRAWN = (0.0, 20.0)
 _FEW = 7
 """Craters of an image in which context is "not suitable" (Cheng et al. 2003)."""
+_FEWER = "n_fewer"
+"""Column of the craters that are detected in that image of a pair that shows fewer."""
 _BRIEF_SUNS = ((0.0, 10.0), (0.0, 30.0), (50.0, 60.0))
 _ANGLE_HEADS = ("views apart", "Suns apart")
 _CRATER_HEADS = ("craters in the image that shows fewer",)
@@ -39,118 +38,139 @@ _NOTE = (
 )
 
 
-class _PairSelection(Protocol):
-    """Some of the pairs of images: what they are called, and which they are."""
-
-    @property
-    def stage(self) -> str: ...
-
-    @property
-    def cells(self) -> tuple[str, ...]: ...
-
-    def of(self, table: pd.DataFrame) -> pd.DataFrame: ...
+def _span(bounds: tuple[float, float]) -> str:
+    return f"{bounds[0]:g} to {bounds[1]:g} deg"
 
 
 @dataclass(frozen=True, slots=True)
-class _AngleRange:
-    """Ranges of the two angles, deg."""
+class _Part:
+    """Some of the pairs of images: their stage and cells in a table, and the columns whose ranges they are in."""
 
-    view: tuple[float, float]
-    sun: tuple[float, float]
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        return (_span(self.view), _span(self.sun))
-
-    @property
-    def stage(self) -> str:
-        return f"{MATCHING}, views {_span(self.view)}, Suns {_span(self.sun)}"
+    stage: str
+    cells: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
 
     def of(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Select the pairs of images in both ranges."""
-        inside = table["view_deg"].between(*self.view) & table["sun_deg"].between(*self.sun)
-        return table[inside]
+        """Select these pairs of images."""
+        return table[np.logical_and.reduce([table[name].between(*ends) for name, ends in self.ranges.items()])]
 
 
-@dataclass(frozen=True, slots=True)
-class _CraterCountRange:
-    """A range of the craters that are detected in that image of a pair that shows fewer."""
-
-    name: str
-    least: float
-    most: float
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        return (self.name,)
-
-    @property
-    def stage(self) -> str:
-        return f"{MATCHING}, {self.name}"
-
-    def of(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Select the pairs of images of which the poorer one shows so many."""
-        return table[table[["n_first", "n_second"]].min(axis=1).between(self.least, self.most)]
+def _angles(view: tuple[float, float], sun: tuple[float, float]) -> _Part:
+    """Return the pairs in ranges of both angles, deg."""
+    cells = (_span(view), _span(sun))
+    return _Part(f"{MATCHING}, views {cells[0]}, Suns {cells[1]}", cells, {"view_deg": view, "sun_deg": sun})
 
 
+def _craters(name: str, least: float, most: float) -> _Part:
+    """Return the pairs whose poorer image shows so many craters."""
+    return _Part(f"{MATCHING}, {name}", (name,), {_FEWER: (least, most)})
+
+
+_EVERYTHING = _angles((0.0, 90.0), (0.0, 90.0))
 _BY_CRATERS = (
-    _CraterCountRange("all pairs", 0, np.inf),
-    _CraterCountRange(f"{_FEW} craters or fewer", 0, _FEW),
-    _CraterCountRange(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
+    _craters("all pairs", 0, np.inf),
+    _craters(f"{_FEW} craters or fewer", 0, _FEW),
+    _craters(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
 )
+_BY_ANGLES = tuple(_angles(view, sun) for view in _VIEWS for sun in _SUNS)
+
+
+def _pairs(run: RunData) -> pd.DataFrame:
+    """Read the matches of all pairs of images, with the craters of the image that shows fewer."""
+    table = run.table("crater_matches")
+    return table.assign(**{_FEWER: table[["n_first", "n_second"]].min(axis=1)})
+
+
+def _parts(run: RunData, own: pd.DataFrame, of: Sequence[_Part]) -> list[_Part]:
+    """List the parts that hold pairs of images; of a grid of scenarios one for all."""
+    if run.manifest.grid is not None:
+        return [_EVERYTHING] if of is _BY_ANGLES else []
+    return [part for part in of if len(part.of(own))]
 
 
 def matching_records(run: RunData) -> list[Record]:
-    """Measure recall, share of wrong matches and time of each matcher, scenario and part of the pairs of images."""
-    if run.table("crater_matches").empty:
-        return []
+    """Measure recall, share of wrong matches and time of each matcher, scenario and part of the pairs of images.
+
+    And how far craters lie from their epipolar lines, over all pairs of images that have one in common.
+    """
     timed = run.table("timings")[run.table("timings")["stage"] == MATCHING]
-    table = run.table("crater_matches").merge(timed, on=["trial", "scenario", "estimator"], how="left")
+    table = _pairs(run).merge(timed, on=TRIAL_KEY, how="left")
     found: list[Record] = []
     for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False):
-        found += _offset(str(scenario), str(estimator), own)
-        parts: list[_PairSelection] = [*_cells(run, own), *_by_craters(run, own)]
-        found += [r for part in parts for r in _measured(str(scenario), str(estimator), part, part.of(own))]
+        sample = Sample(str(scenario), str(estimator), MATCHING, len(own))
+        found += sample.records(OFFSET, own[OFFSET], own["trial"].to_numpy(), (MEDIAN, P95))
+        for part in (*_parts(run, own, _BY_ANGLES), *_parts(run, own, _BY_CRATERS)):
+            pairs = part.of(own)
+            trials = pairs["trial"].to_numpy()
+            correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
+            for name, some, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
+                counted = replace(sample, stage=part.stage, n=int(whole.sum()))
+                found.append(counted.record(name, "share", measure_share(some, whole, trials), int(some.sum())))
+            timed_pairs = replace(sample, stage=part.stage, n=len(pairs), unit="s")
+            found += timed_pairs.records(SECONDS, pairs["seconds"], trials, (MEDIAN,))
     return found
-
-
-def _offset(scenario: str, estimator: str, pairs: pd.DataFrame) -> Iterator[Record]:
-    """Measure how far craters lie from their epipolar lines, over all pairs of images that have one in common."""
-    known = pairs[pairs["epipolar_offset_px"].notna()]
-    offsets, trials = known["epipolar_offset_px"].to_numpy(float), known["trial"].to_numpy()
-    for statistic, found in zip(_OFFSETS, measure(offsets, trials, _OFFSETS), strict=True):
-        yield Record(
-            scenario, estimator, MATCHING, "", OFFSET, unit_of(OFFSET), statistic.name, found.value, found.low,
-            found.high, len(known), len(pairs),
-        )  # fmt: skip
 
 
 def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate each scenario: a line for each cell of angles, or range of craters, and matcher."""
     found = []
-    for scenario, own in run.table("crater_matches").groupby("scenario", sort=False):
-        found.append(_grid(str(scenario), own, records, _cells(run, own)))
-        counted = _by_craters(run, own)
-        if counted:
-            found.append(_grid(str(scenario), own, records, counted, _CRATER_HEADS))
-    return found
+    for scenario, own in _pairs(run).groupby("scenario", sort=False):
+        found.append(_grid(str(scenario), own, records, _parts(run, own, _BY_ANGLES)))
+        title = f"Matching by the number of craters, {scenario}"
+        found.append(_grid(title, own, records, _parts(run, own, _BY_CRATERS), _CRATER_HEADS))
+    return [grid for grid in found if grid is not None]
 
 
 def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate what fits a terminal: three cells of angles of each scenario, or the scenarios of a grid."""
-    each = run.table("crater_matches").groupby("scenario", sort=False)
+    each = {str(scenario): own for scenario, own in _pairs(run).groupby("scenario", sort=False)}
     if run.manifest.grid is None:
-        cells = [_AngleRange(_DRAWN, sun) for sun in _BRIEF_SUNS]
-        found = [_grid(str(scenario), own, records, [c for c in cells if len(c.of(own))]) for scenario, own in each]
-        return [replace(grid.keep(*_BRIEF), title=f"{grid.title}, views {_span(_DRAWN)} apart") for grid in found]
+        cells = [_angles(_DRAWN, sun) for sun in _BRIEF_SUNS]
+        found = [_grid(name, own, records, _parts(run, own, cells)) for name, own in each.items()]
+        return [replace(one.keep(*_BRIEF), title=f"{one.title}, views {_span(_DRAWN)} apart") for one in found if one]
     axes = run.manifest.grid.axes
     rows = []
     for variation in run.manifest.grid.scenarios:
-        if variation.name in each.groups:
-            own = _grid(variation.name, each.get_group(variation.name), records, [_everything()]).keep(*_BRIEF[1:])
-            rows += [(*(variation.levels[axis.name] for axis in axes), *row) for row in own.rows]
+        if variation.name in each:
+            own = _grid(variation.name, each[variation.name], records, [_EVERYTHING])
+            levels = tuple(variation.levels[axis.name] for axis in axes)
+            rows += [(*levels, *row) for row in (own.keep(*_BRIEF[1:]).rows if own else ())]
     heads = (*(axis.label or axis.name for axis in axes), *_BRIEF[1:])
     return [Grid("Matching", heads, tuple(rows), frozenset(range(len(axes) + 1)))]
+
+
+def _grid(
+    title: str,
+    own: pd.DataFrame,
+    records: Sequence[Record],
+    parts: Sequence[_Part],
+    by: Sequence[str] = _ANGLE_HEADS,
+) -> Grid | None:
+    """Tabulate the matches of a scenario, a line for each part and matcher; without another title, by the scenario."""
+    of_stage = {part.stage: part for part in parts}
+    scenario = str(own["scenario"].iloc[0])
+
+    def pairs(key: Key) -> pd.DataFrame:
+        return of_stage[key.stage].of(own[own["estimator"] == key.estimator])
+
+    def total(column: str, head: str) -> GridColumn:
+        return GridColumn(head, lambda key, _: str(int(pairs(key)[column].sum())))
+
+    columns = (
+        *(named(head, lambda key, i=i: of_stage[key.stage].cells[i]) for i, head in enumerate(by)),
+        named("mode", lambda key: key.estimator),
+        GridColumn("image pairs", lambda key, _: str(len(pairs(key)))),
+        total("n_common", "craters in both"),
+        total("n_correct", "correct"),
+        total("n_wrong", "wrong"),
+        total("n_missed", "missed"),
+        record_column("recall, %", RECALL, "share", interval=True),
+        record_column("wrong, %", WRONG, "share", interval=True),
+        record_column("median time", SECONDS, MEDIAN.name),
+    )
+    modes = list(dict.fromkeys(own["estimator"]))
+    lines = [Key(scenario, estimator, part.stage) for part in parts for estimator in modes]
+    return record_grid(f"Matching, {title}" if by is _ANGLE_HEADS else title, columns, records, lines, _NOTE)
 
 
 def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedFigure]:
@@ -158,7 +178,7 @@ def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedF
     if run.manifest.grid is not None:
         axis = run.manifest.grid.axes[0]
         places = {variation.name: variation.levels[axis.name] for variation in run.manifest.grid.scenarios}
-        curves = _curves(records, [(name, level, _everything().stage) for name, level in places.items()])
+        curves = _curves(records, [(name, level, _EVERYTHING.stage) for name, level in places.items()])
         label = axis.label or axis.name
         yield NamedFigure(
             file_stem("matching", axis.name), draw_shares(curves, label), f"Matching by {label}.",
@@ -166,96 +186,31 @@ def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedF
         )  # fmt: skip
         return
     for scenario in dict.fromkeys(run.table("crater_matches")["scenario"]):
-        cells = [_AngleRange(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
-        curves = _curves(records, [(scenario, _span(cell.sun), cell.stage) for cell in cells])
+        cells = [_angles(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
+        curves = _curves(records, [(scenario, cell.cells[1], cell.stage) for cell in cells])
         caption = f"Matching by the angle between the directions of the Sun, views {_span(_DRAWN)} apart, {scenario}."
         label = "angle between the directions of the Sun, deg"
         yield NamedFigure(file_stem("matching", str(scenario)), draw_shares(curves, label), caption, caption)
 
 
-def _cells(run: RunData, own: pd.DataFrame) -> list[_AngleRange]:
-    """List the cells that hold pairs of images; one for all in a grid of scenarios."""
-    if run.manifest.grid is not None:
-        return [_everything()]
-    cells = [_AngleRange(view, sun) for view in _VIEWS for sun in _SUNS]
-    return [cell for cell in cells if len(cell.of(own))]
-
-
-def _by_craters(run: RunData, own: pd.DataFrame) -> list[_CraterCountRange]:
-    """List the ranges of craters that hold pairs of images; none in a grid of scenarios."""
-    return [] if run.manifest.grid is not None else [part for part in _BY_CRATERS if len(part.of(own))]
-
-
-def _everything() -> _AngleRange:
-    return _AngleRange((0.0, 90.0), (0.0, 90.0))
-
-
-def _measured(scenario: str, estimator: str, part_of: _PairSelection, pairs: pd.DataFrame) -> Iterator[Record]:
-    correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
-    trials = pairs["trial"].to_numpy()
-    for name, part, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
-        found = measure_share(part, whole, trials)
-        yield Record(
-            scenario, estimator, part_of.stage, "", name, unit_of(name), "share", found.value, found.low, found.high,
-            int(part.sum()), int(whole.sum()),
-        )  # fmt: skip
-    seconds = pairs["seconds"].dropna().to_numpy(float)
-    found = measure(seconds, trials[pairs["seconds"].notna().to_numpy()], (MEDIAN,))[0]
-    yield Record(
-        scenario, estimator, part_of.stage, "", SECONDS, "s", MEDIAN.name, found.value, found.low, found.high,
-        len(seconds), len(pairs),
-    )  # fmt: skip
-
-
-def _grid(
-    scenario: str,
-    own: pd.DataFrame,
-    records: Sequence[Record],
-    parts: Sequence[_PairSelection],
-    by: Sequence[str] = _ANGLE_HEADS,
-) -> Grid:
-    rows = []
-    for part in parts:
-        for estimator in dict.fromkeys(own["estimator"]):
-            here = {
-                r.measure: r for r in records if (r.scenario, r.estimator, r.stage) == (scenario, estimator, part.stage)
-            }
-            pairs = part.of(own[own["estimator"] == estimator])
-            totals = [int(pairs[name].sum()) for name in ("n_common", "n_correct", "n_wrong", "n_missed")]
-            shares = [value_of(here.get(name), interval=True) for name in (RECALL, WRONG)]
-            time = here.get(SECONDS)
-            numbers = (len(pairs), *totals)
-            seconds = NO_VALUE if time is None else value_of(time)
-            rows.append((*part.cells, str(estimator), *map(str, numbers), *shares, seconds))
-    heads = (
-        *by, "mode", "image pairs", "craters in both", "correct", "wrong", "missed",
-        "recall, %", "wrong, %", "median time",
-    )  # fmt: skip
-    title = f"Matching, {scenario}" if by == _ANGLE_HEADS else f"Matching by the number of craters, {scenario}"
-    return Grid(title, heads, tuple(rows), frozenset(range(len(by) + 1)), _NOTE)
-
-
 def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -> list[ShareCurve]:
     """Gather a curve for each matcher over (scenario, label, stage)."""
-    known = {(r.scenario, r.estimator, r.stage, r.measure): r for r in records if r.measure in (RECALL, WRONG)}
+    known = by_key(r for r in records if r.measure in (RECALL, WRONG))
     curves = []
     for estimator in dict.fromkeys(r.estimator for r in records if r.measure == RECALL):
-        labels = [(s, label, stage) for s, label, stage in places if (s, estimator, stage, RECALL) in known]
+        keys = [(label, Key(scenario, estimator, stage, "", RECALL, "share")) for scenario, label, stage in places]
+        keys = [(label, key) for label, key in keys if key in known]
         values = {
-            name: np.array([_bounded(known[(s, estimator, stage, name)]) for s, _, stage in labels]).reshape(-1, 3)
+            name: np.array([_bounded(known[key._replace(measure=name)]) for _, key in keys]).reshape(-1, 3)
             for name in (RECALL, WRONG)
         }
-        curves.append(ShareCurve(estimator, tuple(label for _, label, _ in labels), values[RECALL], values[WRONG]))
+        curves.append(ShareCurve(estimator, tuple(label for label, _ in keys), values[RECALL], values[WRONG]))
     return curves
 
 
 def _bounded(record: Record) -> tuple[float, float, float]:
     value = np.nan if record.value is None else record.value
     return (value, value if record.low is None else record.low, value if record.high is None else record.high)
-
-
-def _span(bounds: tuple[float, float]) -> str:
-    return f"{bounds[0]:g} to {bounds[1]:g} deg"
 
 
 REPORT = ReportKind(
