@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from boresight.reports.schema.records import Key, Record, by_key
@@ -255,3 +255,16 @@ def record_grid(
     text = frozenset(i for i, column in enumerate(columns) if column.text)
     heads = tuple(column.head for column in columns)
     return Grid(title, heads, tuple(rows), text, note, short_line) if rows else None
+
+
+def scenario_grids(
+    title: str, columns: Sequence[GridColumn], records: Iterable[Record], lines: Iterable[Record | Key], note: str = ""
+) -> Iterator[Grid]:
+    """Yield a table of `record_grid` for each scenario of the lines, its name behind the title."""
+    of_scenario: dict[str, list[Record | Key]] = {}
+    for line in lines:
+        of_scenario.setdefault(line.scenario, []).append(line)
+    for scenario, own in of_scenario.items():
+        grid = record_grid(f"{title}, {scenario}", columns, records, own, note)
+        if grid is not None:
+            yield grid

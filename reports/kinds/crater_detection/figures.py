@@ -66,9 +66,9 @@ def _rates(scenario: str, ones: list[DetectorResults]) -> NamedFigure:
     panels = {
         what: {
             one.estimator: [
-                (_span(low, high), rate[0], rate[1] if rate[1] is not None else rate[0], rate[2] or rate[0])
-                for (low, high), (rate, _) in binned_rates(one, values, edges).items()
-                if rate[0] is not None
+                (_span(*ends), rate.value, rate.value if rate.low is None else rate.low, rate.high or rate.value)
+                for ends, (rate, _) in binned_rates(one, values, edges).items()
+                if rate.value is not None
             ]
             for one in ones
         }

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.grid import NO_VALUE, Grid, value_of
-from boresight.reports.schema.records import Record
-from boresight.reports.schema.tables import measure_heading, unit_of
+from boresight.reports.schema.grid import NO_VALUE, SCENARIO, Grid, named, record_column, record_grid, scenario_grids
+from boresight.reports.schema.records import Key, Record
+from boresight.reports.schema.tables import measure_heading
 from boresight.reports.statistics.intervals import has_quantile
-from boresight.reports.statistics.measured import MEDIAN, RMS, measure, measure_share
+from boresight.reports.statistics.measured import MEDIAN, RMS, Measured, Sample, measure_share
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
 
@@ -30,7 +30,6 @@ FALSE_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
 _DIAMETERS_PX = (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)
 _DEGRADATIONS = (0.0, 0.15, 0.3, 0.45, 0.6)
 _INCIDENCES_DEG = (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)
-_BRIEF_SHARES = ("detection_share", "clean_detection_share", "false_alarm_share")
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
     " world before this run; intervals are 95 %, with images, or worlds of craters where"
@@ -79,42 +78,42 @@ def detector_results(run: RunData) -> Iterator[DetectorResults]:
 
 def crater_records(run: RunData) -> list[Record]:
     """Measure every detector; images on which it failed count with what is there and nothing found."""
-    return [
-        record for one in (detector_results(run) if not run.table("craters").empty else ()) for record in _records(one)
-    ]
+    ones = () if run.table("craters").empty else detector_results(run)
+    return [record for one in ones for record in _records(one)]
 
 
 def _records(one: DetectorResults) -> Iterator[Record]:
     craters, found = one.craters, one.detections[one.detections["kept"].to_numpy(dtype=bool)]
-    was_found = craters["kept"].to_numpy(dtype=bool)
-    detectable, clean = craters["detectable"].to_numpy(dtype=bool), craters["clean"].to_numpy(dtype=bool)
-    around = craters["unit"].to_numpy()
-    yield _share(one, "detection_share", was_found[detectable], around[detectable])
-    yield _share(one, "clean_detection_share", was_found[clean], around[clean])
-    false = found["crater"].to_numpy() < 0
-    counted = counted_detections(found)
-    unit = found["unit"].to_numpy()
-    yield _share(one, "false_alarm_share", false[counted], unit[counted])
-    yield _share(one, "listed_false_alarm_share", false, unit)
-    yield _share(one, "beyond_detectable_share", false | ~counted, unit)
-    yield _share(one, "duplicate_share", found["duplicate"].to_numpy(dtype=bool), unit)
-    sizes = found.groupby("trial").size().reindex(one.images["trial"], fill_value=0)
-    per_image = np.asarray(sizes, dtype=np.float64)
-    for statistic, known in zip((MEDIAN,), measure(per_image, one.images["unit"].to_numpy(), (MEDIAN,)), strict=True):
-        bounds = (known.value, known.low, known.high)
-        yield _record(one, "detections_per_image", statistic.name, bounds, len(per_image), len(per_image))
-    best = (found["rank"] < BEST).to_numpy()
-    yield _share(one, "best_false_alarm_share", false[best & counted], unit[best & counted])
-    good = best & ~false
+    false, counted, best = found["crater"].to_numpy() < 0, counted_detections(found), (found["rank"] < BEST).to_numpy()
+    every, good = np.ones(len(found), dtype=bool), best & ~false
     error = found["centre_error_px"].to_numpy(dtype=np.float64)
-    yield _share(one, "best_within_1px_share", error[good] <= 1.0, unit[good])
-    yield from _errors(one, "best_centre_error_px", error[good], unit[good])
-    axes = np.abs(found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64))
-    yield from _errors(one, "best_axes_error_px", axes[good].ravel(), np.repeat(unit[good], 2))
+
+    def share(name: str, table: pd.DataFrame, yes: BoolArray, of: BoolArray) -> Record:
+        sample = Sample(one.scenario, one.estimator, DETECTION, int(of.sum()))
+        return sample.record(name, "mean", ratio(yes[of], table["unit"].to_numpy()[of]))
+
+    def errors(what: str, of: BoolArray) -> Iterator[Record]:
+        unit = found["unit"].to_numpy()[of]
+        axes = np.abs(found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64))[of].ravel()
+        for name, values, units in (("centre", error[of], unit), ("axes", axes, np.repeat(unit, 2))):
+            sample = Sample(one.scenario, one.estimator, DETECTION, len(values))
+            yield from sample.records(f"{what}{name}_error_px", values, units, (MEDIAN, RMS))
+
     for prefix, which in (("", "detectable"), ("clean_", "clean")):
-        seen = found[which].to_numpy(dtype=bool) & ~false
-        yield from _errors(one, f"{prefix}centre_error_px", error[seen], unit[seen])
-        yield from _errors(one, f"{prefix}axes_error_px", axes[seen].ravel(), np.repeat(unit[seen], 2))
+        of = craters[which].to_numpy(dtype=bool)
+        yield share(f"{prefix}detection_share", craters, craters["kept"].to_numpy(dtype=bool), of)
+    yield share("false_alarm_share", found, false, counted)
+    yield share("listed_false_alarm_share", found, false, every)
+    yield share("beyond_detectable_share", found, false | ~counted, every)
+    yield share("duplicate_share", found, found["duplicate"].to_numpy(dtype=bool), every)
+    sizes = found.groupby("trial").size().reindex(one.images["trial"], fill_value=0)
+    of_images = Sample(one.scenario, one.estimator, DETECTION, len(sizes))
+    yield from of_images.records("detections_per_image", sizes, one.images["unit"].to_numpy(), (MEDIAN,))
+    yield share("best_false_alarm_share", found, false, best & counted)
+    yield share("best_within_1px_share", found, error <= 1.0, good)
+    yield from errors("best_", good)
+    for prefix, which in (("", "detectable"), ("clean_", "clean")):
+        yield from errors(prefix, found[which].to_numpy(dtype=bool) & ~false)
 
 
 def counted_detections(found: pd.DataFrame) -> BoolArray:
@@ -122,52 +121,38 @@ def counted_detections(found: pd.DataFrame) -> BoolArray:
     return np.asarray((found["crater"] < 0) | found["detectable"].astype(bool))
 
 
-def _share(one: DetectorResults, name: str, yes: BoolArray, unit: NDArray[np.generic]) -> Record:
-    """Measure a share in percent, images or worlds being drawn as a whole."""
-    return _record(one, name, "mean", ratio(yes, unit), len(yes), len(yes))
+def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> Measured:
+    """Measure the share (%) of what is true, images or worlds being drawn as a whole; no value of nothing."""
+    return measure_share(yes.astype(np.float64), np.ones(len(yes)), unit)
 
 
-def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> tuple[float | None, float | None, float | None]:
-    """Share (%) of what is true with its 95 % interval; None where there is nothing."""
-    if len(yes) == 0:
-        return None, None, None
-    found = measure_share(yes.astype(np.float64), np.ones(len(yes)), unit)
-    return found.value, found.low, found.high
-
-
-def _errors(one: DetectorResults, name: str, error: FloatArray, unit: NDArray[np.generic]) -> Iterator[Record]:
-    for statistic, known in zip((MEDIAN, RMS), measure(error, unit, (MEDIAN, RMS)), strict=True):
-        yield _record(one, name, statistic.name, (known.value, known.low, known.high), len(error), len(error))
-
-
-def _record(
-    one: DetectorResults,
-    name: str,
-    statistic: str,
-    bounds: tuple[float | None, float | None, float | None],
-    n_ok: int,
-    n: int,
-) -> Record:
-    return Record(one.scenario, one.estimator, DETECTION, "", name, unit_of(name), statistic, *bounds, n_ok, n)
+_DETECTOR = named("detector", lambda key: key.estimator)
+_COLUMNS = (
+    SCENARIO,
+    _DETECTOR,
+    named("quantity", lambda key: measure_heading(key.measure)),
+    named("statistic", lambda key: key.statistic),
+    record_column("value [95 %]", interval=True),
+    record_column("n", printed=lambda record: str(record.n) if record else NO_VALUE),
+)
+_BRIEF_COLUMNS = (
+    _DETECTOR,
+    record_column("found, %", "detection_share", "mean", interval=True),
+    record_column("of clean, %", "clean_detection_share", "mean", interval=True),
+    record_column("false, %", "false_alarm_share", "mean", interval=True),
+    record_column("of all, %", "listed_false_alarm_share", "mean"),
+    record_column("RMS px", "centre_error_px", RMS.name),
+)
 
 
 def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate rates and errors, rates by what craters are like, and the curve over confidence; [] without craters."""
-    lines = tuple(
-        (r.scenario, r.estimator, measure_heading(r.measure), r.statistic, value_of(r, interval=True), str(r.n))
-        for r in records
-        if r.stage == DETECTION
-    )
-    if not lines:
-        return []
-    heads = ("scenario", "detector", "quantity", "statistic", "value [95 %]", "n")
-    ones = list(detector_results(run))
-    return [
-        Grid("Detection of craters", heads, lines, frozenset({0, 1, 2, 3}), " ".join((*_listed_lines(run), _NOTE))),
-        _curve_grid(ones),
-        *(_binned_grid(ones, *binning) for binning in BINNINGS),
-        _image_grid(run),
-    ]
+    lines = [r for r in records if r.stage == DETECTION]
+    note = " ".join((*_listed_lines(run), _NOTE))
+    rates = record_grid("Detection of craters", _COLUMNS, records, lines, note)
+    ones = list(detector_results(run)) if rates else []
+    binned = (_binned_grid(ones, *binning) for binning in BINNINGS)
+    return [rates, _curve_grid(ones), *binned, _image_grid(run)] if rates else []
 
 
 def _listed_lines(run: RunData) -> Iterator[str]:
@@ -188,15 +173,8 @@ def _listed_lines(run: RunData) -> Iterator[str]:
 
 def crater_brief(records: Sequence[Record]) -> list[Grid]:
     """Tabulate what fits a terminal: the rates of each detector, and how far the centres are off; a grid a scenario."""
-    known = {(r.scenario, r.estimator, r.measure, r.statistic): r for r in records if r.stage == DETECTION}
-    rows: dict[str, list[tuple[str, ...]]] = {}
-    for scenario, estimator in dict.fromkeys(key[:2] for key in known):
-        shares = [value_of(known[scenario, estimator, name, "mean"], interval=True) for name in _BRIEF_SHARES]
-        shares.append(value_of(known[scenario, estimator, "listed_false_alarm_share", "mean"]))
-        centre = value_of(known[scenario, estimator, "centre_error_px", RMS.name])
-        rows.setdefault(scenario, []).append((estimator, *shares, centre))
-    heads = ("detector", "found, %", "of clean, %", "false, %", "of all, %", "RMS px")
-    return [Grid(f"Detection of craters, {scenario}", heads, tuple(lines)) for scenario, lines in rows.items()]
+    lines = dict.fromkeys(Key(r.scenario, r.estimator, DETECTION) for r in records if r.stage == DETECTION)
+    return list(scenario_grids("Detection of craters", _BRIEF_COLUMNS, records, lines))
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +208,17 @@ def confidence_curve(one: DetectorResults) -> OperatingCurve:
     )
 
 
+_CURVE_HEADS = (
+    "scenario", "detector", "false alarms, % at most", "of all, %", "confidence", "detectable found, %",
+    "clean found, %", "n",
+)  # fmt: skip
+_CURVE_NOTE = (
+    "Had the threshold on the confidence let at most so many false alarms through, over all images together, among"
+    " false detections and those of detectable craters; of all: among all detections, of which those of other"
+    " listed craters count as right; n: detections kept."
+)
+
+
 def _curve_grid(ones: Sequence[DetectorResults]) -> Grid:
     """List what is found where the threshold lets so many false alarms through at most."""
     rows: list[tuple[str, ...]] = []
@@ -237,37 +226,18 @@ def _curve_grid(ones: Sequence[DetectorResults]) -> Grid:
         curve = confidence_curve(one)
         for wanted in FALSE_SHARES:
             allowed = np.flatnonzero(curve.false_share <= wanted)
-            if not len(allowed):
-                rows.append((one.scenario, one.estimator, f"{100 * wanted:g}", "-", "-", "-", "-", "-"))
-                continue
-            threshold = float(curve.confidence[allowed[-1]])
-            above = one.craters["confidence"].to_numpy(dtype=np.float64) >= threshold
-            cells = []
-            for name in ("detectable", "clean"):
-                chosen = one.craters[name].to_numpy(dtype=bool)
-                cells.append(_cell(ratio(above[chosen], one.craters["unit"].to_numpy()[chosen])))
-            kept = int((one.detections["confidence"] >= threshold).sum())
-            listed = f"{100 * curve.listed_false_share[allowed[-1]]:.1f}"
-            own = (one.scenario, one.estimator, f"{100 * wanted:g}", listed, f"{threshold:.3g}")
-            rows.append((*own, *cells, str(kept)))
-    return Grid(
-        "Detection of craters by confidence",
-        (
-            "scenario",
-            "detector",
-            "false alarms, % at most",
-            "of all, %",
-            "confidence",
-            "detectable found, %",
-            "clean found, %",
-            "n",
-        ),
-        tuple(rows),
-        frozenset({0, 1}),
-        "Had the threshold on the confidence let at most so many false alarms through, over all images together, among"
-        " false detections and those of detectable craters; of all: among all detections, of which those of other"
-        " listed craters count as right; n: detections kept.",
-    )
+            cells = [NO_VALUE] * 5
+            if len(allowed):
+                threshold = float(curve.confidence[allowed[-1]])
+                above = one.craters["confidence"].to_numpy(dtype=np.float64) >= threshold
+                unit = one.craters["unit"].to_numpy()
+                chosen = [one.craters[name].to_numpy(dtype=bool) for name in ("detectable", "clean")]
+                shares = [_cell(ratio(above[of], unit[of])) for of in chosen]
+                kept = int((one.detections["confidence"] >= threshold).sum())
+                listed = f"{100 * curve.listed_false_share[allowed[-1]]:.1f}"
+                cells = [listed, f"{threshold:.3g}", *shares, str(kept)]
+            rows.append((one.scenario, one.estimator, f"{100 * wanted:g}", *cells))
+    return Grid("Detection of craters by confidence", _CURVE_HEADS, tuple(rows), frozenset({0, 1}), _CURVE_NOTE)
 
 
 def _diameter_px(craters: pd.DataFrame) -> FloatArray:
@@ -288,7 +258,7 @@ BINNINGS: tuple[Binning, ...] = (
 
 def binned_rates(
     one: DetectorResults, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
-) -> Mapping[tuple[float, float], tuple[tuple[float | None, float | None, float | None], int]]:
+) -> Mapping[tuple[float, float], tuple[Measured, int]]:
     """Rates of detectable craters found, with intervals, and their numbers, between edges of something of theirs."""
     craters = one.craters[one.craters["detectable"].astype(bool)]
     of, unit = values(craters), craters["unit"].to_numpy()
@@ -312,23 +282,21 @@ def _binned_grid(
     return Grid(f"Detection of craters by {what.split(',')[0]}", heads, tuple(rows), frozenset({0, 1, 2}))
 
 
-def _cell(rate: tuple[float | None, float | None, float | None]) -> str:
-    value, low, high = rate
-    if value is None:
-        return "-"
-    return f"{value:.1f}" if low is None or high is None else f"{value:.1f} [{low:.1f}, {high:.1f}]"
+def _cell(rate: Measured) -> str:
+    if rate.value is None:
+        return NO_VALUE
+    ends = "" if rate.low is None or rate.high is None else f" [{rate.low:.1f}, {rate.high:.1f}]"
+    return f"{rate.value:.1f}{ends}"
 
 
 def _image_grid(run: RunData) -> Grid:
     """Tell what the images are like."""
-    rows = []
+    rows, labels = [], {
+        "phase_deg": "phase, deg", "n_craters": "listed craters in sight", "n_detectable": "detectable craters",
+        "n_clean": "clean craters",
+    }  # fmt: skip
     for scenario, images in run.table("crater_images").groupby("scenario", sort=False):
-        for name, label in (
-            ("phase_deg", "phase, deg"),
-            ("n_craters", "listed craters in sight"),
-            ("n_detectable", "detectable craters"),
-            ("n_clean", "clean craters"),
-        ):
+        for name, label in labels.items():
             values = images[name].to_numpy(dtype=np.float64)
             low, middle, high = (f"{end:.3g}" for end in np.percentile(values, [5.0, 50.0, 95.0]))
             if not has_quantile(len(values), 0.05):

@@ -32,6 +32,7 @@ from boresight.reports.schema.grid import (
     of_ended,
     record_column,
     record_grid,
+    scenario_grids,
     unit_column,
 )
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
@@ -162,13 +163,11 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid | None]:
         yield record_grid(f"{as_title(measure_label(name))}, {scenario}", columns, own, lines, _RATIO_NOTE)
 
 
-def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid | None]:
+def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
     """Tabulate in how many sets of images each estimator is better than each other one, a grid for each pool."""
     pooled = {pool.name for pool in pools(run)}
     tests = [r for r in records if r.stage == RATIO and r.statistic == BETTER and r.scenario in pooled and r.n_ok]
-    for scenario in dict.fromkeys(r.scenario for r in tests):
-        lines = [r for r in tests if r.scenario == scenario]
-        yield record_grid(f"Sign tests, {scenario}", _SIGN_COLUMNS, records, lines, _SIGN_NOTE)
+    return scenario_grids("Sign tests", _SIGN_COLUMNS, records, tests, _SIGN_NOTE)
 
 
 def sequence_grid(records: Sequence[Record]) -> Grid | None:
