@@ -153,11 +153,14 @@ def _grid(
     def pairs(key: Key) -> pd.DataFrame:
         return of_stage[key.stage].of(own[own["estimator"] == key.estimator])
 
+    def place(i: int, head: str) -> GridColumn:
+        return named(head, lambda key: of_stage[key.stage].cells[i])
+
     def total(column: str, head: str) -> GridColumn:
         return GridColumn(head, lambda key, _: str(int(pairs(key)[column].sum())))
 
     columns = (
-        *(named(head, lambda key, i=i: of_stage[key.stage].cells[i]) for i, head in enumerate(by)),
+        *(place(i, head) for i, head in enumerate(by)),
         named("mode", lambda key: key.estimator),
         GridColumn("image pairs", lambda key, _: str(len(pairs(key)))),
         total("n_common", "craters in both"),

@@ -32,7 +32,7 @@ def navigation_records(run: RunData) -> Iterable[Record]:
     if run.table("navigation").empty:
         return ()
     table = _measured(run)
-    names = [name for name in table if name not in TRIAL_KEY]
+    names = [str(name) for name in table if name not in TRIAL_KEY]
     return table_records(run, table, NAVIGATION, dict.fromkeys(names, (MEAN, MEDIAN)))
 
 

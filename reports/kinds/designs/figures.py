@@ -33,46 +33,37 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     design = run.manifest.grid
     if design is None:
         return
-    data = DesignData(run, design)
-    if not run.table("epochs").empty:
+    data, found = DesignData(run, design), outcomes(run)
+    if len(run.table("epochs")):
         if design.design == "one-at-a-time":
             for base, names in data.bases().items():
                 yield from _sequences(data, base, names)
         return
     if design.design == "full" and len(design.axes) == 1:
-        yield from _by_level(run)
+        # The errors of every estimator at each level of a single axis are drawn with the figures of a comparison.
+        if run.rows[POSITION].notna().any():
+            both = compared((run,), Metric(POSITION))
+            yield summary_figure(both)
+            for level, own in subjects_by_group(both).items():
+                yield cumulative_figure(both, level, own)
         return
     draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
     for base, names in data.bases().items():
-        for estimator in dict.fromkeys(outcome.estimator for outcome in outcomes(run)):
-            yield from draw(data, base, names, estimator)
+        for estimator in dict.fromkeys(outcome.estimator for outcome in found):
+            own = [outcome for outcome in found if outcome.estimator == estimator]
+            yield from draw(data, base, names, own)
 
 
-def _by_level(run: RunData) -> Iterator[NamedFigure]:
-    """Draw the errors of every estimator at each level of a single axis, with the figures of a comparison."""
-    if run.rows[POSITION].isna().all():
-        return
-    found = compared((run,), Metric(POSITION))
-    drawn = (
-        summary_figure(found),
-        *(cumulative_figure(found, level, own) for level, own in subjects_by_group(found).items()),
-    )
-    yield from drawn
-
-
-def _of(data: DesignData, estimator: str) -> list[Outcome]:
-    return [outcome for outcome in outcomes(data.run) if outcome.estimator == estimator]
-
-
-def _matrix(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+def _matrix(data: DesignData, base: str, names: list[str], own: list[Outcome]) -> Iterator[NamedFigure]:
     """Heat maps of two axes; grids of more have their tables alone."""
     if len(data.design.axes) != 2:
         return
     down, across = data.design.axes
     by_levels = {tuple(data.levels(name).values()): name for name in names}
+    estimator = own[0].estimator
     title = f"{down.name} against {across.name}, {base}, {estimator}"
     matrices = []
-    for outcome in _of(data, estimator):
+    for outcome in own:
         values = np.full((len(down.levels), len(across.levels)), np.nan)
         texts = [["" for _ in across.levels] for _ in down.levels]
         for i, row in enumerate(down.levels):
@@ -95,42 +86,40 @@ def _cell_text(median: Measured, ok: str) -> str:
     return f"{number(median.value)}{interval}\n{ok}"
 
 
-def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+def _curves(data: DesignData, base: str, names: list[str], own: list[Outcome]) -> Iterator[NamedFigure]:
     """Median error against each axis that has values, a figure for position and one for attitude."""
-    axes = [axis for axis in data.design.axes if axis.values is not None]
-    if not axes:
-        return
+    estimator = own[0].estimator
     for measure in (POSITION, ATTITUDE):
-        group = [Outcome(estimator, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
+        group = [Outcome(estimator, CONTROL, measure), *(o for o in own if o.measure == measure)]
         group = [o for o in group if len(data.errors(names[0], o))]
-        if not group:  # no trial at the reference came to an end
-            continue
-        panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
         title = f"{measure_label(measure)} against each error of knowledge, {base}, {estimator}"
+        if group:  # else no trial at the reference came to an end
+            yield from _over_axes(data, names, group, f"{measure.split('_')[0]}_{base}_{estimator}", title, "")
+
+
+def _over_axes(
+    data: DesignData, names: list[str], group: list[Outcome], stem: str, title: str, over: str
+) -> Iterator[NamedFigure]:
+    """Draw the medians of one measure over each axis that has values, if there is one."""
+    axes = [axis for axis in data.design.axes if axis.values is not None]
+    label, unit = measure_label(group[0].measure), unit_of(group[0].measure)
+    if axes:
+        panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
         yield NamedFigure(
-            file_stem(f"curves_{measure.split('_')[0]}_{base}_{estimator}"),
-            draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", title),
-            f"{title}: medians with 95 % intervals, the other axes at their first level.",
-            f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
+            file_stem(f"curves_{stem}"),
+            draw_curves(panels, f"median {label}, {unit}", title),
+            f"{title}: medians with 95 % intervals{over}, the other axes at their first level.",
+            f"Curves of the median {label} against {', '.join(axis.label for axis in axes)}.",
         )
 
 
 def _sequences(data: DesignData, base: str, names: list[str]) -> Iterator[NamedFigure]:
     """Draw all estimators of sequences together: curves over the axes with values, and the factor of every level."""
     found = outcomes(data.run)
-    axes = [axis for axis in data.design.axes if axis.values is not None]
     for measure in dict.fromkeys(outcome.measure for outcome in found):
         group = [outcome for outcome in found if outcome.measure == measure]
-        what = f"{measure_label(measure)}, {base}"
-        if axes:
-            panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
-            yield NamedFigure(
-                file_stem(f"curves_{measure}_{base}"),
-                draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", what),
-                f"{what}: medians with 95 % intervals over the trials that came so far, the other axes at their first"
-                " level.",
-                f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
-            )
+        what, over = f"{measure_label(measure)}, {base}", " over the trials that came so far"
+        yield from _over_axes(data, names, group, f"{measure}_{base}", what, over)
         yield NamedFigure(
             file_stem(f"levels_{measure}_{base}"),
             draw_effects({o.estimator: _level_effects(data, names, o) for o in group}, what),
@@ -168,7 +157,7 @@ def _lines(data: DesignData, names: list[str], axis: GridAxis, group: list[Outco
     for outcome in group:
         medians = [data.median(name, outcome) for _, name in known]
         low_high = [(m.value if m.low is None else m.low, m.value if m.high is None else m.high) for m in medians]
-        lines[_line_label(outcome)] = Points(
+        lines[stage_label(outcome.stage) if outcome.stage not in ("", SEQUENCE) else outcome.estimator] = Points(
             np.array([value for value, _ in known]),
             np.array([m.value for m in medians], dtype=float),
             np.array(low_high, dtype=float),
@@ -176,16 +165,11 @@ def _lines(data: DesignData, names: list[str], axis: GridAxis, group: list[Outco
     return lines
 
 
-def _line_label(outcome: Outcome) -> str:
-    if outcome.stage == SEQUENCE:
-        return outcome.estimator
-    return stage_label(outcome.stage) if outcome.stage else outcome.estimator
-
-
-def _effects(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+def _effects(data: DesignData, base: str, names: list[str], own: list[Outcome]) -> Iterator[NamedFigure]:
     """Draw main effects as points with intervals."""
     panels: dict[str, list[Effect]] = {}
-    for outcome in _of(data, estimator):
+    estimator = own[0].estimator
+    for outcome in own:
         effects = []
         for axis, found in zip(data.design.axes, data.effects(names, outcome), strict=True):
             if found.value is not None and found.low is not None and found.high is not None:

@@ -66,25 +66,17 @@ def outcomes(run: RunData) -> list[Outcome]:
     for estimator in dict.fromkeys(name for _, name in run.pairs() if name != CONTROL):
         scenario = next(where for where, name in run.pairs() if name == estimator)
         stages = errors_by_stage(run, scenario, estimator)
-        if _reports(run, estimator, CENTROID):
+        told = run.table("diagnostics")
+        if ((told["estimator"] == estimator) & (told["name"] == CENTROID)).any():
             found.append(Outcome(estimator, _REPORTED, CENTROID))
         if "centroid" in stages and final_stage(run, scenario, estimator) != "centroid":
             found.append(Outcome(estimator, "centroid", POSITION))
         found.append(Outcome(estimator, "", POSITION))
-        if _turns(run, estimator):
+        rows = run.rows[(run.rows["estimator"] == estimator) & (run.rows["status"] == "ok")]
+        turned = (rows[ATTITUDE] - rows[f"prior_{ATTITUDE}"]).abs() > 1e-9
+        if rows.empty or turned.any():
             found.append(Outcome(estimator, "", ATTITUDE))
     return found
-
-
-def _reports(run: RunData, estimator: str, name: str) -> bool:
-    told = run.table("diagnostics")
-    return bool(((told["estimator"] == estimator) & (told["name"] == name)).any())
-
-
-def _turns(run: RunData, estimator: str) -> bool:
-    """Whether an estimator changes the attitude at all."""
-    rows = run.rows[(run.rows["estimator"] == estimator) & (run.rows["status"] == "ok")]
-    return rows.empty or bool(((rows[ATTITUDE] - rows[f"prior_{ATTITUDE}"]).abs() > 1e-9).any())
 
 
 class DesignData:
@@ -105,10 +97,6 @@ class DesignData:
         self._variations = {one.name: one for one in design.scenarios if one.name in done}
         self._errors: dict[tuple[str, Outcome], pd.Series] = {}
 
-    def scenarios(self, **levels: str) -> list[str]:
-        """List the scenarios that have been run in which the named axes are at the given levels."""
-        return [name for name in self._variations if levels.items() <= self.levels(name).items()]
-
     def levels(self, scenario: str) -> dict[str, str]:
         """Return a scenario's level of each axis, in the order of the axes."""
         own = self._variations[scenario].levels
@@ -123,29 +111,23 @@ class DesignData:
 
     def errors(self, scenario: str, outcome: Outcome) -> pd.Series:
         """Return the errors by trial; trials without an estimate, or which did not reach the stage, have none."""
-        key = (scenario, outcome)
+        key, run = (scenario, outcome), self.run
         if key not in self._errors:
-            of_stage = {_REPORTED: self._reported, SEQUENCE: self._followed}.get(outcome.stage, self._posed)
-            self._errors[key] = of_stage(scenario, outcome).dropna().astype(float)
+            if outcome.stage == _REPORTED:
+                told = select(run.table("diagnostics"), scenario, outcome.estimator)
+                errors = told[told["name"] == outcome.measure].set_index("trial")["value"]
+            elif outcome.stage == SEQUENCE:  # of every trial that came so far, whether or not it failed later
+                errors = select(run.rows, scenario, outcome.estimator).set_index("trial")[outcome.measure]
+            else:
+                stages = errors_by_stage(run, scenario, outcome.estimator)
+                table = stages.get(outcome.stage or final_stage(run, scenario, outcome.estimator))
+                errors = pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
+            self._errors[key] = errors.dropna().astype(float)
         return self._errors[key]
-
-    def _followed(self, scenario: str, outcome: Outcome) -> pd.Series:
-        """Return the error of every trial that came so far, whether or not it failed later."""
-        return select(self.run.rows, scenario, outcome.estimator).set_index("trial")[outcome.measure]
-
-    def _posed(self, scenario: str, outcome: Outcome) -> pd.Series:
-        stages = errors_by_stage(self.run, scenario, outcome.estimator)
-        table = stages.get(outcome.stage or final_stage(self.run, scenario, outcome.estimator))
-        return pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
-
-    def _reported(self, scenario: str, outcome: Outcome) -> pd.Series:
-        told = select(self.run.table("diagnostics"), scenario, outcome.estimator)
-        return told[told["name"] == outcome.measure].set_index("trial")["value"]
 
     def trials(self, scenario: str, outcome: Outcome) -> int:
         """Count the trials of a scenario, with and without an estimate."""
-        rows = self.run.rows
-        return int(((rows["scenario"] == scenario) & (rows["estimator"] == outcome.estimator)).sum())
+        return len(select(self.run.rows, scenario, outcome.estimator))
 
     def priors(self, names: Sequence[str], estimator: str) -> list[Outcome]:
         """Return the position error of the prior that an estimator began with, where its trials have one."""
@@ -235,11 +217,9 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
         groups = (final or groups)[-1:]
     tabulate = _effect_grids if design.design == "two-level" else _level_grids
     found = [grid for base, names in data.bases().items() for grid in tabulate(data, base, names, groups)]
-    return [_without_changes(grid) for grid in found] if brief else found
-
-
-def _without_changes(grid: Grid) -> Grid:
-    return grid.keep(*(head for head in grid.columns if not head.endswith(f", {_CHANGE}")))
+    if brief:
+        return [grid.keep(*(head for head in grid.columns if not head.endswith(f", {_CHANGE}"))) for grid in found]
+    return found
 
 
 def _by_measure(run: RunData) -> list[list[Outcome]]:
@@ -249,14 +229,6 @@ def _by_measure(run: RunData) -> list[list[Outcome]]:
     for one in sorted(outcomes(run), key=lambda one: order.get(one.estimator, len(order))):
         groups.setdefault(one.label, []).append(one)
     return sorted(groups.values(), key=lambda group: (group[0].stage, group[0].measure) != ("", POSITION))
-
-
-def matching(design: ScenarioGrid, levels: dict[str, str]) -> dict[str, str] | None:
-    """Return the levels at which the last of two axes agrees with the first; None where it has no such level."""
-    first, last = design.axes[0], design.axes[-1]
-    if len(design.axes) != 2 or first.levels != last.levels:
-        return None
-    return {first.name: levels[first.name], last.name: levels[first.name]}
 
 
 def _level_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:
@@ -289,14 +261,14 @@ def _level_grids(data: DesignData, base: str, names: list[str], groups: list[lis
 
 
 def _combinations(data: DesignData, names: list[str]) -> tuple[str, tuple[str, ...], list[_Line]]:
-    """List each combination of levels, its reference the one at which both axes agree."""
-    lines = []
+    """List each combination of levels, its reference the one at which two axes of the same levels agree."""
+    lines, axes = [], data.design.axes
     for name in names:
-        agreeing = matching(data.design, data.levels(name))
-        reference = [] if agreeing is None else [one for one in data.scenarios(**agreeing) if one in names]
-        against = "" if reference in ([], [name]) else reference[0]
-        lines.append(_Line(tuple(data.levels(name).values()), ([name],), against))
-    axes = data.design.axes
+        levels, against = data.levels(name), ""
+        if len(axes) == 2 and axes[0].levels == axes[1].levels:
+            agreeing = levels | {axes[1].name: levels[axes[0].name]}
+            against = next((other for other in names if data.levels(other) == agreeing), "")
+        lines.append(_Line(tuple(levels.values()), ([name],), "" if against == name else against))
     return " against ".join(axis.name for axis in axes), tuple(axis.label for axis in axes), lines
 
 
@@ -318,7 +290,11 @@ def _effect_grids(data: DesignData, base: str, names: list[str], groups: list[li
         levels = (axis.levels[0], axis.levels[-1])
         sides = [[name for name in names if data.levels(name)[axis.name] == level] for level in levels]
         lines.append(_Line((axis.label, *levels), tuple(sides)))
-    note = _EFFECT_NOTE + _prior_note(data, names, groups[0][0].estimator)
+    # The prior has no line of its own: its error is that in the scenario whose levels are all first.
+    priors = [interval(data.median(names[0], prior)) for prior in data.priors(names[:1], groups[0][0].estimator)]
+    note = _EFFECT_NOTE + "".join(
+        f" Median position error of the prior at the first levels: {error} m." for error in priors
+    )
     for group in groups:
         effects = [data.effects(names, one) for one in group]
         rows = tuple((*line.levels, *(interval(found[k]) for found in effects)) for k, line in enumerate(lines))
@@ -327,12 +303,6 @@ def _effect_grids(data: DesignData, base: str, names: list[str], groups: list[li
         yield Grid(title, columns, rows, frozenset(range(len(heads))), note)
         note = ""
     yield _count_grid(data, f"Trials: main effects, {base}", heads, lines, groups)
-
-
-def _prior_note(data: DesignData, names: list[str], estimator: str) -> str:
-    """Say the prior's error where scenarios have no line of their own: in the one whose levels are all first."""
-    found = [interval(data.median(names[0], prior)) for prior in data.priors(names[:1], estimator)]
-    return "".join(f" Median position error of the prior at the first levels: {error} m." for error in found)
 
 
 def _count_grid(

@@ -74,9 +74,9 @@ def _each_pair(
     for name, members in groups(run):
         own = table[table["scenario"].isin(members)]
         for one, other in permutations(sorted(own["estimator"].unique()) if name not in pooled else (), 2):
-            sides = [own.loc[own["estimator"] == label, [*_ON, *errors.values()]] for label in (one, other)]
+            mine, theirs = (own.loc[own["estimator"] == label, [*_ON, *errors.values()]] for label in (one, other))
             for ratio, error in errors.items():
-                both = _PairedErrors.of(run, *sides, error, _ON)
+                both = _PairedErrors.of(run, mine, theirs, error, _ON)
                 yield Sample(name, one, RATIO, both.n, other), ratio, both
 
 
@@ -118,9 +118,9 @@ def reduction_records(run: RunData, comparison: Comparison) -> Iterator[Record]:
                 against = published.against
                 other = (against, estimator) if against in scenarios else (scenario, against)
                 if other in pairs:
-                    rows = (select(run.rows, *pair) for pair in ((scenario, estimator), other))
+                    mine, theirs = (select(run.rows, *pair) for pair in ((scenario, estimator), other))
                     error = f"{published.measure.removesuffix('_reduction')}_m"
-                    both = _PairedErrors.of(run, *rows, error, ["trial"])
+                    both = _PairedErrors.of(run, mine, theirs, error, ["trial"])
                     sample = Sample(scenario, estimator, REDUCTION, both.n, against)
                     yield sample.record(published.measure, MEAN.name, both.measured(_reduction), len(both.errors))
 
