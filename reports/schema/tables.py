@@ -21,11 +21,9 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.parquet import TableLayout
 
 FORMAT_VERSION = 3
-_USUAL = "single_image"
-_SCHEMAS: dict[str, KindSchema] = {
-    found.name: import_module(f"{_kinds.__name__}.{found.name}").SCHEMA
-    for found in pkgutil.iter_modules(_kinds.__path__)
-}
+_USUAL = "single-image"
+_MODULES = (import_module(f"{_kinds.__name__}.{found.name}") for found in pkgutil.iter_modules(_kinds.__path__))
+_SCHEMAS: dict[str, KindSchema] = dict(sorted(chain.from_iterable(module.SCHEMAS.items() for module in _MODULES)))
 ALL_ROW_COLUMNS: Columns = tuple(
     {column.name: column for column in chain(common.COMMON_ROW, *(kind.row for kind in _SCHEMAS.values()))}.values()
 )
@@ -39,7 +37,7 @@ TABLES: dict[str, Columns] = {
 
 def kind_schema(experiment: str) -> KindSchema:
     """Return what a kind of trial stores and reports; one without columns of its own has those of single images."""
-    return _SCHEMAS.get(experiment.replace("-", "_"), _SCHEMAS[_USUAL])
+    return _SCHEMAS.get(experiment, _SCHEMAS[_USUAL])
 
 
 def columns_of(table: str, experiment: str = "") -> Columns:

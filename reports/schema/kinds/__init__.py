@@ -1,1 +1,1 @@
-"""Columns and measures of each kind of trial; a module exports its `reports.schema.column.KindSchema` as ``SCHEMA``."""
+"""Columns and measures of each kind of trial; a module exports each `KindSchema` by the kind's name in ``SCHEMAS``."""

@@ -21,7 +21,7 @@ def _flags(of: str) -> Columns:
     )
 
 
-SCHEMA = KindSchema(
+_SCHEMA = KindSchema(
     row=(*DATABASE, *VIEW),
     tables={
         "crater_images": (
@@ -96,3 +96,5 @@ SCHEMA = KindSchema(
         " independent (Student's t over them), so that they tell of other worlds too."
     ),
 )
+
+SCHEMAS = {"crater-detection": _SCHEMA}

@@ -10,7 +10,7 @@ WRONG = "wrong_share"
 MATCHING = (MISSED, WRONG)
 """Of a pair of images: craters in both that were not matched, and matches that are wrong, %."""
 
-SCHEMA = KindSchema(
+_SCHEMA = KindSchema(
     row=VIEW,
     tables={
         "crater_matches": (
@@ -38,3 +38,5 @@ SCHEMA = KindSchema(
     ),
     metrics=MATCHING,
 )  # fmt: skip
+
+SCHEMAS = {"crater-matching": _SCHEMA}

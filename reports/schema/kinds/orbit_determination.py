@@ -1,11 +1,11 @@
-"""Columns of orbit determination: an orbit from sightings of craters and radiometric data."""
+"""Columns of orbit determination, of crater navigation, and of surveys of planned images."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from boresight.reports.schema.column import Column, Columns, KindSchema, flag, measured, names, number
-from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW
+from boresight.reports.schema.column import Column, Columns, KindSchema, count, flag, measured, names, number, text
+from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW, plain, share
 
 
 def _of_arc(name: str, meaning: str, label: str = "") -> Column:
@@ -35,7 +35,7 @@ ORBIT_COLUMNS = names((*_ARC, *_EDITING))
 METRICS = ("position_error_m", *names(_ARC))
 _BY_NAME = {column.name: column for column in (*_ARC, *_EDITING)}
 
-SCHEMA = KindSchema(
+_ORBIT = KindSchema(
     row=(*DATABASE, *ROW),
     tables={
         "orbits": (
@@ -80,3 +80,81 @@ SCHEMA = KindSchema(
         " The body and its a priori shape are the same in all trials of a scenario."
     ),
 )
+
+_NAVIGATION = KindSchema(
+    row=ROW,
+    tables={
+        "navigation": (
+            *KEY,
+            count("rounds", "how often matching and orbit determination were done"),
+            count("epochs", "times at which an image could have been planned"),
+            count("n_images", "images that were planned and taken"),
+            count("n_blind", "images in which the detector could see nothing"),
+            count("n_detections", "craters that were detected in all images"),
+            count("n_false", "those of them that are no crater in truth"),
+            count("n_pairs", "pairs of images that were matched in the last round"),
+            count("n_correct", "matches that join two detections of one crater"),
+            count("n_wrong", "the other matches"),
+            count("n_common", "craters detected in both images of a matched pair, over all pairs"),
+            count("n_conflicts", "matches refused because an image would have had a number twice"),
+            count("n_numbered", "detections with a number"),
+            count("n_landmarks", "numbers"),
+        ),
+        "navigated_images": (
+            *KEY,
+            count("image", "number of the image"),
+            number("time_days", "time after the epoch"),
+            text("kind", "why it was planned: nadir, limb or terminator"),
+            number("phase_deg", "true phase angle at the body's origin"),
+            count("n_detections", "craters that were detected"),
+            count("n_false", "those of them that are no crater in truth"),
+            count("n_numbered", "detections with a number"),
+            text("reason", "why nothing could be seen; empty where the image was searched"),
+        ),
+        "navigated_landmarks": (
+            *KEY,
+            count("landmark", "number in the data base"),
+            count("hits", "images that show it"),
+            count("crater", "true crater that most of its sightings are of; -1 for none"),
+            count("n_other", "sightings of another one"),
+            count("n_used", "sightings that the orbit rests on; empty without an orbit"),
+            number("first_days", "time after the epoch of its first image"),
+            number("last_days", "of its last image"),
+        ),
+    },
+    metrics=METRICS,
+    nees="orbits",
+)
+
+_SURVEY = KindSchema(
+    tables={
+        "surveyed_images": (
+            *KEY,
+            count("image", "number of the image in its plan"),
+            number("time_days", "time after the epoch"),
+            text("kind", "why it was planned: nadir, limb or terminator"),
+            count("n_detections", "craters that were detected, false ones included"),
+            count("n_overlapping", "other images of the same area: a tenth of a lit region is in both"),
+            count("n_similar", "those of them with the Sun within 10 deg, body axes"),
+        ),
+        "surveyed_craters": (
+            *KEY,
+            count("crater", "number of the crater"),
+            count("hits", "images in which it was detected"),
+        ),
+    },
+    measures=(
+        plain("detections", "craters detected in all images"),
+        plain("detections_an_image", "craters detected in an image"),
+        share("few_craters_share", "images with 7 craters or fewer"),
+        share("similar_image_share", "images with a photometrically similar one"),
+        plain("similar_images", "photometrically similar images of an image, median"),
+        plain("overlapping_images", "images of the same area, median"),
+        plain("craters", "craters detected in any image"),
+        plain("hits_a_crater", "images in which a crater is detected"),
+        share("seen_once_share", "craters detected in one image alone"),
+    ),
+    metrics=("detections_an_image", "few_craters_share", "similar_image_share", "hits_a_crater"),
+)
+
+SCHEMAS = {"orbit-determination": _ORBIT, "crater-navigation": _NAVIGATION, "image-survey": _SURVEY}

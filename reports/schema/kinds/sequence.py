@@ -55,7 +55,7 @@ _VISION = (
     Measure(name="track_sigma_px", label="standard deviation of a coordinate that estimators are given"),
 )
 
-SCHEMA = KindSchema(
+_SCHEMA = KindSchema(
     row=(POSE_ERROR[0], *VIEW[:1], *DATABASE, *_ENDS),
     tables={
         "epochs": (
@@ -105,3 +105,5 @@ SCHEMA = KindSchema(
     nees="epochs",
     frames=True,
 )
+
+SCHEMAS = {"sequence": _SCHEMA}

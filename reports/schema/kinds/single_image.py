@@ -1,4 +1,4 @@
-"""Columns of single images: one pose each."""
+"""Columns of single images, one pose each; of solvers of poses, and of the building of data bases of landmarks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def _pose(prefix: str, what: str) -> Columns:
     )
 
 
-SCHEMA = KindSchema(
+_IMAGE = KindSchema(
     row=(
         *PRIOR_ERROR,
         *POSE_ERROR,
@@ -48,3 +48,9 @@ SCHEMA = KindSchema(
     measures=(),
     metrics=POSE_METRICS,
 )  # fmt: skip
+
+SCHEMAS = {
+    "single-image": _IMAGE,
+    "pose-convergence": KindSchema(row=(*PRIOR_ERROR, *POSE_ERROR, *VIEW), metrics=POSE_METRICS),
+    "landmark-database": KindSchema(metrics=("landmarks", "facets", "candidates", "kept_clusters")),
+}
