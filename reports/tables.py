@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import short_line
-from boresight.reports.run.outcomes import MEANING, unsolved
+from boresight.reports.run.outcomes import MEANING, tally, unsolved
 from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
@@ -178,8 +178,5 @@ def failure_grid(run: RunData) -> Grid | None:
     failed, merged = unsolved(run)
     note = "n stands for numbers that differ from trial to trial." if merged else ""
     keys = ["scenario", "estimator", "status", "reason"]
-    tally = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
-    table = tally.reset_index().astype(str)
-    rows = tuple(table.itertuples(index=False, name=None))
-    heads = ("scenario", "estimator", "status", "reason", "trials")
-    return Grid("Failures by reason", heads, rows, frozenset({0, 1, 2, 3}), note) if rows else None
+    rows = tuple(tally(failed, keys))
+    return Grid("Failures by reason", (*keys, "trials"), rows, frozenset({0, 1, 2, 3}), note) if rows else None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -39,9 +37,10 @@ def unsolved(run: RunData) -> tuple[pd.DataFrame, bool]:
     return failed.assign(reason=reason.where(~merged, alike)), bool(merged.any())
 
 
-def _items(tally: pd.Series) -> Iterator[tuple[str, str, str, int]]:
-    for estimator, status, reason, trials in tally.reset_index().itertuples(index=False, name=None):
-        yield str(estimator), str(status), str(reason), int(trials)
+def tally(failed: pd.DataFrame, keys: list[str]) -> list[tuple[str, ...]]:
+    """Count trials by some columns: their texts and the number, the most frequent first."""
+    counted = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
+    return list(counted.reset_index().astype(str).itertuples(index=False, name=None))
 
 
 def reason_lines(run: RunData) -> list[str]:
@@ -49,15 +48,15 @@ def reason_lines(run: RunData) -> list[str]:
     failed, _ = unsolved(run)
     if failed.empty:
         return []
-    tally = failed.value_counts(["estimator", "status", "reason"], sort=False).sort_index()
-    tally = tally.sort_values(ascending=False, kind="stable")
+    reasons = tally(failed, ["estimator", "status", "reason"])
     lines = [f"no estimate in {len(failed):,} of {count_of(len(run.rows), 'trial')}, each estimator's counted:"]
-    for estimator, status, reason, trials in _items(tally.head(_MOST_LINES)):
+    for estimator, status, reason, count in reasons[:_MOST_LINES]:
         why = reason if len(reason) <= _MOST_CHARACTERS else f"{reason[: _MOST_CHARACTERS - 3]}..."
-        lines.append(f"  {trials:,} {status}, {estimator}: {why}")
-    if len(tally) > _MOST_LINES:
-        rest = count_of(len(tally) - _MOST_LINES, "more reason")
-        lines.append(f"  {int(tally.iloc[_MOST_LINES:].sum()):,} for {rest}: see the table of failures in the report")
+        lines.append(f"  {int(count):,} {status}, {estimator}: {why}")
+    rest = reasons[_MOST_LINES:]
+    if rest:
+        trials = sum(int(one[-1]) for one in rest)
+        lines.append(f"  {trials:,} for {count_of(len(rest), 'more reason')}: see the table of failures in the report")
     return lines
 
 

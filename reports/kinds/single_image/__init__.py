@@ -18,8 +18,8 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import CONTROL, DERIVED, Record
-from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.consistency import consistency_grid
+from boresight.reports.statistics.measured import Measured, Sample
 from boresight.reports.statistics.paired import paired_grid
 from boresight.reports.statistics.roc import outlier_grid
 from boresight.reports.tables import (
@@ -34,42 +34,32 @@ from boresight.reports.verdicts import comparison_grid
 from boresight.scenarios.spec.camera import CameraSpec
 
 
-def derived_records(run: RunData, radius_m: float) -> tuple[Record, ...]:
+def derived_records(run: RunData, radius_m: float) -> Iterator[Record]:
     """Work out, for each scenario, what one pixel on the boresight amounts to at the median range of its trials.
 
     ``pixel_scale_m`` on the near side of a ball of that radius; ``pixel_rotation_deg``, the turn of the ball that moves
     its near side by a pixel; ``pixel_displacement_m``, the camera's own displacement in the body frame that looks the
     same (Rowell et al. 2015, sections 4.2 and 4.3).
     """
-    records: list[Record] = []
     for name, scenario in run.manifest.scenarios.items():
         try:
             camera = CameraSpec.model_validate(scenario.get("camera", {})).camera()
         except (AttributeError, ValidationError):
             continue
-        rows = run.rows[run.rows["scenario"] == name]
-        if rows["range_m"].notna().any():
-            records += _of_a_pixel(str(name), camera.pixel_angle_rad, float(rows["range_m"].median()), radius_m)
-    return tuple(records)
+        range_m = float(run.rows.loc[run.rows["scenario"] == name, "range_m"].median())
+        scale_m = camera.pixel_angle_rad * (range_m - radius_m)
+        values = {
+            "pixel_scale_m": scale_m,
+            "pixel_rotation_deg": math.degrees(scale_m / radius_m),
+            "pixel_displacement_m": scale_m / radius_m * range_m,
+        }
+        for measure, value in values.items() if math.isfinite(range_m) else ():
+            yield Sample(str(name), "", DERIVED, 1).record(measure, "value", Measured(value, value, value))
 
 
-def _of_a_pixel(scenario: str, angle_rad: float, range_m: float, radius_m: float) -> list[Record]:
-    scale_m = angle_rad * (range_m - radius_m)
-    values = {
-        "pixel_scale_m": scale_m,
-        "pixel_rotation_deg": math.degrees(scale_m / radius_m),
-        "pixel_displacement_m": scale_m / radius_m * range_m,
-    }
-    return [
-        Record(scenario, "", DERIVED, "", name, unit_of(name), "value", value, value, value, 1, 1)
-        for name, value in values.items()
-    ]
-
-
-def records(run: RunData, comparison: Comparison | None) -> Iterator[Record]:
-    """Yield what follows from the scenario alone, where the paper names the body's radius."""
-    if comparison is not None and comparison.radius_m:
-        yield from derived_records(run, comparison.radius_m)
+def records(run: RunData, comparison: Comparison | None) -> Iterable[Record]:
+    """Compute what follows from the scenario alone, where the paper names the body's radius."""
+    return derived_records(run, comparison.radius_m) if comparison is not None and comparison.radius_m else ()
 
 
 def tables(content: Content) -> Tables:

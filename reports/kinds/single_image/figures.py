@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import pandas as pd
 
 from boresight.reports.figures import (
     MOST_CURVES,
@@ -34,16 +33,22 @@ from boresight.scenarios.arrays import FloatArray
 
 def image_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the tables of a run of single images allow."""
-    run = content.run
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
-        for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
+    pairs = content.run.posed_pairs()
+    for scenario in dict.fromkeys(scenario for scenario, _ in pairs):
+        for estimator in (name for where, name in pairs if where == scenario and name != CONTROL):
             yield pose_figure(content, scenario, estimator)
             yield from landmark_figures(content, scenario, estimator)
             yield from _outlier_figures(content, scenario, estimator)
-        yield from _method_figures(content, scenario)
-        yield from _trade_figures(content, scenario)
-        yield _cumulative_figure(content, scenario)
-    yield from _centroid_figures(content)
+        yield from _scenario_figures(content, scenario, [name for where, name in pairs if where == scenario])
+    told = content.run.table("diagnostics")
+    for estimator in dict.fromkeys(told.loc[told["name"] == "centroid_du_px", "estimator"]):
+        title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
+        yield NamedFigure(
+            file_stem("centroid_offsets", str(estimator)),
+            draw_centroid_offsets(centroid_offsets(content.run, str(estimator)), title),
+            f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
+            "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
+        )
 
 
 def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
@@ -78,7 +83,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
     run = content.run
     credit_lines = run.manifest.credits
     marks = select(run.table("landmarks"), scenario, estimator)
-    error, chi_square = (_finite(marks[name]) for name in ("error_m", "chi_square"))
+    error, chi_square = (marks[name].dropna().to_numpy(dtype=np.float64) for name in ("error_m", "chi_square"))
     if len(error) and len(chi_square):
         title = f"Landmark recognition error, {scenario}, {estimator}"
         yield NamedFigure(
@@ -89,7 +94,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
             "Histogram of landmark errors in metres, and histogram of chi-square with its theoretical curve.",
         )
     rows = select(run.rows, scenario, estimator)
-    counts = _finite(rows.loc[rows["status"] == "ok", "n_landmarks"])
+    counts = rows.loc[rows["status"] == "ok", "n_landmarks"].dropna().to_numpy(dtype=np.float64)
     if len(set(counts)) > 1:
         title = f"Landmarks an image, {scenario}, {estimator}"
         medians = published_medians(content, scenario, estimator)
@@ -106,13 +111,13 @@ def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterato
     run = content.run
     found = [d for d in outlier_scores(run) if (d.scenario, d.estimator) == (scenario, estimator)]
     if found:
-        title = f"What tells bad solutions, {scenario}, {estimator}"
+        title, curves = f"What tells bad solutions, {scenario}, {estimator}", _curves(found)
         yield NamedFigure(
             file_stem("outliers", scenario, estimator),
-            draw_roc(_curves(found), title, run.manifest.credits),
+            draw_roc(curves, title, run.manifest.credits),
             f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
             " estimator reports; the diagonal is chance.",
-            f"Receiver operating characteristics for {' and '.join(_curves(found))}.",
+            f"Receiver operating characteristics for {' and '.join(curves)}.",
         )
 
 
@@ -129,25 +134,20 @@ def _curves(found: Sequence[OutlierScore]) -> dict[str, list[RocCurve]]:
     return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
 
 
-def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
-    """Lay the final errors of several estimators over each other."""
+def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) -> Iterator[NamedFigure]:
+    """Draw all estimators of a scenario: their final errors over each other, what these cost, and their shares."""
     run = content.run
-    labels = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
-    if len(labels) > 1:
-        errors = {label: select(run.rows, scenario, label) for label in labels}
+    rows = {label: select(run.rows, scenario, label) for label in labels}
+    final = {label: own for label, own in rows.items() if label != CONTROL}
+    if len(final) > 1:
         title = f"Final pose error by estimator, {scenario}"
         yield NamedFigure(
             file_stem("method_errors", scenario),
-            draw_method_errors({"": errors}, title, run.manifest.credits),
+            draw_method_errors({"": final}, title, run.manifest.credits),
             f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
             " legend.",
-            f"Two histograms of the errors of attitude and position of {', '.join(labels)}.",
+            f"Two histograms of the errors of attitude and position of {', '.join(final)}.",
         )
-
-
-def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
-    """Set accuracy against what it costs."""
-    run = content.run
     marks = {
         cost.estimator: TradeOffPoint(
             {POSITION: cost.position_m, ATTITUDE: cost.attitude_deg}, cost.seconds.value, cost.size_bytes
@@ -164,6 +164,15 @@ def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
             " prior. What reads no data base stands in the panels of time alone.",
             f"Median errors of {', '.join(marks)} against time an image and size of the data base.",
         )
+    title = f"Cumulative error, {scenario}"
+    solved = {label: (own[own["status"] == "ok"], len(own)) for label, own in rows.items()}
+    yield NamedFigure(
+        file_stem("cumulative_errors", scenario),
+        draw_cumulative_errors(solved, title, run.manifest.credits),
+        f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
+        " estimate.",
+        f"Cumulative shares of attitude and position error for {', '.join(rows)}.",
+    )
 
 
 def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
@@ -175,37 +184,3 @@ def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
         str(name): table[["centroid_du_px", "centroid_dv_px"]].dropna().to_numpy(dtype=np.float64)
         for name, table in wide.groupby("scenario", sort=False)
     }
-
-
-def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
-    run = content.run
-    for estimator in dict.fromkeys(
-        run.table("diagnostics").loc[run.table("diagnostics")["name"] == "centroid_du_px", "estimator"]
-    ):
-        title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
-        yield NamedFigure(
-            file_stem("centroid_offsets", str(estimator)),
-            draw_centroid_offsets(centroid_offsets(run, str(estimator)), title),
-            f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
-            "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
-        )
-
-
-def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:
-    run = content.run
-    found = {}
-    for estimator in (name for where, name in run.posed_pairs() if where == scenario):
-        rows = select(run.rows, scenario, estimator)
-        found[estimator] = (rows[rows["status"] == "ok"], len(rows))
-    title = f"Cumulative error, {scenario}"
-    return NamedFigure(
-        file_stem("cumulative_errors", scenario),
-        draw_cumulative_errors(found, title, run.manifest.credits),
-        f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
-        " estimate.",
-        f"Cumulative shares of attitude and position error for {', '.join(found)}.",
-    )
-
-
-def _finite(values: pd.Series) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.asarray(values.dropna(), dtype=np.float64)
