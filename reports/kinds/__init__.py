@@ -28,23 +28,21 @@ _USUAL = "single-image"
 def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = report_kind(content.run).tables(content)
-    grids = (grid for grid in (*found, claim_grid(content.claims), failure_grid(content.run)) if grid is not None)
-    return _headed(content.run, list(with_single_draws(grids, content.run)))
+    return _headed(content.run, (*found, claim_grid(content.claims), failure_grid(content.run)))
 
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
-    found = report_kind(content.run).brief(content)
-    told = (verdict_grid(content.compared), claim_grid([one for one in content.claims if not one.claim.unmeasured]))
-    grids = (grid for grid in (*found, *told) if grid is not None)
-    return _headed(content.run, list(with_single_draws(grids, content.run)))
+    claims = claim_grid([one for one in content.claims if not one.claim.unmeasured])
+    return _headed(content.run, (*report_kind(content.run).brief(content), verdict_grid(content.compared), claims))
 
 
-def _headed(run: RunData, grids: list[Grid]) -> list[Grid]:
-    """Add the a priori knowledge to the first table, unless it already states it."""
-    if not grids or grids[0].known:
-        return grids
-    return [replace(grids[0], known=short_line(run)), *grids[1:]]
+def _headed(run: RunData, grids: Tables) -> list[Grid]:
+    """Say in titles what intervals are conditional on, and in the first table what was known on board."""
+    found = list(with_single_draws((grid for grid in grids if grid is not None), run))
+    if found and not found[0].known:
+        found[0] = replace(found[0], known=short_line(run))
+    return found
 
 
 def draw_figures(content: Content) -> Iterator[NamedFigure]:

@@ -18,10 +18,9 @@ from boresight.reports.kinds.crater_detection.rates import (
     crater_records,
     detector_results,
 )
-from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.grid import NO_VALUE, Grid
 from boresight.reports.tables import timing_grid
 from boresight.reports.verdicts import comparison_grid
-from boresight.scenarios.arrays import FloatArray
 
 _OF_NORMAL = 1.4826
 _SIZES = 10
@@ -58,25 +57,17 @@ def rim_scatter(one: DetectorResults) -> RimScatter | None:
         return None
     axes = found[["major_px", "minor_px"]].to_numpy(dtype=np.float64)
     true = axes - found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
-    radius = np.sqrt(true.prod(axis=1))
+    square, ratios = true.prod(axis=1), np.log(axes / true)
+    # The variance of a coordinate of the centre is fitted to tenths of the radii, each counting by its relative error.
     centre = found[["centre_error_u_px", "centre_error_v_px"]].to_numpy(dtype=np.float64)
-    ratios = np.log(axes / true)
-    size, shape = 0.5 * ratios.sum(axis=1), ratios[:, 1] - ratios[:, 0]
-    return RimScatter(*_centre_sigmas(radius, centre), float(size.std()), float(shape.std()), _redetected(one.craters))
-
-
-def _centre_sigmas(radius_px: FloatArray, centre_px: FloatArray) -> tuple[float, float]:
-    """Fit the variance of a coordinate, by tenths of the radii: each counts by the relative error of its variance."""
-    tenths = np.array_split(np.argsort(radius_px, kind="stable"), _SIZES)
-    variance = np.array([_spread(centre_px[rows].ravel()) ** 2 for rows in tenths])
-    squares = np.array([np.mean(radius_px[rows] ** 2) for rows in tenths])
+    tenths = np.array_split(np.argsort(np.sqrt(square), kind="stable"), _SIZES)
+    spread = [np.median(np.abs(centre[rows] - np.median(centre[rows]))) for rows in tenths]
+    variance = (_OF_NORMAL * np.array(spread)) ** 2
     weight = 1.0 / np.maximum(variance, np.finfo(np.float64).tiny)
+    squares = np.array([square[rows].mean() for rows in tenths])
     fitted, _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)
-    return float(np.sqrt(fitted[0])), float(np.sqrt(fitted[1]))
-
-
-def _spread(values: FloatArray) -> float:
-    return float(_OF_NORMAL * np.median(np.abs(values - np.median(values))))
+    size, shape = 0.5 * ratios.sum(axis=1), ratios[:, 1] - ratios[:, 0]
+    return RimScatter(*map(float, (*np.sqrt(fitted), size.std(), shape.std())), _redetected(one.craters))
 
 
 def _redetected(craters: pd.DataFrame) -> float:
@@ -97,7 +88,7 @@ def rim_grid(ones: Sequence[DetectorResults]) -> Grid:
     rows = []
     for one in ones:
         scatter = rim_scatter(one)
-        cells = ("-",) * len(_HEADS) if scatter is None else tuple(f"{value:.3g}" for value in astuple(scatter))
+        cells = [NO_VALUE] * len(_HEADS) if scatter is None else [f"{value:.3g}" for value in astuple(scatter)]
         rows.append((one.scenario, one.estimator, *cells))
     return Grid("Scatter of detected rims", ("scenario", "detector", *_HEADS), tuple(rows), frozenset({0, 1}), _NOTE)
 

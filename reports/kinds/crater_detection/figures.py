@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.figures.craters import (
@@ -26,8 +27,9 @@ from boresight.reports.kinds.crater_detection.rates import (
     confidence_curve,
     detector_results,
 )
-from boresight.reports.run.data import RunData
+from boresight.reports.run.data import RunData, select
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
 _ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
@@ -35,66 +37,58 @@ _ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
 
 def crater_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw, for each scenario, the curves over confidence and the rates by what craters are like."""
-    every = list(detector_results(run))
-    for scenario in dict.fromkeys(one.scenario for one in every):
-        ones = [one for one in every if one.scenario == scenario and len(one.detections)]
-        if ones:
-            yield _curves(scenario, ones)
-            yield _rates(scenario, ones)
-
-
-def _curves(scenario: str, ones: list[DetectorResults]) -> NamedFigure:
-    curves = {}
-    for one in ones:
-        curve = confidence_curve(one)
-        at = int(one.detections["kept"].sum()) - 1  # the detections above the threshold are the first of the curve
-        curves[one.estimator] = ConfidenceCurve(
-            100.0 * curve.false_share, 100.0 * curve.found_share, 100.0 * curve.clean_share, at
+    of_scenario: dict[str, list[DetectorResults]] = {}
+    for one in detector_results(run):
+        if len(one.detections):
+            of_scenario.setdefault(one.scenario, []).append(one)
+    for scenario, ones in of_scenario.items():
+        curves = {}
+        for one in ones:
+            curve = confidence_curve(one)
+            at = int(one.detections["kept"].sum()) - 1  # those above the threshold are the first of the curve
+            shares = (100.0 * share for share in (curve.false_share, curve.found_share, curve.clean_share))
+            curves[one.estimator] = ConfidenceCurve(*shares, at)
+        title = f"Craters found over false alarms, {scenario}"
+        yield NamedFigure(
+            file_stem("crater_curves", scenario),
+            draw_confidence_curves(curves, title),
+            f"{title}: as the threshold on the confidence falls. Detections of listed craters that are not"
+            " detectable count neither way. Circles: at the detector's own threshold."
+            " Star: what the paper claims, without a definition.",
+            "Curves that rise from the left: the share of craters found against the share of false alarms.",
         )
-    title = f"Craters found over false alarms, {scenario}"
-    return NamedFigure(
-        file_stem("crater_curves", scenario),
-        draw_confidence_curves(curves, title),
-        f"{title}: as the threshold on the confidence falls. Detections of listed craters that are not"
-        " detectable count neither way. Circles: at the detector's own threshold."
-        " Star: what the paper claims, without a definition.",
-        "Curves that rise from the left: the share of craters found against the share of false alarms.",
-    )
+        panels = {what: {one.estimator: _bars(one, *binning) for one in ones} for what, *binning in BINNINGS}
+        title = f"Detectable craters found, {scenario}"
+        yield NamedFigure(
+            file_stem("crater_rates", scenario),
+            draw_rates(panels, title),
+            f"{title}: by diameter, degradation and incidence, at each detector's threshold; bars: 95 %, by images.",
+            "Rates with error bars in bins of diameter, degradation and incidence.",
+        )
 
 
-def _rates(scenario: str, ones: list[DetectorResults]) -> NamedFigure:
-    panels = {
-        what: {
-            one.estimator: [
-                (_span(*ends), rate.value, rate.value if rate.low is None else rate.low, rate.high or rate.value)
-                for ends, (rate, _) in binned_rates(one, values, edges).items()
-                if rate.value is not None
-            ]
-            for one in ones
-        }
-        for what, values, edges in BINNINGS
-    }
-    title = f"Detectable craters found, {scenario}"
-    return NamedFigure(
-        file_stem("crater_rates", scenario),
-        draw_rates(panels, title),
-        f"{title}: by diameter, degradation and incidence, at each detector's threshold; bars: 95 %, by images.",
-        "Rates with error bars in bins of diameter, degradation and incidence.",
-    )
-
-
-def _span(low: float, high: float) -> str:
-    return f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+"
+def _bars(
+    one: DetectorResults, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+) -> list[tuple[str, float, float, float]]:
+    """Return the rates of the bins that have one: label, value, and ends of the bar."""
+    return [
+        (
+            f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+",
+            rate.value,
+            rate.value if rate.low is None else rate.low,
+            rate.high or rate.value,
+        )
+        for (low, high), (rate, _) in binned_rates(one, values, edges).items()
+        if rate.value is not None
+    ]
 
 
 def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:
     """Draw one image of a stored run with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
-    truth = run.table("craters")[
-        (run.table("craters")["scenario"] == scenario) & (run.table("craters")["trial"] == trial)
-    ]
-    found = run.table("detections")
-    found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
-    found = found[found["kept"].to_numpy(dtype=bool)]
+    truth = run.table("craters")
+    truth = truth[(truth["scenario"] == scenario) & (truth["trial"] == trial)]
+    found = select(run.table("detections"), scenario, estimator)
+    found = found[(found["trial"] == trial) & found["kept"].astype(bool)]
     detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
     return draw_example(
         image,

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, StoredProduct, select
 from boresight.reports.run.outcomes import succeeded
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of
 from boresight.reports.tables import interval
 
-POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
-_IMAGE_STAGES = ("image", "stored_image")
-_KILO = 1e3
+POSITION, ATTITUDE = _ERRORS = "position_error_m", "attitude_error_deg"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,68 +67,57 @@ def costs(run: RunData) -> list[Cost]:
 def prior_medians(run: RunData, scenario: str) -> dict[str, float]:
     """Medians of the prior's errors over all trials of a scenario, by `POSITION` and `ATTITUDE`."""
     rows = run.rows[run.rows["scenario"] == scenario].drop_duplicates("trial")
-    return {name: float(np.median(rows[f"prior_{name}"])) for name in (POSITION, ATTITUDE)}
+    return {name: float(np.median(rows[f"prior_{name}"])) for name in _ERRORS}
+
+
+_HEADS = (
+    "scenario", "estimator", "ok", "position m [95 %]", "attitude deg [95 %]", "failures % [95 %]",
+    "time an image ms", "landmarks", "data base kB", "bytes a landmark",
+)  # fmt: skip
+_NOTE = (
+    "Medians over the trials with an estimate. Failures: no estimate, or a position error above the prior's. Time:"
+    " median of all the estimator's own stages, the camera's image left out. Data base: its landmarks, maplets or"
+    " features (each as often as it is in an image), and its size as it is stored: corners as text, maplets and"
+    " features packed."
+)
 
 
 def trade_grid(run: RunData) -> Grid | None:
     """Tabulate accuracy and cost; None without two estimators of which one has a data base."""
-    rows = tuple(tuple(_cells(cost)) for cost in costs(run))
-    heads = (
-        "scenario", "estimator", "ok", "position m [95 %]", "attitude deg [95 %]", "failures % [95 %]",
-        "time an image ms", "landmarks", "data base kB", "bytes a landmark",
-    )  # fmt: skip
-    note = (
-        "Medians over the trials with an estimate. Failures: no estimate, or a position error above the prior's. Time:"
-        " median of all the estimator's own stages, the camera's image left out. Data base: its landmarks, maplets or"
-        " features (each as often as it is in an image), and its size as it is stored: corners as text, maplets and"
-        " features packed."
-    )
-    return Grid("Accuracy and its cost", heads, rows, frozenset({0, 1}), note) if rows else None
+    rows = []
+    for cost in costs(run):
+        size, seconds = cost.size_bytes, cost.seconds.value
+        rows.append((
+            cost.scenario,
+            cost.estimator,
+            f"{cost.n_ok}/{cost.n}",
+            interval(cost.position_m),
+            interval(cost.attitude_deg),
+            interval(cost.failed, 100.0),
+            number(None if seconds is None else 1e3 * seconds),
+            NO_VALUE if cost.landmarks is None else str(cost.landmarks),
+            number(None if size is None else size / 1e3),
+            number(None if size is None or not cost.landmarks else size / cost.landmarks),
+        ))  # fmt: skip
+    return Grid("Accuracy and its cost", _HEADS, tuple(rows), frozenset({0, 1}), _NOTE) if rows else None
 
 
 def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
     rows = select(run.rows, scenario, estimator)
     ok = rows[rows["status"] == "ok"]
-    position, attitude = (
-        measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0]
-        for name in (POSITION, ATTITUDE)
-    )
-    products = [p for p in run.manifest.products if (p.scenario, p.estimator) == (scenario, estimator)]
-    return Cost(
-        scenario,
-        estimator,
-        position,
-        attitude,
-        len(ok),
-        len(rows),
-        share_of(~succeeded(rows), clusters_of(run, rows)),
-        _seconds(run, ok),
-        _mean_of(products, lambda product: product.n_landmarks),
-        _mean_of(products, lambda product: product.bytes),
-    )
-
-
-def _seconds(run: RunData, ok: pd.DataFrame) -> Measured:
-    """Median over the trials with an estimate; one that stops early would look fast."""
-    if ok.empty:
-        return Measured(None)
-    times = select(run.table("timings"), str(ok["scenario"].iloc[0]), str(ok["estimator"].iloc[0]))
-    own = times[~times["stage"].isin(_IMAGE_STAGES) & times["trial"].isin(ok["trial"])]
+    medians = [measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0] for name in _ERRORS]
+    # Times are of the trials with an estimate: one that stops early would look fast.
+    times = select(run.table("timings"), scenario, estimator)
+    own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE]) & times["trial"].isin(ok["trial"])]
     total = own.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-    return measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))[0]
+    (seconds,) = measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))
+    failed = share_of(~succeeded(rows), clusters_of(run, rows))
+    products = [p for p in run.manifest.products if (p.scenario, p.estimator) == (scenario, estimator)]
+    sizes = (_mean_of(products, [getattr(product, name) for product in products]) for name in ("n_landmarks", "bytes"))
+    return Cost(scenario, estimator, *medians, len(ok), len(rows), failed, seconds, *sizes)
 
 
-def _mean_of(products: Sequence[StoredProduct], count: Callable[[StoredProduct], int | None]) -> int | None:
+def _mean_of(products: Sequence[StoredProduct], counts: Sequence[int | None]) -> int | None:
     """Add a count up over the products of a data base, and take the mean over several data bases."""
-    known = [number for number in map(count, products) if number is not None]
+    known = [number for number in counts if number is not None]
     return round(sum(known) / len({product.database for product in products})) if known else None
-
-
-def _cells(cost: Cost) -> Iterator[str]:
-    size = cost.size_bytes
-    yield from (cost.scenario, cost.estimator, f"{cost.n_ok}/{cost.n}")
-    yield from (interval(cost.position_m), interval(cost.attitude_deg), interval(cost.failed, 100.0))
-    yield number(None if cost.seconds.value is None else 1e3 * cost.seconds.value)
-    yield NO_VALUE if cost.landmarks is None else str(cost.landmarks)
-    yield number(None if size is None else size / _KILO)
-    yield number(None if size is None or not cost.landmarks else size / cost.landmarks)
