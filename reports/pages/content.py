@@ -16,6 +16,7 @@ from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
 from boresight.reports.statistics.measures import measure_run
 from boresight.reports.statistics.paired import paired_records
@@ -46,7 +47,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
             " true camera's axes. Failed trials have no error: statistics after a stage are over the trials that"
             " reached it, beside their number, and the line 'failures at prior' counts every trial."
         )
-    elif not run.table("epochs").empty:
+    elif kind_schema(run.manifest.experiment).frames:
         yield (
             "Position error is that of the camera about the body, in inertial axes. A trial that failed has no error"
             " from the frame on at which it ended: statistics after a revolution are over the trials that came so far,"

@@ -123,11 +123,3 @@ def groups(run: RunData) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield the groups of scenarios over which statistics are taken: each scenario by itself, then each pool."""
     yield from ((name, (name,)) for name in dict.fromkeys(run.rows["scenario"]))
     yield from ((pool.name, pool.scenarios) for pool in pools(run))
-
-
-def rows_by_group(run: RunData) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield the rows of every group and estimator: the name of the group, the estimator, and its rows."""
-    for name, members in groups(run):
-        own = run.rows[run.rows["scenario"].isin(members)]
-        for estimator in dict.fromkeys(own["estimator"]):
-            yield name, str(estimator), own[own["estimator"] == estimator]

@@ -67,7 +67,8 @@ def rim_scatter(one: DetectorResults) -> RimScatter | None:
     squares = np.array([square[rows].mean() for rows in tenths])
     fitted, _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)
     size, shape = 0.5 * ratios.sum(axis=1), ratios[:, 1] - ratios[:, 0]
-    return RimScatter(*map(float, (*np.sqrt(fitted), size.std(), shape.std())), _redetected(one.craters))
+    of_px, of_radii = map(float, np.sqrt(fitted))
+    return RimScatter(of_px, of_radii, float(size.std()), float(shape.std()), _redetected(one.craters))
 
 
 def _redetected(craters: pd.DataFrame) -> float:

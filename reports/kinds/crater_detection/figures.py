@@ -46,8 +46,9 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
         for one in ones:
             curve = confidence_curve(one)
             at = int(one.detections["kept"].sum()) - 1  # those above the threshold are the first of the curve
-            shares = (100.0 * share for share in (curve.false_share, curve.found_share, curve.clean_share))
-            curves[one.estimator] = ConfidenceCurve(*shares, at)
+            curves[one.estimator] = ConfidenceCurve(
+                100.0 * curve.false_share, 100.0 * curve.found_share, 100.0 * curve.clean_share, at
+            )
         title = f"Craters found over false alarms, {scenario}"
         yield NamedFigure(
             file_stem("crater_curves", scenario),
@@ -57,7 +58,7 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
             " Star: what the paper claims, without a definition.",
             "Curves that rise from the left: the share of craters found against the share of false alarms.",
         )
-        panels = {what: {one.estimator: _bars(one, *binning) for one in ones} for what, *binning in BINNINGS}
+        panels = {what: {one.estimator: _bars(one, of, edges) for one in ones} for what, of, edges in BINNINGS}
         title = f"Detectable craters found, {scenario}"
         yield NamedFigure(
             file_stem("crater_rates", scenario),

@@ -24,7 +24,7 @@ from boresight.reports.schema.grid import number
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL, SEQUENCE
-from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.schema.tables import kind_schema, measure_label, unit_of
 from boresight.reports.statistics.measured import Measured
 
 
@@ -34,7 +34,7 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     if design is None:
         return
     data, found = DesignData(run, design), outcomes(run)
-    if len(run.table("epochs")):
+    if kind_schema(run.manifest.experiment).frames:
         if design.design == "one-at-a-time":
             for base, names in data.bases().items():
                 yield from _sequences(data, base, names)
@@ -44,8 +44,8 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
         if run.rows[POSITION].notna().any():
             both = compared((run,), Metric(POSITION))
             yield summary_figure(both)
-            for level, own in subjects_by_group(both).items():
-                yield cumulative_figure(both, level, own)
+            for level, subjects in subjects_by_group(both).items():
+                yield cumulative_figure(both, level, subjects)
         return
     draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
     for base, names in data.bases().items():

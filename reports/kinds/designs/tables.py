@@ -21,7 +21,7 @@ from boresight.reports.schema.grid import NO_VALUE, Grid, of_ended
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.labels import as_title, stage_label
 from boresight.reports.schema.records import CONTROL, SEQUENCE
-from boresight.reports.schema.tables import measure_label, unit_of
+from boresight.reports.schema.tables import kind_schema, measure_label, unit_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure
 from boresight.reports.statistics.paired import main_effects
 from boresight.reports.tables import interval
@@ -58,7 +58,7 @@ def outcomes(run: RunData) -> list[Outcome]:
     The attitude is none of an estimator that leaves it as it was, such as centroiding alone. Of sequences, list the
     errors after whole revolutions that they are long enough for.
     """
-    if not run.table("epochs").empty:
+    if kind_schema(run.manifest.experiment).frames:
         names = dict.fromkeys(name for _, name in run.pairs())
         reached = [name for name in REVOLUTION_ERRORS if run.rows[name].notna().any()]
         return [Outcome(estimator, SEQUENCE, name) for estimator in names for name in reached or [POSITION]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +18,7 @@ from boresight.reports.figures.sequences import (
     draw_traces,
 )
 from boresight.reports.kinds.sequence.contrasts import ERROR_RATIOS
-from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools, rows_by_group
+from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools
 from boresight.reports.run.data import RunData, select
 from boresight.reports.schema.grid import (
     ESTIMATOR,
@@ -113,14 +113,15 @@ _SIGN_COLUMNS = (
 
 def sequence_measures(run: RunData) -> Iterator[Record]:
     """Measure the errors of whole sequences, under the stage ``sequence``."""
-    for group, estimator, rows in rows_by_group(run) if len(run.table("epochs")) else ():
-        sample, clusters = Sample(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
-        for name in SEQUENCE_COLUMNS:
-            known = rows[name].notna().to_numpy()
-            if known.any():
-                yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
-                values = rows[name].to_numpy(dtype=np.float64)[known]
-                yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
+    for group, members in groups(run) if len(run.table("epochs")) else ():
+        for estimator, rows in run.rows[run.rows["scenario"].isin(members)].groupby("estimator", sort=False):
+            sample, clusters = Sample(group, str(estimator), SEQUENCE, len(rows)), clusters_of(run, rows)
+            for name in SEQUENCE_COLUMNS:
+                known = rows[name].notna().to_numpy()
+                if known.any():
+                    yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                    values = rows[name].to_numpy(dtype=np.float64)[known]
+                    yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
 
 
 def vision_records(run: RunData) -> list[Record]:
@@ -256,20 +257,15 @@ def revolution_series(run: RunData) -> dict[str, dict[str, tuple[str, str]]]:
     """
     if run.rows.reindex(columns=list(AFTER_REVOLUTIONS)).isna().all(axis=None):
         return {}
-    design = run.manifest.grid
-    if design is not None:
-        levels = {one.name: "-".join(one.levels.values()) for one in design.scenarios}
-        return _lines(
-            (name, levels[scenario], (scenario, name)) for scenario, name in run.pairs() if scenario in levels
-        )
-    matched = ((_NUMBERED.fullmatch(name), (scenario, name)) for scenario, name in run.pairs())
-    return _lines((m["stem"], m["number"], pair) for m, pair in matched if m)
-
-
-def _lines(found: Iterable[tuple[str, str, tuple[str, str]]]) -> dict[str, dict[str, tuple[str, str]]]:
     lines: dict[str, dict[str, tuple[str, str]]] = {}
-    for line, level, pair in found:
-        lines.setdefault(line, {})[level] = pair
+    design = run.manifest.grid
+    levels = {one.name: "-".join(one.levels.values()) for one in design.scenarios} if design is not None else {}
+    for scenario, name in run.pairs():
+        numbered = _NUMBERED.fullmatch(name)
+        if scenario in levels:
+            lines.setdefault(name, {})[levels[scenario]] = (scenario, name)
+        elif design is None and numbered:
+            lines.setdefault(numbered["stem"], {})[numbered["number"]] = (scenario, name)
     return {line: levels for line, levels in lines.items() if len(levels) > 1}
 
 

@@ -105,7 +105,9 @@ def trade_grid(run: RunData) -> Grid | None:
 def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
     rows = select(run.rows, scenario, estimator)
     ok = rows[rows["status"] == "ok"]
-    medians = [measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0] for name in _ERRORS]
+    position, attitude = (
+        measure(ok[name].to_numpy(dtype=np.float64), clusters_of(run, ok), (MEDIAN,))[0] for name in _ERRORS
+    )
     # Times are of the trials with an estimate: one that stops early would look fast.
     times = select(run.table("timings"), scenario, estimator)
     own = times[~times["stage"].isin([FRESH_IMAGE, STORED_IMAGE]) & times["trial"].isin(ok["trial"])]
@@ -113,8 +115,11 @@ def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
     (seconds,) = measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))
     failed = share_of(~succeeded(rows), clusters_of(run, rows))
     products = [p for p in run.manifest.products if (p.scenario, p.estimator) == (scenario, estimator)]
-    sizes = (_mean_of(products, [getattr(product, name) for product in products]) for name in ("n_landmarks", "bytes"))
-    return Cost(scenario, estimator, *medians, len(ok), len(rows), failed, seconds, *sizes)
+    landmarks = _mean_of(products, [product.n_landmarks for product in products])
+    size_bytes = _mean_of(products, [product.bytes for product in products])
+    return Cost(
+        scenario, estimator, position, attitude, len(ok), len(rows), failed, seconds, landmarks, size_bytes
+    )  # fmt: skip
 
 
 def _mean_of(products: Sequence[StoredProduct], counts: Sequence[int | None]) -> int | None:
