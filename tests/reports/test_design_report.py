@@ -257,7 +257,7 @@ def test_a_report_tells_of_the_grid_and_not_of_each_scenario(square):
         "Failures by reason",
     ]
     assert not any("Scenario rock" in note for note in content.notes)
-    assert len(content.table()) > len(square.scenarios())
+    assert len(content.table()) > len(square.design.scenarios)
 
 
 def test_sequences_are_compared_by_their_errors_after_whole_revolutions(builder):
