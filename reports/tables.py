@@ -12,6 +12,7 @@ from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
     SCENARIO,
+    UNIT,
     Grid,
     GridColumn,
     counts,
@@ -19,7 +20,6 @@ from boresight.reports.schema.grid import (
     number,
     record_column,
     record_grid,
-    unit_column,
 )
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
@@ -85,7 +85,7 @@ _DETAIL_COLUMNS = (
     named("quantity", lambda key: measure_label(key.measure) + (f" against {key.reference}" if key.reference else "")),
     named("statistic", lambda key: key.statistic),
     record_column("value [95 %]", interval=True),
-    unit_column(),
+    UNIT,
     record_column("ok", printed=counts),
 )
 _DIAGNOSTIC_COLUMNS = (
@@ -96,7 +96,7 @@ _DIAGNOSTIC_COLUMNS = (
     record_column("mean", statistic=MEAN.name),
     record_column("RMS", statistic=RMS.name),
     record_column("95th percentile", statistic=P95.name),
-    unit_column(),
+    UNIT,
     record_column("trials", printed=counts),
 )
 _TIMING_COLUMNS = (

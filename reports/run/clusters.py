@@ -63,30 +63,21 @@ def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
     """
     trials = table["trial"].to_numpy().astype(str)
     if run.databases > 1:
-        return _by_database(run, table, trials)
+        keys = [name for name in TRIAL_KEY if name in table]
+        numbers = run.database_of_trial.groupby(level=keys).max()
+        number = numbers.reindex(pd.MultiIndex.from_frame(table[keys])).to_numpy(dtype=np.float64)
+        named = np.char.add("data base ", np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
+        return np.where(np.isnan(number), trials, named)
+    units: NDArray[np.str_] = trials
+    images = run.image_of_trial
+    if (images != "").any():
+        image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+        units = np.where(image == "", trials, image)
     sets = {name: image_set(spec) for name, spec in run.manifest.scenarios.items()}
     if any(sets.values()):
         seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
-        return np.where(seen == "", _by_image(run, table, trials), seen)
-    return _by_image(run, table, trials)
-
-
-def _by_image(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
-    """Name the real image of each row, or its trial."""
-    images = run.image_of_trial
-    if (images == "").all():
-        return trials
-    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
-    return np.where(image == "", trials, image)
-
-
-def _by_database(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
-    """Name the data base of each row, or its trial."""
-    keys = [name for name in TRIAL_KEY if name in table]
-    numbers = run.database_of_trial.groupby(level=keys).max()
-    number = numbers.reindex(pd.MultiIndex.from_frame(table[keys])).to_numpy(dtype=np.float64)
-    named = np.char.add("data base ", np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
-    return np.where(np.isnan(number), trials, named)
+        units = np.where(seen == "", units, seen)
+    return units
 
 
 def pools(run: RunData) -> tuple[Pool, ...]:

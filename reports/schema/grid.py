@@ -226,13 +226,9 @@ def record_column(
     return GridColumn(head, cell)
 
 
-def unit_column(head: str = "unit") -> GridColumn:
-    """Make a column of the units of the lines."""
-    return GridColumn(head, lambda key, known: known[key].unit, text=True)
-
-
 SCENARIO = named("scenario", lambda key: key.scenario)
 ESTIMATOR = named("estimator", lambda key: key.estimator)
+UNIT = GridColumn("unit", lambda key, known: known[key].unit, text=True)
 
 
 def record_grid(

@@ -73,8 +73,11 @@ class Record:
 
 
 def by_key(records: Iterable[Record]) -> dict[Key, Record]:
-    """Index records by their keys; of several with the same key, the first."""
-    return {record.key: record for record in reversed(list(records))}
+    """Index records by their keys, in order; of several with the same key, the first."""
+    index: dict[Key, Record] = {}
+    for record in records:
+        index.setdefault(record.key, record)
+    return index
 
 
 def find(records: Iterable[Record], **wanted: str) -> Record | None:

@@ -24,6 +24,7 @@ from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
     SCENARIO,
+    UNIT,
     Grid,
     GridColumn,
     counts,
@@ -33,7 +34,6 @@ from boresight.reports.schema.grid import (
     record_column,
     record_grid,
     scenario_grids,
-    unit_column,
 )
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.labels import as_title, count_of
@@ -96,7 +96,7 @@ _COLUMNS = (
     GridColumn("mean +- deviation", _mean_and_deviation),
     record_column("RMS", statistic=RMS.name, ended=True),
     record_column("95 %", statistic=P95.name, ended=True),
-    unit_column(),
+    UNIT,
     record_column("trials", printed=counts),
 )
 _SIGN_COLUMNS = (

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
-from boresight.reports.schema.records import Record, find
+from boresight.reports.schema.records import Key, Record, by_key
 from boresight.reports.statistics.measured import MEDIAN
 from boresight.reports.statistics.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS
 
@@ -20,18 +20,9 @@ _PAPER = (
     ("attitude_error_deg", "recognition", MEDIAN.name),
 )
 _HEADS = (
-    "scenario",
-    "estimator",
-    "landmarks",
-    "facets",
-    "landmarks an image",
-    "position m [95 %]",
-    "attitude deg [95 %]",
-    "ok",
-    "failures",
-    "position against the first [95 %]",
-    "attitude against the first [95 %]",
-)
+    "scenario", "estimator", "landmarks", "facets", "landmarks an image", "position m [95 %]", "attitude deg [95 %]",
+    "ok", "failures", "position against the first [95 %]", "attitude against the first [95 %]",
+)  # fmt: skip
 _NOTE = (
     "Size of each data base, medians of the number of recognised landmarks and of the errors after recognition,"
     " failures (no estimate, or a position error above the prior's), and the medians of the differences to the first"
@@ -66,38 +57,28 @@ def sensitivity_grid(
     """
     if len(pairs) < 2:
         return None
-    rows = [_line(records, scenario, label) for scenario, label in pairs]
-    if paper is not None:
-        rows.insert(0, _paper_line(paper))
+    known = by_key(records)
+    found = [paper.find(*key) for key in _PAPER] if paper is not None else []
+    rows = [("", "the paper", *(one.printed if one else NO_VALUE for one in found), *[NO_VALUE] * 4)] if found else []
+    for scenario, label in pairs:
+        own = [key for key in known if (key.scenario, key.estimator) == (scenario, label)]
+        first = (key.stage for key in own if (key.measure, key.statistic) == ("n_landmarks", MEDIAN.name))
+        solved = Key(scenario, label, next(first, "recognition"), "", "n_landmarks", MEDIAN.name)
+        sizes = (Key(scenario, label, "database", "", f"database_{name}", "count") for name in ("landmarks", "facets"))
+        errors = [known.get(solved._replace(measure=name)) for name in _ERRORS]
+        against = next((key.reference for key in own if key.stage == PAIRED), "")
+        paired = Key(scenario, label, PAIRED, against, FAILURE_RATE, OWN)
+        # The first line has no rate of its own: it is with those of the others, which are held against it.
+        theirs = (key for key in known if key[0] == scenario and key[2:] == (PAIRED, label, FAILURE_RATE, THEIRS))
+        rates = known.get(paired) or next(map(known.get, theirs), None)
+        differences = (known.get(paired._replace(measure=name, statistic=MEDIAN.name)) for name in DIFFERENCES)
+        rows.append((
+            scenario,
+            label,
+            *(value_of(known.get(key)) for key in (*sizes, solved)),
+            *(value_of(one, interval=True) for one in errors),
+            counts(errors[0]),
+            value_of(rates),
+            *(value_of(one, interval=True) for one in differences),
+        ))  # fmt: skip
     return Grid("Sensitivity of data base and errors", _HEADS, tuple(rows), frozenset({0, 1}), _NOTE)
-
-
-def _line(records: Sequence[Record], scenario: str, label: str) -> tuple[str, ...]:
-    mine = [r for r in records if r.scenario == scenario and r.estimator == label]
-    first = [find(mine, stage="database", measure=f"database_{name}") for name in ("landmarks", "facets")]
-    number = find(mine, measure="n_landmarks", statistic=MEDIAN.name)
-    stage = number.stage if number else "recognition"
-    errors = [find(mine, stage=stage, measure=name, statistic=MEDIAN.name) for name in _ERRORS]
-    paired = [r for r in mine if r.stage == PAIRED]
-    against = {r.reference for r in paired}
-    key = {"reference": next(iter(against), "")}
-    rates = find(paired, **key, measure=FAILURE_RATE, statistic=OWN)
-    if rates is None:  # the first line, which the others are held against
-        others = [r for r in records if (r.scenario, r.stage, r.reference) == (scenario, PAIRED, label)]
-        rates = find(others, reference=label, measure=FAILURE_RATE, statistic=THEIRS)
-    differences = [find(paired, **key, measure=name, statistic=MEDIAN.name) for name in DIFFERENCES]
-    return (
-        scenario,
-        label,
-        *(value_of(r) for r in first),
-        value_of(number),
-        *(value_of(r, interval=True) for r in errors),
-        counts(errors[0]),
-        value_of(rates),
-        *(value_of(r, interval=True) for r in differences),
-    )
-
-
-def _paper_line(paper: Comparison) -> tuple[str, ...]:
-    found = [paper.find(*key) for key in _PAPER]
-    return ("", "the paper", *(value.printed if value else NO_VALUE for value in found), *[NO_VALUE] * 4)
