@@ -16,10 +16,10 @@ from boresight.reports.schema.grid import (
     Grid,
     GridColumn,
     counts,
-    named,
     number,
     record_column,
     record_grid,
+    text_column,
 )
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
@@ -68,8 +68,8 @@ _POSE_COLUMNS = (
     *_magnitude("attitude deg", "attitude_error_deg"),
 )
 _STAGE_COLUMNS = (
-    named("estimator", lambda key: "" if key.stage == CONTROL else key.estimator),
-    named("stage", lambda key: stage_label(key.stage)),
+    text_column("estimator", lambda key: "" if key.stage == CONTROL else key.estimator),
+    text_column("stage", lambda key: stage_label(key.stage)),
     record_column("solved", printed=counts),
     record_column("success", "success_share", MEAN.name, printed=_count_of_share),
     *_POSE_COLUMNS,
@@ -82,8 +82,10 @@ _POSE_NOTE = (
 _DETAIL_COLUMNS = (
     SCENARIO,
     ESTIMATOR,
-    named("quantity", lambda key: measure_label(key.measure) + (f" against {key.reference}" if key.reference else "")),
-    named("statistic", lambda key: key.statistic),
+    text_column(
+        "quantity", lambda key: measure_label(key.measure) + (f" against {key.reference}" if key.reference else "")
+    ),
+    text_column("statistic", lambda key: key.statistic),
     record_column("value [95 %]", interval=True),
     UNIT,
     record_column("ok", printed=counts),
@@ -91,7 +93,7 @@ _DETAIL_COLUMNS = (
 _DIAGNOSTIC_COLUMNS = (
     SCENARIO,
     ESTIMATOR,
-    named("number", lambda key: key.measure),
+    text_column("number", lambda key: key.measure),
     record_column("median [95 %]", interval=True),
     record_column("mean", statistic=MEAN.name),
     record_column("RMS", statistic=RMS.name),
@@ -101,8 +103,8 @@ _DIAGNOSTIC_COLUMNS = (
 )
 _TIMING_COLUMNS = (
     SCENARIO,
-    named("estimator", lambda key: key.estimator or NO_VALUE),
-    named("stage", lambda key: stage_label(key.stage, timed=True)),
+    text_column("estimator", lambda key: key.estimator or NO_VALUE),
+    text_column("stage", lambda key: stage_label(key.stage, timed=True)),
     record_column("median [95 %]", interval=True),
     record_column("mean", statistic=MEAN.name),
     record_column("95th percentile", statistic=P95.name),
@@ -139,7 +141,7 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     aligned = dict.fromkeys(name for known in (run.known or {}).values() for name in known.aligned)
     note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
     note = " ".join([note, *(f"{correlated(name)}." for name in aligned)])
-    against = named("against", lambda key: key.reference or run.truth_name(key.scenario))
+    against = text_column("against", lambda key: key.reference or run.truth_name(key.scenario))
     columns = (ESTIMATOR, against, record_column("ok", printed=counts), *_POSE_COLUMNS)
     return record_grid("Scored against each reference pose", columns, records, lines, note)
 

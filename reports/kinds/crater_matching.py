@@ -11,7 +11,7 @@ import pandas as pd
 from boresight.reports.figures.craters import ShareCurve, draw_shares
 from boresight.reports.kinds import ReportKind
 from boresight.reports.run.data import TRIAL_KEY, RunData
-from boresight.reports.schema.grid import Grid, GridColumn, named, record_column, record_grid
+from boresight.reports.schema.grid import Grid, GridColumn, record_column, record_grid, text_column
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import Key, Record, by_key
 from boresight.reports.statistics.measured import MEDIAN, P95, Sample, measure_share
@@ -154,14 +154,14 @@ def _grid(
         return of_stage[key.stage].of(own[own["estimator"] == key.estimator])
 
     def place(i: int, head: str) -> GridColumn:
-        return named(head, lambda key: of_stage[key.stage].cells[i])
+        return text_column(head, lambda key: of_stage[key.stage].cells[i])
 
     def total(column: str, head: str) -> GridColumn:
         return GridColumn(head, lambda key, _: str(int(pairs(key)[column].sum())))
 
     columns = (
         *(place(i, head) for i, head in enumerate(by)),
-        named("mode", lambda key: key.estimator),
+        text_column("mode", lambda key: key.estimator),
         GridColumn("image pairs", lambda key, _: str(len(pairs(key)))),
         total("n_common", "craters in both"),
         total("n_correct", "correct"),

@@ -190,7 +190,7 @@ class GridColumn:
     text: bool = False
 
 
-def named(head: str, of: Callable[[Key], str]) -> GridColumn:
+def text_column(head: str, of: Callable[[Key], str]) -> GridColumn:
     """Make a column of texts that the key of a line gives."""
     return GridColumn(head, lambda key, _: of(key), text=True)
 
@@ -216,18 +216,18 @@ def record_column(
     printed
         How a record is printed otherwise.
     """
-    with_interval = value_of_ended if ended else value_of
+    usual = value_of_ended if ended else value_of
 
     def cell(key: Key, known: Mapping[Key, Record]) -> str:
         given = {"measure": measure, "statistic": statistic, "reference": reference}
         found = known.get(key._replace(**{name: value for name, value in given.items() if value}))
-        return with_interval(found, interval=interval) if printed is None else printed(found)
+        return usual(found, interval=interval) if printed is None else printed(found)
 
     return GridColumn(head, cell)
 
 
-SCENARIO = named("scenario", lambda key: key.scenario)
-ESTIMATOR = named("estimator", lambda key: key.estimator)
+SCENARIO = text_column("scenario", lambda key: key.scenario)
+ESTIMATOR = text_column("estimator", lambda key: key.estimator)
 UNIT = GridColumn("unit", lambda key, known: known[key].unit, text=True)
 
 
@@ -237,11 +237,11 @@ def record_grid(
     records: Iterable[Record],
     lines: Iterable[Record | Key],
     note: str = "",
-    short_line: str = "",
+    on_board: str = "",
 ) -> Grid | None:
     """Tabulate records, a line for each of some keys or records; None without lines.
 
-    ``short_line``: what on board is identical with the truth.
+    ``on_board``: what on board is identical with the truth.
     """
     index, rows = by_key(records), []
     for line in lines:
@@ -250,7 +250,7 @@ def record_grid(
         rows.append(tuple(column.cell(key, known) for column in columns))
     text = frozenset(i for i, column in enumerate(columns) if column.text)
     heads = tuple(column.head for column in columns)
-    return Grid(title, heads, tuple(rows), text, note, short_line) if rows else None
+    return Grid(title, heads, tuple(rows), text, note, on_board) if rows else None
 
 
 def scenario_grids(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import succeeded
-from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, named, record_column, record_grid
+from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, record_column, record_grid, text_column
 from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
 from boresight.reports.statistics.measured import MEDIAN, Measured, Sample, share_of, widened
@@ -195,7 +195,7 @@ _NOTE = (
 _COLUMNS = (
     SCENARIO,
     ESTIMATOR,
-    named("against", lambda key: key.reference),
+    text_column("against", lambda key: key.reference),
     record_column("both ok", printed=counts),
     *(
         column

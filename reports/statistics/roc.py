@@ -24,9 +24,9 @@ from boresight.reports.schema.grid import (
     SCENARIO,
     Grid,
     GridColumn,
-    named,
     record_column,
     record_grid,
+    text_column,
 )
 from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
@@ -202,8 +202,8 @@ _NOTE = (
 _COLUMNS = (
     SCENARIO,
     ESTIMATOR,
-    named("bad", lambda key: DEFINITIONS[key.stage]),
-    named("number", lambda key: key.measure.removeprefix(MEASURE)),
+    text_column("bad", lambda key: DEFINITIONS[key.stage]),
+    text_column("number", lambda key: key.measure.removeprefix(MEASURE)),
     record_column("of", statistic=BAD, printed=lambda bad: f"{round(bad.value or 0)}/{bad.n}" if bad else NO_VALUE),
     record_column("AUC [95 %]", interval=True),
     record_column(TRUE_POSITIVES, statistic=TRUE_POSITIVES),

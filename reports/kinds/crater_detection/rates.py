@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.grid import NO_VALUE, SCENARIO, Grid, named, record_column, record_grid, scenario_grids
+from boresight.reports.schema.grid import (
+    NO_VALUE,
+    SCENARIO,
+    Grid,
+    record_column,
+    record_grid,
+    scenario_grids,
+    text_column,
+)
 from boresight.reports.schema.records import Key, Record
 from boresight.reports.schema.tables import measure_heading
 from boresight.reports.statistics.intervals import has_quantile
@@ -126,12 +134,12 @@ def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> Measured:
     return measure_share(yes.astype(np.float64), np.ones(len(yes)), unit)
 
 
-_DETECTOR = named("detector", lambda key: key.estimator)
+_DETECTOR = text_column("detector", lambda key: key.estimator)
 _COLUMNS = (
     SCENARIO,
     _DETECTOR,
-    named("quantity", lambda key: measure_heading(key.measure)),
-    named("statistic", lambda key: key.statistic),
+    text_column("quantity", lambda key: measure_heading(key.measure)),
+    text_column("statistic", lambda key: key.statistic),
     record_column("value [95 %]", interval=True),
     record_column("n", printed=lambda record: str(record.n) if record else NO_VALUE),
 )

@@ -28,12 +28,12 @@ from boresight.reports.schema.grid import (
     Grid,
     GridColumn,
     counts,
-    named,
     number,
     of_ended,
     record_column,
     record_grid,
     scenario_grids,
+    text_column,
 )
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.labels import as_title, count_of
@@ -91,7 +91,7 @@ def _mean_and_deviation(key: Key, known: Mapping[Key, Record]) -> str:
 _COLUMNS = (
     SCENARIO,
     ESTIMATOR,
-    named("number", lambda key: measure_label(key.measure)),
+    text_column("number", lambda key: measure_label(key.measure)),
     record_column("median [95 %]", interval=True, ended=True),
     GridColumn("mean +- deviation", _mean_and_deviation),
     record_column("RMS", statistic=RMS.name, ended=True),
@@ -100,9 +100,9 @@ _COLUMNS = (
     record_column("trials", printed=counts),
 )
 _SIGN_COLUMNS = (
-    named("quantity", lambda key: measure_label(key.measure.replace("_ratio", "_m"))),
+    text_column("quantity", lambda key: measure_label(key.measure.replace("_ratio", "_m"))),
     ESTIMATOR,
-    named("against", lambda key: key.reference),
+    text_column("against", lambda key: key.reference),
     record_column(
         "sets in which better",
         printed=lambda test: f"{round((test.value or 0.0) * test.n_ok)}/{test.n_ok}" if test else NO_VALUE,
@@ -158,7 +158,7 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid | None]:
         labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
         lines = [Key(scenario, label, RATIO, measure=name, statistic=MEAN.name) for label in labels]
         columns = (
-            named("mean error of / over", lambda key: key.estimator),
+            text_column("mean error of / over", lambda key: key.estimator),
             *(record_column(label, reference=label, interval=True, ended=True) for label in labels),
         )
         yield record_grid(f"{as_title(measure_label(name))}, {scenario}", columns, own, lines, _RATIO_NOTE)
@@ -203,8 +203,8 @@ def vision_grid(records: Sequence[Record]) -> Grid | None:
     whose = {alike[0].key: ", ".join(line.estimator for line in alike) for alike in shared.values()}
     columns = (
         SCENARIO,
-        named("tracks of", lambda key: whose[key]),
-        named("quantity", lambda key: measure_heading(key.measure)),
+        text_column("tracks of", lambda key: whose[key]),
+        text_column("quantity", lambda key: measure_heading(key.measure)),
         record_column("mean [95 %]", interval=True),
         record_column("trials", printed=counts),
     )
