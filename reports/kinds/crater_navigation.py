@@ -31,36 +31,28 @@ def navigation_records(run: RunData) -> Iterable[Record]:
     """Compute error statistics of the navigation runs, under the stage ``navigation``."""
     if run.table("navigation").empty:
         return ()
-    table = _measured(run)
-    names = [str(name) for name in table if name not in TRIAL_KEY]
-    return table_records(run, table, NAVIGATION, dict.fromkeys(names, (MEAN, MEDIAN)))
-
-
-def _measured(run: RunData) -> pd.DataFrame:
-    """Work out the measures of each trial and chain."""
     table = run.table("navigation").set_index(TRIAL_KEY)
     images = run.table("navigated_images").groupby(TRIAL_KEY)["n_detections"]
     landmarks = run.table("navigated_landmarks").groupby(TRIAL_KEY)
     worked = run.table("timings")[~run.table("timings")["stage"].isin(["imaging", "scoring"])]
-    matches = table["n_correct"] + table["n_wrong"]
     hits = landmarks["hits"].sum().reindex(table.index)
-    return pd.DataFrame(
-        {
-            "rounds": table["rounds"],
-            "images_taken": table["n_images"],
-            "craters_detected": table["n_detections"],
-            "craters_per_image": images.mean(),
-            "median_craters_per_image": images.median(),
-            "listed_false_alarm_share": _percent(table["n_false"], table["n_detections"]),
-            "image_pairs": table["n_pairs"],
-            "matching_recall_share": _percent(table["n_correct"], table["n_common"]),
-            "matching_wrong_share": _percent(table["n_wrong"], matches),
-            "database_landmarks": table["n_landmarks"],
-            "hits_per_landmark": hits / table["n_landmarks"].where(table["n_landmarks"] > 0),
-            "mixed_share": _percent(landmarks["n_other"].sum().reindex(table.index), hits),
-            "processing_seconds": worked.groupby(TRIAL_KEY)["seconds"].sum(),
-        }
-    ).reset_index()
+    numbers = {
+        "rounds": table["rounds"],
+        "images_taken": table["n_images"],
+        "craters_detected": table["n_detections"],
+        "craters_per_image": images.mean(),
+        "median_craters_per_image": images.median(),
+        "listed_false_alarm_share": _percent(table["n_false"], table["n_detections"]),
+        "image_pairs": table["n_pairs"],
+        "matching_recall_share": _percent(table["n_correct"], table["n_common"]),
+        "matching_wrong_share": _percent(table["n_wrong"], table["n_correct"] + table["n_wrong"]),
+        "database_landmarks": table["n_landmarks"],
+        "hits_per_landmark": hits / table["n_landmarks"].where(table["n_landmarks"] > 0),
+        "mixed_share": _percent(landmarks["n_other"].sum().reindex(table.index), hits),
+        "processing_seconds": worked.groupby(TRIAL_KEY)["seconds"].sum(),
+    }
+    statistics = dict.fromkeys(numbers, (MEAN, MEDIAN))
+    return table_records(run, pd.DataFrame(numbers).reset_index(), NAVIGATION, statistics)
 
 
 def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:

@@ -100,24 +100,21 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
     """
     if len(values) == 0:
         return [Measured(None) for _ in statistics]
-    codes = np.unique(clusters, return_inverse=True)[1]
-    return [_measured(values, codes, statistic) for statistic in statistics]
-
-
-def _measured(values: FloatArray, codes: NDArray[np.integer], statistic: Statistic) -> Measured:
-    if statistic.quantile is not None and not has_quantile(len(values), statistic.quantile):
-        return Measured(None)
-    powers = values**statistic.power
-    if statistic.quantile is not None:
-        ends = quantile_interval(powers, codes, statistic.quantile)
-    else:
-        numbers = np.column_stack([powers, np.ones(len(powers))])
-        ends = interval_of_sums(numbers, codes, lambda sums: sums[:, 0] / sums[:, 1], positive=bool((powers > 0).all()))
-    return Measured(statistic.of(values), *(None if end is None else _root(end, statistic.power) for end in ends))
-
-
-def _root(end: float, power: int) -> float:
-    return end if power == 1 else float(max(end, 0.0) ** (1 / power))
+    codes, found = np.unique(clusters, return_inverse=True)[1], []
+    for statistic in statistics:
+        powers = values**statistic.power
+        if statistic.quantile is None:
+            sums, positive = np.column_stack([powers, np.ones(len(powers))]), bool((powers > 0).all())
+            ends = interval_of_sums(sums, codes, lambda totals: totals[:, 0] / totals[:, 1], positive=positive)
+        elif has_quantile(len(values), statistic.quantile):
+            ends = quantile_interval(powers, codes, statistic.quantile)
+        else:
+            found.append(Measured(None))
+            continue
+        root = 1 / statistic.power
+        roots = (end if end is None or root == 1 else float(max(end, 0.0) ** root) for end in ends)
+        found.append(Measured(statistic.of(values), *roots))
+    return found
 
 
 def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -87,23 +86,15 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
             ABOVE_PRIOR: error > rows["prior_position_error_m"].to_numpy(),
             ABOVE_MEDIANS: error > 3.0 * np.median(error),
         }
-        numbers = select(run.table("diagnostics"), scenario, estimator)
+        numbers, clusters = select(run.table("diagnostics"), scenario, estimator), clusters_of(run, rows)
         for name in numbers["name"].unique():
-            values = numbers[numbers["name"] == name].set_index("trial")["value"]
-            yield from _of_score(run, rows, str(name), values.reindex(rows["trial"]).to_numpy(), classes)
-
-
-def _of_score(
-    run: RunData, rows: pd.DataFrame, name: str, values: FloatArray, classes: dict[str, BoolArray]
-) -> Iterator[OutlierScore]:
-    known = np.isfinite(values)
-    if len(np.unique(values[known])) < 2:
-        return
-    clusters = clusters_of(run, rows)[known]
-    scenario, estimator = rows["scenario"].iloc[0], rows["estimator"].iloc[0]
-    for definition, bad in classes.items():
-        if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
-            yield OutlierScore(scenario, estimator, name, definition, values[known], bad[known], clusters)
+            by_trial = numbers[numbers["name"] == name].set_index("trial")["value"]
+            values = by_trial.reindex(rows["trial"]).to_numpy()
+            known = np.isfinite(values)
+            for definition, bad in classes.items() if len(np.unique(values[known])) > 1 else ():
+                if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
+                    own = (values[known], bad[known], clusters[known])
+                    yield OutlierScore(scenario, estimator, str(name), definition, *own)
 
 
 def roc_curve(score: FloatArray, bad: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
