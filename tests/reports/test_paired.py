@@ -121,6 +121,7 @@ def test_the_interval_of_the_failure_rates_difference_is_that_of_a_simulation(bu
     found = by_key(fill(builder, [error(50 if f else 9, 1) for f in theirs], [error(50 if f else 8, 1) for f in ours]))
     record = found[FAILURE_RATE, DIFFERENCE]
     assert record.value == pytest.approx(ours.mean() - theirs.mean())
+    assert (found[FAILURE_RATE, OWN].value, found[FAILURE_RATE, THEIRS].value) == (ours.mean(), theirs.mean())
     drawn = [np.subtract(*(failed.mean() for failed in draw(400))) for _ in range(4000)]
     assert (record.high - record.low) / (2 * 1.96 * np.std(drawn)) == pytest.approx(1.0, abs=0.25)
 

@@ -20,6 +20,7 @@ from boresight.reports.statistics.roc import (
     large_sample_area,
     measured_area,
     operating_point,
+    outlier_grid,
     outlier_records,
     outlier_scores,
     roc_curve,
@@ -113,6 +114,8 @@ def test_scores_are_judged_over_the_solutions(run):
     assert records[MEASURE + "chance", ABOVE_PRIOR, BAD].value == 20
     assert 1.0 < records[MEASURE + "centroid_residual_px", ABOVE_PRIOR, THRESHOLD].value < 3.5
     assert records[MEASURE + "centroid_residual_px", ABOVE_PRIOR, TRUE_POSITIVES].value > 0.5
+    row = next(row for row in outlier_grid(list(records.values())).rows if row[3] == "centroid_residual_px")
+    assert (row[4].split("/")[0], row[-1]) == ("20", "above")
 
 
 def test_too_few_bad_solutions_are_not_judged(builder):
