@@ -12,7 +12,6 @@ from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
 from boresight.estimators.slam.filters.ekf_state import FilterState, landmark_jacobians, landmark_points
 from boresight.estimators.slam.filters.ekf_update import (
     FrameMeasurements,
-    IterationRule,
     iterated_update,
     kalman_update,
 )
@@ -134,7 +133,7 @@ def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
         return np.concatenate([seen.residual(moved) / 0.7, z])
 
     foreign = least_squares(residuals, np.zeros(root.shape[1]), xtol=1e-15, ftol=1e-15, gtol=1e-12)
-    found, squared = iterated_update(unsure, seen, IterationRule(50, 1e-12))
+    found, squared = iterated_update(unsure, seen, steps=50, tolerance=1e-12)
     np.testing.assert_allclose(found.position_m, (unsure.x + root @ foreign.x)[:3], atol=1e-4)
     assert squared == pytest.approx(2.0 * foreign.cost, rel=1e-6)
     once, _ = kalman_update(unsure, seen.innovation(unsure))
@@ -145,7 +144,7 @@ def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
 
 def test_one_step_of_the_iterated_update_moves_as_the_plain_one(state: FilterState) -> None:
     seen = measured(state, [0, 1, 2], np.array([[0.5, -1.0]]))
-    one, _ = iterated_update(state, seen, IterationRule(1))
+    one, _ = iterated_update(state, seen, steps=1)
     np.testing.assert_allclose(one.x, kalman_update(state, seen.innovation(state))[0].x, atol=1e-9)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,16 +14,10 @@ from boresight.estimators.slam.association.gating import gate_pixels
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.filters.ekf_pose import PoseState
 from boresight.estimators.slam.filters.ekf_state import FilterState
-from boresight.estimators.slam.filters.ekf_update import (
-    FrameMeasurements,
-    IterationRule,
-    innovation_covariance,
-    iterated_update,
-    kalman_update,
-)
+from boresight.estimators.slam.filters.ekf_update import FrameMeasurements, iterated_update, kalman_update
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, check_scale
 from boresight.estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
@@ -35,94 +30,6 @@ _FEWEST = 3
 
 _MAX_REFUSED_SHARE = 0.5
 """Share of refused pixels above which the filter counts as diverging."""
-
-
-def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
-    """(k,) which pixels pass the gate.
-
-    The prediction of a landmark of unknown distance is uncertain and nonlinear if the camera's position is. As in
-    one-point RANSAC (Civera et al. 2010), landmarks of known distance update the camera first, and the others are gated
-    after this update.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the covariance of an innovation is not positive definite.
-    """
-    fit = _gate(state, measured, options.gate, options.false_alarm)
-    known = state.inverse_sigmas[measured.rows] < _KNOWN
-    first = fit & known
-    if options.gate != "one-point" or known.all() or np.count_nonzero(first) < _FEWEST:
-        return fit
-    # A trial update, for the gate alone: the filter itself is updated once, with all pixels that pass.
-    moved, _ = update(state, measured.subset(first))
-    fit[~known] = _gate(moved, measured.subset(~known), "individual", options.false_alarm)
-    return fit
-
-
-def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_alarm: float) -> BoolArray:
-    innovation = measured.innovation(state)
-    size = measured.uv_px.size
-    residual = innovation.residual[:size].reshape(-1, 2)
-    # Pixels only: a measured range is not gated, but goes with its pixel.
-    covariance = innovation_covariance(state, innovation)[:size, :size] + measured.second_order(state)
-    # NaN: behind the camera.
-    fit = np.asarray(np.isfinite(residual).all(axis=1), dtype=np.bool_)
-    both = np.repeat(fit, 2)
-    fit[fit] = gate_pixels(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
-    return fit
-
-
-class FilterHealth:
-    """Divergence tests of a filter: innovation, share of pixels that the gate refuses, sign of the inverse distances.
-
-    A gate hides a divergence from the innovation of the pixels that pass it. So a filter that refuses more than half of
-    the pixels, over as many frames as innovations are averaged over, counts as diverging too.
-    """
-
-    def __init__(self, options: FilterOptions) -> None:
-        self.options = options
-        self.innovation = InnovationTest(options.innovation_frames, options.innovation_max, "filter")
-        self.gated: deque[tuple[int, int]] = deque(maxlen=options.innovation_frames)
-        self.in_a_row: dict[int, int] = {}
-        self.refused = 0
-
-    def diagnostics(self) -> dict[str, float]:
-        """Return the mean squared normalised innovation, its degrees of freedom, and how many pixels were refused."""
-        return {**self.innovation.diagnostics(), "refused_pixels": float(self.refused)}
-
-    def count_refusals(self, tracks: IndexArray, fit: BoolArray) -> None:
-        """Count which tracks (n,) of a frame passed the gate, ``fit`` (n,).
-
-        Raises
-        ------
-        LostError
-            If most pixels were refused over as many frames as innovations are averaged over.
-        """
-        self.in_a_row = {
-            track: self.in_a_row.get(track, 0) + 1 for track, good in zip(tracks.tolist(), fit, strict=True) if not good
-        }
-        self.refused += int(np.count_nonzero(~fit))
-        self.gated.append((int(np.count_nonzero(~fit)), len(fit)))
-        refused, seen = (sum(item[i] for item in self.gated) for i in (0, 1))
-        if len(self.gated) == self.gated.maxlen and refused > _MAX_REFUSED_SHARE * seen:
-            raise LostError(f"the filter diverges: {refused} of {seen} pixels of the last frames do not fit")
-
-    def refused_too_often(self) -> IndexArray:
-        """List the tracks that were refused too many times in a row."""
-        return np.array([t for t, n in self.in_a_row.items() if n >= self.options.refusals_max], dtype=np.int64)
-
-    def test(self, squared: float, count: int, inverse_distances: FloatArray) -> None:
-        """Test a frame's squared normalised innovation of ``count`` measurements, and the inverse distances (n,).
-
-        Raises
-        ------
-        LostError
-            If the mean innovation is too large, or an inverse distance is not positive.
-        """
-        self.innovation.add(squared, count)
-        if np.any(inverse_distances <= 0.0):
-            raise LostError("the filter diverges: an inverse distance is not positive")
 
 
 class EkfSlam(ConfiguredEstimator[FilterOptions]):
@@ -156,7 +63,7 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
 
     def follower(self, sequence: TrackSequence) -> Follower:
         """Return the estimator at work on one sequence."""
-        return _Filter(sequence, self.options, _single_update)
+        return _Filter(sequence, self.options, lambda state, measured: kalman_update(state, measured.innovation(state)))
 
 
 class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
@@ -185,7 +92,7 @@ class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
 
     def follower(self, sequence: TrackSequence) -> Follower:
         """Return the estimator at work on one sequence."""
-        return _Filter(sequence, self.options, _iterated_update(self.options.iterations))
+        return _Filter(sequence, self.options, partial(iterated_update, steps=self.options.iterations))
 
 
 class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
@@ -222,23 +129,17 @@ class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
 
     def follower(self, sequence: TrackSequence) -> Follower:
         """Return the estimator at work on one sequence."""
-        update = _iterated_update(self.options.iterations)
+        update = partial(iterated_update, steps=self.options.iterations)
         return _Filter(sequence, self.options, update, self.options.settled_sigma)
 
 
-def _single_update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
-    return kalman_update(state, measured.innovation(state))
-
-
-def _iterated_update(steps: int) -> Update:
-    def update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
-        return iterated_update(state, measured, IterationRule(steps))
-
-    return update
-
-
 class _Filter:
-    """Filter on one sequence: prediction, update and landmark management of section 3.3."""
+    """Filter on one sequence: (1) prediction, (2) update and (3) state management of section 3.3.
+
+    It fails if it diverges: by its innovations, by the sign of an inverse distance, or by refused pixels. A gate hides
+    a divergence from the innovation of the pixels that pass it, so that a filter that refuses more than half of the
+    pixels, over as many frames as innovations are averaged over, counts as diverging too.
+    """
 
     def __init__(
         self, sequence: TrackSequence, options: FilterOptions, update: Update, settled_sigma: float = 0.0
@@ -248,34 +149,35 @@ class _Filter:
         self.update = update
         self.settled_sigma = settled_sigma
         self.first = (sequence.position_m, sequence.position_covariance_m2)
-        self.state: FilterState
-        self.health = FilterHealth(options)
-        self.started = False
+        self.state: FilterState | None = None
+        self.innovation = InnovationTest(options.innovation_frames, options.innovation_max, "filter")
+        self.gated: deque[tuple[int, int]] = deque(maxlen=options.innovation_frames)
+        self.in_a_row: dict[int, int] = {}
+        self.refused = 0
 
     def diagnostics(self) -> dict[str, float]:
-        return self.health.diagnostics()
+        """Return the mean squared normalised innovation, its degrees of freedom, and how many pixels were refused."""
+        return {**self.innovation.diagnostics(), "refused_pixels": float(self.refused)}
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        if self.started:
-            # (1) prediction, (2) update, (3) state management: the order of section 3.3. Lost landmarks are dropped
-            # before the update, which has no measurement of them.
-            self.state = self.state.predicted(frame)
-            self._drop_lost(frame)
-            self._take_measured(frame)
+        before = self.state
+        if before is not None:
+            # Lost landmarks are dropped before the update, which has no measurement of them.
+            state = self._updated(self._without_lost(before.predicted(frame), frame), frame)
+        elif self.options.camera == "position":
+            state = FilterState.of_camera(*self.first, frame)
         else:
-            self.state = self._begun(frame)
-        self._take_new(frame)
-        self.state = self.state.with_fixed_linearisation(self.settled_sigma)
-        position, covariance, points = self.state.estimate(self.camera)
+            state = PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
+        state = self.state = self._with_new(state, frame).with_fixed_linearisation(self.settled_sigma)
+        position, covariance, points = state.estimate(self.camera)
         # Without a scale the filter still fits all pixels: only its covariance shows the drift.
         check_scale(covariance, points, position, self.options.uncertainty_max)
-        velocity = self.state.velocity_m_s if self.started else None
-        self.started = True
-        return FrameEstimate(position, covariance, self.state.tracks, points, 0.0, velocity)
+        velocity = None if before is None else state.velocity_m_s
+        return FrameEstimate(position, covariance, state.tracks, points, 0.0, velocity)
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
         """Predict the pixels of the state's landmarks in the next frame, with their covariance."""
-        if not (self.started and len(self.state.tracks)):
+        if self.state is None or not len(self.state.tracks):
             return None
         state = self.state.predicted(frame)
         order = np.argsort(state.tracks)
@@ -290,49 +192,78 @@ class _Filter:
             state.tracks[measured.rows], -innovation.residual.reshape(-1, 2), covariance + measured.second_order(state)
         )
 
-    def _begun(self, frame: TrackFrame) -> FilterState:
-        if self.options.camera == "position":
-            return FilterState.of_camera(*self.first, frame)
-        return PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
-
-    def _drop_lost(self, frame: TrackFrame) -> None:
+    def _without_lost(self, state: FilterState, frame: TrackFrame) -> FilterState:
         """Drop landmarks that are out of view."""
-        lost = ~np.isin(self.state.tracks, frame.tracks)
+        lost = ~np.isin(state.tracks, frame.tracks)
         kept = int(np.count_nonzero(~lost))
         if kept < self.options.connectivity:
             raise LostError(f"tracks are lost: {kept} landmarks are left, {self.options.connectivity} are needed")
-        self.state = self.state.without(lost)
+        return state.without(lost)
 
-    def _take_measured(self, frame: TrackFrame) -> None:
+    def _updated(self, state: FilterState, frame: TrackFrame) -> FilterState:
         """Update with the pixels that pass the gate, and test the innovation."""
-        measured = FrameMeasurements.of(self.camera, self.state, frame)
+        measured = FrameMeasurements.of(self.camera, state, frame)
         try:
-            measured = self._gated(measured)
-            if not np.isfinite(measured.residual(self.state)).all():
+            if self.options.gate != "none":
+                fit = self._gated(state, measured)
+                self._count_refusals(state.tracks[measured.rows].tolist(), fit)
+                measured = measured.subset(fit)
+            if not np.isfinite(measured.residual(state)).all():
                 raise LostError("the filter diverges: a landmark is behind the camera that sees it")
-            self.state, squared = self.update(self.state, measured)
+            state, squared = self.update(state, measured)
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
-        self.health.test(squared, len(measured.variance), self.state.landmarks[:, 2])
-        # The landmark is more likely wrong than several pixels in a row; `_take_new` initialises it again from this
+        self.innovation.add(squared, len(measured.variance))
+        if np.any(state.landmarks[:, 2] <= 0.0):
+            raise LostError("the filter diverges: an inverse distance is not positive")
+        # The landmark is more likely wrong than several pixels in a row; `_with_new` initialises it again from this
         # frame.
-        self.state = self.state.without(np.isin(self.state.tracks, self.health.refused_too_often()))
+        wrong = [track for track, times in self.in_a_row.items() if times >= self.options.refusals_max]
+        return state.without(np.isin(state.tracks, wrong))
 
-    def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
-        """Drop the pixels that the gate refuses, and count the refusals of each landmark."""
-        if self.options.gate == "none":
-            return measured
-        fit = gated(self.state, measured, self.update, self.options)
-        self.health.count_refusals(self.state.tracks[measured.rows], fit)
-        return measured.subset(fit)
+    def _gated(self, state: FilterState, measured: FrameMeasurements) -> BoolArray:
+        """(k,) which pixels pass the gate.
 
-    def _take_new(self, frame: TrackFrame) -> None:
+        The prediction of a landmark of unknown distance is uncertain and nonlinear if the camera's position is. As in
+        one-point RANSAC (Civera et al. 2010), landmarks of known distance update the camera first, and the others are
+        gated after this update.
+        """
+        gate, false_alarm = self.options.gate, self.options.false_alarm
+        fit = _gate(state, measured, gate, false_alarm)
+        known = state.inverse_sigmas[measured.rows] < _KNOWN
+        first = fit & known
+        if gate != "one-point" or known.all() or np.count_nonzero(first) < _FEWEST:
+            return fit
+        # A trial update, for the gate alone: the filter itself is updated once, with all pixels that pass.
+        moved, _ = self.update(state, measured.subset(first))
+        fit[~known] = _gate(moved, measured.subset(~known), "individual", false_alarm)
+        return fit
+
+    def _count_refusals(self, tracks: list[int], fit: BoolArray) -> None:
+        """Count which tracks of a frame failed the gate, in a row too; raise LostError if too many did."""
+        self.in_a_row = {
+            track: self.in_a_row.get(track, 0) + 1 for track, good in zip(tracks, fit, strict=True) if not good
+        }
+        self.refused += len(self.in_a_row)
+        self.gated.append((len(self.in_a_row), len(fit)))
+        refused, seen = (sum(item[i] for item in self.gated) for i in (0, 1))
+        if len(self.gated) == self.gated.maxlen and refused > _MAX_REFUSED_SHARE * seen:
+            raise LostError(f"the filter diverges: {refused} of {seen} pixels of the last frames do not fit")
+
+    def _with_new(self, state: FilterState, frame: TrackFrame) -> FilterState:
         """Add new tracks to the state: at their measured range, or at a guessed distance."""
-        fresh = ~np.isin(frame.tracks, self.state.tracks)
+        fresh = ~np.isin(frame.tracks, state.tracks)
         if not fresh.any():
-            return
+            return state
+        if len(state.tracks):
+            lines = state.points(self.camera) - state.position_m
+            # The mean of inverses, because rho is the variable with a Gaussian error.
+            guess = float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))
+        elif frame.ranges:
+            guess = float(np.mean([1.0 / item.range_m for item in frame.ranges]))
+        else:
+            raise LostError("no range is measured at the first frame: the scale is unobservable")
         tracks = frame.tracks[fresh]
-        guess = self._inverse_guess(frame)
         # u, v, rho of eq. (8), and the diagonal of eq. (11): R_y twice, R_rho. Attitude and anchor are added by
         # `augmented`.
         elements = np.column_stack([frame.uv_px[fresh], np.full(len(tracks), guess)])
@@ -345,14 +276,18 @@ class _Filter:
             # landmarks.
             elements[row, 2] = 1.0 / item.range_m
             noise[row, 2] = (item.sigma_m / item.range_m**2) ** 2
-        self.state = self.state.augmented(tracks, elements, noise)
+        return state.augmented(tracks, elements, noise)
 
-    def _inverse_guess(self, frame: TrackFrame) -> float:
-        """Return the guessed inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
-        if len(self.state.tracks):
-            lines = self.state.points(self.camera) - self.state.position_m
-            # The mean of inverses, because rho is the variable with a Gaussian error.
-            return float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))
-        if not frame.ranges:
-            raise LostError("no range is measured at the first frame: the scale is unobservable")
-        return float(np.mean([1.0 / item.range_m for item in frame.ranges]))
+
+def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_alarm: float) -> BoolArray:
+    """(k,) which pixels pass one gate; a measured range is not gated, but goes with its pixel."""
+    innovation = measured.innovation(state)
+    size = measured.uv_px.size
+    residual, H = innovation.residual[:size].reshape(-1, 2), innovation.jacobian
+    S = H @ state.covariance @ H.T + np.diag(innovation.variance)
+    covariance = 0.5 * (S + S.T)[:size, :size] + measured.second_order(state)
+    # NaN: behind the camera.
+    fit = np.asarray(np.isfinite(residual).all(axis=1), dtype=np.bool_)
+    both = np.repeat(fit, 2)
+    fit[fit] = gate_pixels(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
+    return fit

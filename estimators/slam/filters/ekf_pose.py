@@ -47,11 +47,6 @@ def left_jacobian(turns_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + cosine * cross + rest * (cross @ cross), dtype=np.float64)
 
 
-def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """(3,) rotation vector of a rotation (3, 3), at most pi long."""
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
-
-
 def _series(turns_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(..., 1, 1) sin(a) / a, (1 - cos a) / a^2 and (a - sin a) / a^3; two terms of the series for small angles."""
     squares = (turns_rad**2).sum(axis=-1)[..., None, None]
@@ -116,19 +111,9 @@ class PoseState(FilterState):
         covariance[_LASTING, _LASTING] = lasting
         covariance[_TURN, _LASTING] = covariance[_LASTING, _TURN] = -lasting
         x = np.concatenate([position_m, np.zeros(cls.CAMERA - 3)])
-        none = np.zeros(0, dtype=np.int64)
-        anchors, settled = np.zeros((0, 3, 3)), np.zeros((0, 4))
-        return cls(
-            x,
-            covariance,
-            none,
-            anchors,
-            settled,
-            frame,
-            frame.R_cam_body,
-            turn_noise_rad,
-            frame.attitude_bias_sigma_rad,
-        )
+        tracks, anchors, settled = np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros((0, 4))
+        errors = turn_noise_rad, frame.attitude_bias_sigma_rad
+        return cls(x, covariance, tracks, anchors, settled, frame, frame.R_cam_body, *errors)
 
     @property
     def velocity_m_s(self) -> FloatArray:
@@ -199,14 +184,24 @@ class PoseState(FilterState):
         The velocity is the displacement since the previous frame divided by the time, in inertial axes. The rate
         changes by an angular acceleration that is constant between two frames and independent between intervals.
         """
-        return _star_tracked(self.propagated(frame))
+        moved = self.propagated(frame)
+        # The star tracker measures exp(lasting + noise) R_cam_body. Innovation as a rotation vector: log(measured R,
+        # less the lasting error, times predicted R').
+        found = rotation_of(-moved.x[_LASTING]) @ frame.R_cam_body @ moved.attitude.T
+        turn = np.asarray(Rotation.from_matrix(found).as_rotvec(), dtype=np.float64)
+        jacobian = np.zeros((3, len(moved.x)))
+        # To first order for small angles; left perturbations add.
+        jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
+        return kalman_update(moved, Innovation(turn, jacobian, np.full(3, _star_tracker_variance(frame))))[0]
 
     def propagated(self, frame: TrackFrame) -> PoseState:
         """Propagate the camera state, keeping the cross-covariances with the landmarks."""
         F, noise = self._transition(frame)
         x, covariance = self.x.copy(), self.covariance.copy()
         x[_POSITION] += frame.motion_m
-        x[_VELOCITY] = self._velocity(frame, x[_POSITION])
+        dt = frame.time_s - self.frame.time_s
+        # Each position by the rotation of its own epoch.
+        x[_VELOCITY] = (frame.R_body_inertial.T @ x[_POSITION] - self.frame.R_body_inertial.T @ self.position_m) / dt
         # F is the identity for landmarks: only the rows and columns of the camera change, at a cost linear in their
         # number.
         C = slice(self.CAMERA)
@@ -214,7 +209,7 @@ class PoseState(FilterState):
         covariance[:, C] = covariance[:, C] @ F.T
         covariance[C, C] += noise
         # dR/dt = -[rate] R for R_cam_inertial, with the rate in camera axes.
-        turned = rotation_of(-self.x[_RATE] * self._seconds(frame)) @ self.R_camera
+        turned = rotation_of(-self.x[_RATE] * dt) @ self.R_camera
         # R_cam_body(new) = dR R_cam_body(old) R_body_inertial(old) R_inertial_body(new).
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
         return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
@@ -235,17 +230,9 @@ class PoseState(FilterState):
         covariance.T[rows] = J @ covariance.T[rows]
         return replace(self, x=x, covariance=covariance, R_camera=rotations[0], R_cam_body=rotations[1:])
 
-    def _seconds(self, frame: TrackFrame) -> float:
-        return frame.time_s - self.frame.time_s
-
-    def _velocity(self, frame: TrackFrame, position_m: FloatArray) -> FloatArray:
-        # Each position by the rotation of its own epoch.
-        before, after = self.frame.R_body_inertial.T @ self.position_m, frame.R_body_inertial.T @ position_m
-        return np.asarray((after - before) / self._seconds(frame), dtype=np.float64)
-
     def _transition(self, frame: TrackFrame) -> tuple[FloatArray, FloatArray]:
         """(15, 15) transition matrix of the camera's errors from the previous frame, and process noise covariance."""
-        dt = self._seconds(frame)
+        dt = frame.time_s - self.frame.time_s
         turn = -self.x[_RATE] * dt
         moves, accelerates = np.zeros((self.CAMERA, 3)), np.zeros((self.CAMERA, 3))
         F = np.eye(self.CAMERA)
@@ -267,18 +254,6 @@ class PoseState(FilterState):
         grown = max(frame.attitude_bias_sigma_rad**2 - self.frame.attitude_bias_sigma_rad**2, 0.0)
         noise[_LASTING, _LASTING] += grown * np.eye(3)
         return F, noise
-
-
-def _star_tracked(state: PoseState) -> PoseState:
-    """Update with the star tracker's attitude of a frame, ``exp(lasting + noise) R_cam_body``."""
-    frame = state.frame
-    # Innovation as a rotation vector: log(measured R, less the lasting error, times predicted R').
-    found = rotation_of(-state.x[_LASTING]) @ frame.R_cam_body @ state.attitude.T
-    jacobian = np.zeros((3, len(state.x)))
-    # To first order for small angles; left perturbations add.
-    jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
-    variance = np.full(3, _star_tracker_variance(frame))
-    return kalman_update(state, Innovation(rotation_vector(found), jacobian, variance))[0]
 
 
 def _star_tracker_variance(frame: TrackFrame) -> float:

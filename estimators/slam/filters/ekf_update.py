@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from boresight.estimators.slam.association.gating import block_diagonal
 from boresight.estimators.slam.filters.ekf_state import FilterState
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
@@ -116,11 +117,7 @@ class FrameMeasurements:
         by_camera = self.camera.jacobian(points @ state.attitude.T) @ state.attitude
         # Pixel error by the camera's position, scaled by the relative error of the inverse distance.
         own = by_camera @ state.covariance[:3, :3] @ np.swapaxes(by_camera, 1, 2)
-        own *= (state.inverse_sigmas[self.rows] ** 2)[:, None, None]
-        k = np.arange(len(own))
-        wide = np.zeros((len(own), 2, len(own), 2))
-        wide[k, :, k] = own
-        return wide.reshape(2 * len(own), 2 * len(own))
+        return block_diagonal(own * (state.inverse_sigmas[self.rows] ** 2)[:, None, None])
 
 
 def _state_jacobian(
@@ -147,23 +144,6 @@ def _matched(held: IndexArray, seen: IndexArray) -> tuple[IndexArray, IndexArray
     return rows.astype(np.int64), columns.astype(np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class IterationRule:
-    """Stopping rule: at most ``steps`` steps, or a decrease of the cost (a chi-square) below ``tolerance``."""
-
-    steps: int
-    tolerance: float = 1e-4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Iterate:
-    """An iterate: the state x, ``pull = P^-1 (x - x0)``, and its cost."""
-
-    state: FilterState
-    pull: FloatArray
-    cost: float
-
-
 def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
     """Update with all measurements at once; return the state and the squared normalised innovation.
 
@@ -183,12 +163,15 @@ def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, fl
     return moved.with_errors_reset(), float(white @ white)
 
 
-def iterated_update(state: FilterState, measured: FrameMeasurements, rule: IterationRule) -> tuple[FilterState, float]:
+def iterated_update(
+    state: FilterState, measured: FrameMeasurements, steps: int, tolerance: float = 1e-4
+) -> tuple[FilterState, float]:
     """Update to the minimum of the cost of prediction and measurements; return the state and the minimal cost.
 
     Gauss-Newton from the prediction x0: ``x = x0 + K (z - h(x_i) - H_i (x0 - x_i))`` (Bell and Cathey 1993), with steps
     halved until the cost does not increase. The covariance P of x0 is singular while landmarks share an anchor, so it
-    is not inverted: every iterate is x = x0 + P a, and the prediction's cost is a' (x - x0).
+    is not inverted: every iterate is x = x0 + P a, and the prediction's cost is a' (x - x0). It ends after ``steps``
+    steps, or when the cost, a chi-square, decreases by less than ``tolerance``.
 
     Raises
     ------
@@ -196,33 +179,40 @@ def iterated_update(state: FilterState, measured: FrameMeasurements, rule: Itera
         If the covariance of an innovation is not positive definite.
     """
     start, covariance = state.x, state.covariance
-    place = _evaluate(state, start, np.zeros(len(start)), measured)
-    for _ in range(rule.steps):
-        innovation = measured.innovation(place.state)
+
+    def cost_of(state: FilterState, pull: FloatArray) -> float:
+        value = float(np.sum(measured.residual(state) ** 2 / measured.variance) + pull @ (state.x - start))
+        # A negative inverse distance is a landmark behind its anchor, whose direction fits as well.
+        sound = np.isfinite(value) and bool(np.all(state.landmarks[:, 2] > 0.0))
+        return value if sound else float("inf")
+
+    pull = np.zeros(len(start))  # a
+    cost = cost_of(state, pull)
+    for _ in range(steps):
+        innovation = measured.innovation(state)
         factor, crossed = _factorise(covariance, innovation)
         # z - h(x_i) - H_i (x0 - x_i).
-        target = innovation.residual + innovation.jacobian @ (place.state.x - start)
+        target = innovation.residual + innovation.jacobian @ (state.x - start)
         multipliers = cho_solve((factor, True), target, check_finite=False)
-        # x = x0 + P a with a = H' S^-1 target.
-        end = (start + crossed @ multipliers, innovation.jacobian.T @ multipliers)
-        # x and a are linear in the step, so that x = x0 + P a holds for shortened ones too.
-        better = _line_search(place, end, start, measured)
-        if better is None:
+        # x = x0 + P a with a = H' S^-1 target; both are linear in the step, so that it holds for shortened ones too.
+        x, a = start + crossed @ multipliers, innovation.jacobian.T @ multipliers
+        share, before = 1.0, cost
+        while share > _SHORTEST:
+            trial, trial_pull = replace(state, x=state.x + share * (x - state.x)), pull + share * (a - pull)
+            cost = cost_of(trial, trial_pull)
+            if cost <= before * (1.0 + 1e-9):
+                break
+            share *= 0.5
+        else:
+            cost = before
             break
-        fallen, place = place.cost - better.cost, better
-        if fallen < rule.tolerance:
+        state, pull = trial, trial_pull
+        if before - cost < tolerance:
             break
     # The covariance is that of x0 updated once, with the derivatives at the minimum.
-    factor, crossed = _factorise(covariance, measured.innovation(place.state))
+    factor, crossed = _factorise(covariance, measured.innovation(state))
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    return replace(place.state, covariance=covariance - weighted.T @ weighted).with_errors_reset(), place.cost
-
-
-def innovation_covariance(state: FilterState, innovation: Innovation) -> FloatArray:
-    """(m, m) S = H P H' + R."""
-    H = innovation.jacobian
-    S = H @ state.covariance @ H.T + np.diag(innovation.variance)
-    return np.asarray(0.5 * (S + S.T), dtype=np.float64)
+    return replace(state, covariance=covariance - weighted.T @ weighted).with_errors_reset(), cost
 
 
 def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:
@@ -235,34 +225,3 @@ def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArr
         raise np.linalg.LinAlgError("the innovation is not finite")
     factor, _ = cho_factor(0.5 * (S + S.T), lower=True, check_finite=False)
     return np.tril(factor), crossed
-
-
-def _evaluate(
-    template: FilterState, start: FloatArray, pull: FloatArray, measured: FrameMeasurements, x: FloatArray | None = None
-) -> _Iterate:
-    state = template if x is None else replace(template, x=x)
-    residual = measured.residual(state)
-    cost = float(np.sum(residual**2 / measured.variance) + pull @ (state.x - start))
-    # A negative inverse distance is a landmark behind its anchor, whose direction fits as well.
-    sound = np.isfinite(cost) and bool(np.all(state.landmarks[:, 2] > 0.0))
-    return _Iterate(state, pull, cost if sound else float("inf"))
-
-
-def _line_search(
-    place: _Iterate, end: tuple[FloatArray, FloatArray], start: FloatArray, measured: FrameMeasurements
-) -> _Iterate | None:
-    """Step towards ``end``, halved until the cost does not increase; None if no step is small enough."""
-    x, pull = end
-    share = 1.0
-    while share > _SHORTEST:
-        found = _evaluate(
-            place.state,
-            start,
-            place.pull + share * (pull - place.pull),
-            measured,
-            place.state.x + share * (x - place.state.x),
-        )
-        if found.cost <= place.cost * (1.0 + 1e-9):
-            return found
-        share *= 0.5
-    return None
