@@ -22,7 +22,7 @@ from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.association.gating import gate_frame
 from boresight.estimators.slam.association.outliers import OutlierGate, all_within_gate
-from boresight.estimators.slam.association.prediction import SharedUncertainty
+from boresight.estimators.slam.association.prediction import SharedUncertainty, predict_lines
 from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
@@ -116,7 +116,7 @@ def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytes
             self.slam_map, matches, (before.problem, before.state), self.limit
         ):
             judged["at once"] += 1
-            seen = self._predict_lines(matches, before)
+            seen = predict_lines(self.slam_map, matches, before)
             fit = gate_frame(self.slam_map.camera, self.raw_frames[view], seen, self.false_alarm, self.limit)
             otherwise = set(self.raw_frames[view].tracks[seen.rows[~fit]].tolist())
             judged["wrong"] += len(otherwise & wrong[view])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy_adjustment
 import pytest
-from numpy_equations import VariableOrdering, cost, normal_equations
+from numpy_equations import VariableOrdering, bearing_residuals, cost, normal_equations
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
@@ -28,6 +28,9 @@ from boresight.estimators.slam.adjustment.solver import (
     reduced_rank_deficiency,
     view_covariance,
 )
+from boresight.estimators.slam.association.gating import pixel_squares
+from boresight.estimators.slam.association.outliers import residual_squares
+from boresight.estimators.slam.association.prediction import line_information
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
@@ -39,9 +42,6 @@ REFERENCED = (
     "view_covariance",
     "marginalise_view",
     "place_view",
-    "residual_squares",
-    "landmark_information",
-    "pixel_squares",
 )
 
 
@@ -129,9 +129,9 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     """Also for a landmark behind its camera; one pixel against derivatives by differences."""
     problem, state = window(seed)
-    squares = solver.residual_squares(problem, state)
-    np.testing.assert_allclose(squares, numpy_adjustment.residual_squares(problem, state), rtol=1e-11)
-    told = solver.landmark_information(problem, state)
+    squares = residual_squares(problem, state)
+    np.testing.assert_allclose(squares, np.sum(bearing_residuals(problem, state) ** 2, axis=1), rtol=1e-11)
+    told = line_information(problem, state, np.arange(len(state.points_m))).sum(axis=1)
     np.testing.assert_allclose(
         told, numpy_adjustment.landmark_information(problem, state), rtol=0, atol=1e-12 * told.max()
     )
@@ -141,8 +141,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     lines = camera.unproject(frame.uv_px[rows] + rng.normal(size=(4, 2))) @ frame.R_cam_body * 600.0
     root = rng.normal(size=(4, 3, 5))
     arguments = camera, frame, rows, lines, root @ np.swapaxes(root, 1, 2)
-    found = solver.pixel_squares(*arguments)
-    np.testing.assert_allclose(found, numpy_adjustment.pixel_squares(*arguments), rtol=1e-11)
+    found = pixel_squares(*arguments)
     shifts = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
     ends = camera.project((lines[0] + shifts) @ frame.R_cam_body.T)
     rise = (ends[:3] - ends[3:]).T / 2e-3
@@ -150,8 +149,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     expected = mahalanobis(frame.uv_px[0], camera.project(frame.R_cam_body @ lines[0]), inverse)
     assert found[0] == pytest.approx(expected**2, rel=1e-6)
     lines[1] *= -1.0
-    for judge in (solver.pixel_squares, numpy_adjustment.pixel_squares):
-        np.testing.assert_array_equal(np.isnan(judge(*arguments)), [False, True, False, False])
+    np.testing.assert_array_equal(np.isnan(pixel_squares(*arguments)), [False, True, False, False])
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -14,8 +14,7 @@ from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 from boresight.estimators.slam.adjustment.marginal import Retained, landmark_covariance, marginalise_outside
 from boresight.estimators.slam.adjustment.problem import Distances, PixelMeasurements, State
 from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise, view_covariance
-from boresight.estimators.slam.smoothing.loop_history import GlobalMap
-from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother, compatible_pairs
+from boresight.estimators.slam.smoothing.loop_smoother import GlobalMap, LoopSmoother, compatible_pairs
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
 

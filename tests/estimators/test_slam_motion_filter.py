@@ -21,7 +21,7 @@ CIRCLE = np.array([0.0, ORBIT_M * RATE, 0.0])
 def motion(radiation: np.ndarray, velocity: np.ndarray) -> MotionFilter:
     forces = Forces(GM, 0.0, radiation, 0.0, 1e-7, velocity, np.zeros((3, 3)))
     field = ForceModel.of(forces, ORBIT_M)
-    return MotionFilter(field, 1e-7, 1.0, 100.0, np.array([ORBIT_M, 0.0, 0.0]), velocity)
+    return MotionFilter(field, 100.0, np.array([ORBIT_M, 0.0, 0.0]), velocity)
 
 
 def test_motion_is_that_of_scipy() -> None:

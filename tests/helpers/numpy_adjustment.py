@@ -6,20 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.linalg import LinAlgError as NumpyLinAlgError
-from numpy_equations import (
-    VariableOrdering,
-    bearing_jacobians,
-    bearing_residuals,
-    cost,
-    distance_jacobians,
-    normal_equations,
-)
+from numpy_equations import VariableOrdering, bearing_jacobians, cost, distance_jacobians, normal_equations
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from boresight.estimators.slam.adjustment.marginal import constrained_points, without_empty_variables
 from boresight.estimators.slam.adjustment.problem import Adjustment, Motions, PixelMeasurements, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.solver import RANK_TOLERANCE, AdjustmentSolution
-from boresight.estimators.slam.association.gating import mahalanobis_squares
 
 
 def minimise(problem, state, rule):
@@ -85,7 +76,9 @@ def marginalise_view(problem, state, view, lost):
         distances=measured.subset((measured.view == view) | lost[measured.point]),
         motions=moved.subset((moved.start == view) | (moved.end == view)),
     )
-    free = problem.free_points & constrained_points(part)
+    prior = np.zeros(0, dtype=np.int64) if problem.prior is None else problem.prior.points
+    measured = np.concatenate([part.pixels.point, part.distances.point, prior])
+    free = problem.free_points & np.isin(np.arange(len(lost)), measured)
     part = replace(part, free_points=free, kept_points=~lost)
     ordering = VariableOrdering.of(part)
     matrix, right, _ = normal_equations(part, state, ordering).reduced()
@@ -99,16 +92,14 @@ def marginalise_view(problem, state, view, lost):
     information = matrix[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
     origin = np.concatenate([state.positions_m[views], state.points_m[points]])
     gradient = -right[~out] - cross.T @ solved[:, -1]
-    return without_empty_variables(QuadraticPrior(views, points, origin, 0.5 * (information + information.T), gradient))
-
-
-def residual_squares(problem, state):
-    """`estimators.slam.adjustment.solver.residual_squares`."""
-    return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
+    told = (information.reshape(len(origin), 3, -1) != 0.0).any(axis=(1, 2))
+    rows, information = np.repeat(told, 3), 0.5 * (information + information.T)
+    views, points = views[told[: len(views)]], points[told[len(views) :]]
+    return QuadraticPrior(views, points, origin[told], information[np.ix_(rows, rows)], gradient[rows])
 
 
 def landmark_information(problem, state):
-    """`estimators.slam.adjustment.solver.landmark_information`."""
+    """(L, 3, 3) information of pixels and distances about each landmark with all views fixed."""
     problem = replace(problem, frozen=None, prior=None)
     told = np.zeros((len(state.points_m), 3, 3))
     for point, rows in (
@@ -117,14 +108,6 @@ def landmark_information(problem, state):
     ):
         np.add.at(told, point, np.swapaxes(rows, 1, 2) @ rows)
     return told
-
-
-def pixel_squares(camera, frame, rows, lines_m, own_m2):
-    """`estimators.slam.adjustment.solver.pixel_squares`."""
-    in_camera = lines_m @ frame.R_cam_body.T
-    by_line = camera.jacobian(in_camera) @ frame.R_cam_body
-    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
-    return mahalanobis_squares(frame.uv_px[rows] - camera.project(in_camera), spread)
 
 
 def undamped_step(problem, state):

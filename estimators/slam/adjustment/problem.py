@@ -169,6 +169,11 @@ class Adjustment:
             kept_points=plain(kept, BOOL),
         )
 
+    @property
+    def prior_points(self) -> IndexArray:
+        """(b,) landmarks of the prior; empty without one."""
+        return _none() if self.prior is None else self.prior.points
+
     def linearisation_point(self, state: State) -> State:
         """Return ``state`` with the frozen variables at their first estimates."""
         if self.frozen is None:

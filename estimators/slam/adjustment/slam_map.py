@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from boresight.estimators.slam.adjustment.compiled.problem import floats
 from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, Motions, PixelMeasurements, State
 from boresight.estimators.slam.adjustment.solver import AdjustmentSolution, StoppingRule, minimise, place_view
 from boresight.estimators.slam.contract import FrameEstimate, LostError
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
 
@@ -154,11 +153,6 @@ class SlamMap:
         """List those of ``views`` that saw a track."""
         return [view for view in views if track in self._index(view).rows]
 
-    def in_view(self, view: int, tracks: Sequence[int]) -> BoolArray:
-        """(n,) which of ``tracks`` a view sees."""
-        rows = self._index(view).rows
-        return np.array([track in rows for track in tracks], dtype=np.bool_)
-
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
         return len(self._index(first).rows.keys() & self._index(second).rows.keys())
@@ -207,43 +201,41 @@ class SlamMap:
         before = before_m, self._motion_information(view)
         self.positions_m[view] = place_view(self.camera, frame, rows, points_m, before, rule)
 
+    def determined(
+        self, views: Sequence[int], absorbed: Set[int], joined: Set[int]
+    ) -> tuple[list[int], dict[int, list[int]]]:
+        """List the tracks that ``views`` determine or that are ``joined``, sorted, and the views that saw each track.
+
+        A single bearing leaves the distance undetermined, unless a range is measured. Pixels of ``absorbed`` landmarks
+        would need the variable that was marginalised.
+        """
+        seen = self.seen_by(views)
+        ranged = {item.track for view in views for item in self.frames[view].ranges}
+        found = {track for track, by in seen.items() if track not in absorbed and (len(by) >= 2 or track in ranged)}
+        return sorted(found | joined), seen
+
     def triangulate_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]]) -> None:
         """Triangulate those of ``tracks`` that have no point; ``seen`` lists the views of each track."""
         depths_m: dict[int, float] = {}
-        batch: list[int] = []
         for track in tracks:
             if track not in self.points_m:
                 last = seen[track][-1]
                 if last not in depths_m:
                     # The points so far count for the depth of another view.
-                    self._map_new(batch, seen, depths_m)
-                    batch = []
                     depths_m[last] = self.median_depth(last)
-                batch.append(track)
-        self._map_new(batch, seen, depths_m)
+                self.points_m[track] = self.triangulate(track, seen[track], depths_m[last])
 
-    def _map_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]], depths_m: Mapping[int, float]) -> None:
-        if tracks:
-            points = self._triangulated(
-                [(track, seen[track]) for track in tracks], [depths_m[seen[track][-1]] for track in tracks]
-            )
-            self.points_m.update(zip(tracks, points, strict=True))
+    def triangulate(self, track: int, views: Sequence[int], depth_m: float | None = None) -> FloatArray:
+        """(3,) midpoint triangulation: the point nearest to the lines of sight of ``views``, least squares.
 
-    def triangulate(self, track: int, views: Sequence[int]) -> FloatArray:
-        """(3,) midpoint triangulation from ``views``; see `_triangulated`, with the median depth of the last view."""
-        point: FloatArray = self._triangulated([(track, views)], [self.median_depth(views[-1])])[0]
-        return point
-
-    def _triangulated(self, seen: Sequence[tuple[int, Sequence[int]]], depths_m: Sequence[float]) -> FloatArray:
-        """(n, 3) midpoint triangulation: the points nearest to the lines of sight of their views, least squares.
-
-        ``seen`` are tracks and the views of each. The point at ``depths_m`` on the last line of sight is returned if
-        the lines are parallel, or if a depth is not within a factor of about 3 of it.
+        If the lines are parallel, or if a depth is not within a factor of about 3 of ``depth_m``, by default the median
+        depth of the last view, the point is at that depth on the last line of sight.
         """
-        rays = rows_of_3([self.ray(view, track) for track, views in seen for view in views])
-        origins = rows_of_3([self.positions_m[view] for _, views in seen for view in views])
-        begin = np.array(list(accumulate((len(views) for _, views in seen), initial=0)))
-        return kernels.triangulate(origins, rays, begin, np.array(depths_m))
+        depth_m = self.median_depth(views[-1]) if depth_m is None else depth_m
+        rays = rows_of_3([self.ray(view, track) for view in views])
+        origins = rows_of_3([self.positions_m[view] for view in views])
+        point: FloatArray = kernels.triangulate(origins, rays, np.array([0, len(views)]), np.array([depth_m]))[0]
+        return point
 
     def _motion_information(self, view: int) -> FloatArray:
         """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""

@@ -1,17 +1,16 @@
-"""Solve an adjustment by compiled kernels: minimum, rank, covariance, and squared residuals.
+"""Solve an adjustment by compiled kernels: minimum, rank, and covariance.
 
 The kernels are in `estimators.slam.adjustment.compiled`; their reference in numpy is in the tests.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
 from boresight.estimators.slam.adjustment.compiled import descent
-from boresight.estimators.slam.adjustment.compiled import equations as kernels
 from boresight.estimators.slam.adjustment.compiled.envelope import dense
 from boresight.estimators.slam.adjustment.compiled.problem import floats
 from boresight.estimators.slam.adjustment.problem import Adjustment, State, pinhole_of
@@ -21,38 +20,6 @@ from boresight.scenarios.tracks import TrackFrame
 
 RANK_TOLERANCE = 1e-11
 """Eigenvalues of the reduced matrix below this part of the largest one count as zero."""
-
-
-def residual_squares(problem: Adjustment, state: State) -> FloatArray:
-    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
-    at = floats(state.positions_m), floats(state.points_m)
-    return np.asarray(kernels.residual_squares(problem.flat, *at), dtype=np.float64)
-
-
-def landmark_information(problem: Adjustment, state: State) -> FloatArray:
-    """(L, 3, 3) information of pixels and distances about each landmark with all views fixed, 1/m^2."""
-    # Without frozen values all derivatives are taken at the state; a prior is not a measurement of one landmark alone.
-    problem = replace(problem, frozen=None, prior=None)
-    at = floats(state.positions_m), floats(state.points_m)
-    return np.asarray(kernels.landmark_information(problem.flat, *at), dtype=np.float64)
-
-
-def pixel_squares(
-    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
-) -> FloatArray:
-    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
-
-    The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind the camera.
-
-    Parameters
-    ----------
-    lines_m, own_m2
-        (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
-    """
-    seen = floats(frame.R_cam_body), floats(lines_m), floats(frame.uv_px[rows])
-    return np.asarray(
-        kernels.pixel_squares(pinhole_of(camera), *seen, float(frame.sigma_px), floats(own_m2)), np.float64
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +79,9 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
     eliminated is undetermined.
     """
     known, values, _, found = descent.reduced_at(problem.flat, floats(state.positions_m), floats(state.points_m))
-    if not known:  # a landmark is not determined
-        return len(dense(values, found.shape))
     matrix = dense(values, found.shape)
-    if not len(matrix):
-        return 0
+    if not known or not len(matrix):
+        return len(matrix)
     # Relative to the largest one: all variables are metres, and rounding errors scale with the largest eigenvalue.
     eigenvalues = np.linalg.eigvalsh(matrix)
     return int(np.count_nonzero(eigenvalues < RANK_TOLERANCE * eigenvalues[-1]))

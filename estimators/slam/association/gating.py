@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 from boresight.estimators.slam.association.prediction import DEPTH_SIGMA, PredictedLines
 from boresight.estimators.slam.options import Gate
-from boresight.scenarios.arrays import BoolArray, FloatArray
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
 
@@ -41,7 +41,7 @@ def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate,
     # A pixel has two coordinates: chi-square of 2 degrees of freedom.
     limit = float(chdtri(2, false_alarm))
     joint = covariance_px2.reshape(n, 2, n, 2).transpose(0, 2, 1, 3)  # (n, n, 2, 2) blocks
-    alone = mahalanobis_squares(residual_px, joint[np.arange(n), np.arange(n)]) <= limit
+    alone = mahalanobis_squares(residual_px, diagonal_blocks(covariance_px2)) <= limit
     if gate == "individual" or not alone.any():
         return alone
     # The usual case: no pixel contradicts the others, and no hypothesis has to be tried.
@@ -49,7 +49,7 @@ def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate,
     if _contradiction_squares(residual_px, covariance_px2, together).max() <= limit:
         return together
     core = _consensus(residual_px, joint, alone, limit)
-    return _readmitted(residual_px, covariance_px2, _snooped(residual_px, covariance_px2, core, limit), limit)
+    return _readmitted(residual_px, covariance_px2, snooped(residual_px, covariance_px2, core, limit), limit)
 
 
 def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, limit: float) -> BoolArray:
@@ -74,7 +74,7 @@ def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, lim
     return best
 
 
-def _snooped(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
+def snooped(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
     """(n,) the core without the pixels that the rest of it contradicts, the worst first (Baarda's data snooping)."""
     left = core.copy()
     # Of two that contradict each other none can be called the wrong one.
@@ -96,8 +96,7 @@ def _contradiction_squares(residual_px: FloatArray, covariance_px2: FloatArray, 
     inside = np.repeat(among, 2)
     inverse = np.asarray(np.linalg.inv(covariance_px2[np.ix_(inside, inside)]), dtype=np.float64)
     pull = (inverse @ residual_px[among].ravel()).reshape(-1, 2)
-    k = np.arange(len(pull))
-    return mahalanobis_squares(pull, inverse.reshape(len(k), 2, len(k), 2)[k, :, k])
+    return mahalanobis_squares(pull, diagonal_blocks(inverse))
 
 
 def _readmitted(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
@@ -107,9 +106,7 @@ def _readmitted(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolA
     # centre, and correct pixels that the first test missed pass.
     gain = np.linalg.solve(covariance_px2[np.ix_(inside, inside)], covariance_px2[inside]).T
     left = residual_px - (gain @ residual_px[core].ravel()).reshape(-1, 2)
-    covariance = covariance_px2 - gain @ covariance_px2[inside]
-    n = np.arange(len(residual_px))
-    blocks = covariance.reshape(len(n), 2, len(n), 2)[n, :, n]
+    blocks = diagonal_blocks(covariance_px2 - gain @ covariance_px2[inside])
     outside = ~core
     rescued = core.copy()
     rescued[outside] = mahalanobis_squares(left[outside], blocks[outside]) <= limit
@@ -122,6 +119,38 @@ def mahalanobis_squares(residual_px: FloatArray, covariance_px2: FloatArray) -> 
     x, y = residual_px[:, 0], residual_px[:, 1]
     determinant = np.maximum(a * c - b**2, 1e-18)  # 0 for the pixel taken as correct
     return np.asarray((c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, dtype=np.float64)
+
+
+def diagonal_blocks(matrix: FloatArray, size: int = 2) -> FloatArray:
+    """(n, size, size) blocks on the diagonal of a matrix (n size, n size)."""
+    k = np.arange(len(matrix) // size)
+    return np.asarray(matrix.reshape(len(k), size, len(k), size)[k, :, k], dtype=np.float64)
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """(2 n, 2 n) block-diagonal matrix of blocks (n, 2, 2)."""
+    k = np.arange(len(blocks))
+    wide = np.zeros((len(k), 2, len(k), 2))
+    wide[k, :, k] = blocks
+    return wide.reshape(2 * len(k), 2 * len(k))
+
+
+def pixel_squares(
+    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
+) -> FloatArray:
+    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
+
+    The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind the camera.
+
+    Parameters
+    ----------
+    lines_m, own_m2
+        (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
+    """
+    residual, by_line = _linearised_pixels(camera, frame, rows, lines_m)
+    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
+    squares = mahalanobis_squares(residual, spread)
+    return np.where(lines_m @ frame.R_cam_body[2] > 0.0, squares, np.nan)
 
 
 def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
@@ -138,12 +167,12 @@ def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_al
         first = sound
     if not first.any():
         return sound
-    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m)
+    residual, by_line = _linearised_pixels(camera, frame, seen.rows, seen.lines_m)
     # S = H P H' + the block-diagonal covariance of the independent errors.
     H = by_line[first] @ seen.by_shared[first]
     rows = H.reshape(-1, H.shape[2])
     own = _individual_covariance(frame, seen.subset(first), by_line[first], seen.covariance)
-    spread = rows @ seen.covariance @ rows.T + _block_diagonal(own)
+    spread = rows @ seen.covariance @ rows.T + block_diagonal(own)
     fit = np.zeros(len(sound), dtype=np.bool_)
     fit[first] = gate_pixels(residual[first], spread, "one-point", false_alarm)
     others = sound & ~first
@@ -153,21 +182,12 @@ def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_al
         # ``fit`` holds pixels of ``first`` alone so far, in the order of ``inside``.
         shift = gain @ residual[fit].ravel()
         left = seen.covariance - gain @ (rows[inside] @ seen.covariance)
-        fit[others] = _single_squares(camera, frame, seen.subset(others), shift, left) <= limit
+        single = seen.subset(others)
+        # Derivatives anew, at the shifted lines of sight.
+        residual, by_line = _linearised_pixels(camera, frame, single.rows, single.lines_m + single.by_shared @ shift)
+        alone = _own_blocks(by_line @ single.by_shared, left) + _individual_covariance(frame, single, by_line, left)
+        fit[others] = mahalanobis_squares(residual, alone) <= limit
     return fit
-
-
-def _single_squares(
-    camera: Camera, frame: TrackFrame, seen: PredictedLines, shift: FloatArray, left: FloatArray
-) -> FloatArray:
-    """(n,) squared Mahalanobis distances of single pixels after an update of the shared variables.
-
-    ``shift`` (m,) is their correction, ``left`` (m, m) their remaining covariance.
-    """
-    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m + seen.by_shared @ shift)
-    # Derivatives anew, at the shifted lines of sight.
-    rows = by_line @ seen.by_shared
-    return mahalanobis_squares(residual, _own_blocks(rows, left) + _individual_covariance(frame, seen, by_line, left))
 
 
 def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -178,7 +198,7 @@ def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _linearised_pixels(
-    camera: Camera, frame: TrackFrame, seen: PredictedLines, lines_m: FloatArray
+    camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Measured minus predicted pixels (n, 2), and derivatives (n, 2, 3) of the prediction by the lines of sight.
 
@@ -187,7 +207,7 @@ def _linearised_pixels(
     in_camera = lines_m @ frame.R_cam_body.T
     # Any point in front of the camera will do: it avoids a division by zero.
     in_camera = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
-    return frame.uv_px[seen.rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
+    return frame.uv_px[rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
 
 
 def _individual_covariance(
@@ -205,11 +225,3 @@ def _individual_covariance(
     # From lines of sight (m^2) to pixels (px^2).
     own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
     return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
-
-
-def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    """(2 n, 2 n) block-diagonal matrix of blocks (n, 2, 2)."""
-    k = np.arange(len(blocks))
-    wide = np.zeros((len(k), 2, len(k), 2))
-    wide[k, :, k] = blocks
-    return wide.reshape(2 * len(k), 2 * len(k))

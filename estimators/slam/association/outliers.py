@@ -6,32 +6,26 @@ adjustment uses it; and after each adjustment, while its view is in the window, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtri
 
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
-from boresight.estimators.slam.adjustment.solver import (
-    StoppingRule,
-    landmark_information,
-    pixel_squares,
-    residual_squares,
-)
-from boresight.estimators.slam.association.gating import gate_frame
+from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.association.gating import gate_frame, pixel_squares
 from boresight.estimators.slam.association.prediction import (
-    PredictedLines,
-    SharedUncertainty,
+    FrameMatches,
     guessed_points,
-    predict_guessed,
-    predict_mapped,
+    line_information,
+    predict_lines,
 )
-from boresight.scenarios.arrays import IndexArray
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import TrackFrame
 
-MAX_ROUNDS = 5
+_MAX_ROUNDS = 5
 """Adjustments of a frame at most, each without the outliers that the previous one found."""
 
 _MAX_GATED_VARIABLES = 1500
@@ -53,28 +47,6 @@ _LEAST_MAPPED = 8
 """Mapped landmarks below which a single wrong one may displace the camera."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameMatches:
-    """Tracks of a new frame matched with the map.
-
-    Parameters
-    ----------
-    view
-        The frame; its camera position is that of the motion-only adjustment.
-    points
-        (n,) for each of its tracks the landmark of the last adjustment, or -1.
-    once
-        Rows of tracks that were seen before but are not mapped, and (view, track) of the last such pixel.
-    depth_m
-        Their guessed distance.
-    """
-
-    view: int
-    points: IndexArray
-    once: tuple[IndexArray, list[tuple[int, int]]]
-    depth_m: float
-
-
 def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adjustment, State], limit: float) -> bool:
     """Return whether every pixel is within the chi-square ``limit``; False if the map is too small.
 
@@ -94,9 +66,9 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
     odd = np.flatnonzero(~(squares <= limit))
     if len(odd):
         # The information of pixels and distances alone underestimates what is known of a landmark of the prior.
-        if 2 * len(odd) > len(rows) or (problem.prior is not None and np.isin(points[odd], problem.prior.points).any()):
+        if 2 * len(odd) > len(rows) or np.isin(points[odd], problem.prior_points).any():
             return False
-        own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
+        own = np.asarray(np.linalg.inv(line_information(problem, state, points[odd]).sum(axis=1)), dtype=np.float64)
         if not (pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
             return False
     once, single_pixels = matches.once
@@ -105,6 +77,24 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
     guessed, own = guessed_points(slam_map, single_pixels, matches.depth_m)
     squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own)
     return bool((squares <= limit).all())
+
+
+def residual_squares(problem: Adjustment, state: State) -> FloatArray:
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
+    seen = problem.pixels
+    lines = state.points_m[seen.point] - state.positions_m[seen.view]
+    predicted_px = problem.camera.project(np.einsum("kij,kj->ki", problem.R_cam_body[seen.view], lines))
+    return np.asarray((((predicted_px - seen.uv_px) / seen.sigma_px[:, None]) ** 2).sum(axis=1), dtype=np.float64)
+
+
+def adjust_without_outliers(gate: OutlierGate | None, adjust: Callable[[], AdjustedWindow]) -> AdjustedWindow:
+    """Adjust a window, repeatedly while the gate rejects outliers; the gate is None if all pixels are used."""
+    for rounds in range(_MAX_ROUNDS):
+        adjusted = adjust()
+        # No refusal after the last adjustment: the estimate would have used the refused pixels.
+        if gate is None or rounds + 1 == _MAX_ROUNDS or not gate.reject_outliers(adjusted):
+            break
+    return adjusted
 
 
 class OutlierGate:
@@ -171,17 +161,21 @@ class OutlierGate:
         """
         view, frame = matches.view, self.raw_frames[matches.view]
         # A dense inverse costs the cube of the size.
-        if before is not None and 3 * _kept(before.problem) > _MAX_GATED_VARIABLES:
-            return
+        if before is not None:
+            kept = np.count_nonzero(before.problem.free_views) + len(before.problem.prior_points)
+            if 3 * kept > _MAX_GATED_VARIABLES:
+                return
         try:
-            seen = self._predict_lines(matches, before)
+            seen = predict_lines(self.slam_map, matches, before)
             fit = gate_frame(self.slam_map.camera, frame, seen, self.false_alarm, self.limit)
         except np.linalg.LinAlgError:
             return
         # A majority that fails shows a wrong prediction (a wrong motion, say) rather than as many wrong pixels.
         if 2 * np.count_nonzero(fit) > len(fit):
-            self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
-            self._reinitialise(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
+            refused = frame.tracks[seen.rows[~fit]].tolist()
+            self._refuse(view, refused)
+            settled = set() if before is None else set(before.tracks[before.problem.prior_points].tolist())
+            self._reinitialise(view, refused, settled)
 
     def reject_outliers(self, adjusted: AdjustedWindow) -> bool:
         """Refuse pixels with large residuals after an adjustment; True if it has to be repeated.
@@ -209,7 +203,7 @@ class OutlierGate:
             track = int(adjusted.tracks[point])
             self._refuse(adjusted.views[slot], [track])
             # The estimate was drawn by the wrong pixel: triangulate again. A landmark of the prior has to stay.
-            if not _in_prior(adjusted.problem, point):
+            if point not in adjusted.problem.prior_points:
                 self.slam_map.points_m.pop(track, None)
         return True
 
@@ -220,7 +214,7 @@ class OutlierGate:
         # Two bearings with an error along the epipolar line still meet in a point: only its distance shows the error.
         middle = float(np.sort(distances)[len(distances) // 2])
         odd = np.flatnonzero((distances < middle / _DEPTH_RATIO) | (distances > middle * _DEPTH_RATIO)).tolist()
-        odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
+        odd = [point for point in odd if point not in adjusted.problem.prior_points]
         for point in odd:
             slots = seen.view[seen.point == point]
             if len(slots):
@@ -254,32 +248,14 @@ class OutlierGate:
         tracks = self.raw_frames[view].tracks
         points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
         unknown = np.flatnonzero(points < 0).tolist()
-        last = self._last_seen(view, tracks[unknown].tolist())
+        # The last of the previous views with an accepted pixel of each.
+        views = [other for other in range(view - _FRAMES_BACK, view) if other in self.raw_frames] if unknown else []
+        seen = {track: self.slam_map.seeing(track, views) for track in tracks[unknown].tolist()}
+        last = {track: by[-1] for track, by in seen.items() if by}
         # Tracks without an accepted pixel in the last frames have no prediction, and are not gated.
         once = [row for row in unknown if int(tracks[row]) in last]
         single_pixels = [(last[int(tracks[row])], int(tracks[row])) for row in once]
         return FrameMatches(view, points, (np.array(once, dtype=np.int64), single_pixels), depth_m)
-
-    def _predict_lines(self, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
-        """Predict the lines of sight of a frame with their covariance."""
-        view, motion = matches.view, self.raw_frames[matches.view].motion_covariance_m2
-        if before is None:
-            return predict_guessed(
-                SharedUncertainty.of(None, (), motion), self.slam_map, matches.once, matches.depth_m, view
-            )
-        common = SharedUncertainty.of((before.problem, before.state), before.views, motion)
-        guessed = predict_guessed(common, self.slam_map, matches.once, matches.depth_m, view)
-        rows = np.flatnonzero(matches.points >= 0)
-        places = (rows, matches.points[rows])
-        # From the predicted position, not from the motion-only adjustment: that one used the pixels that are to be
-        # tested.
-        at = self.slam_map.positions_m[view - 1] + self.raw_frames[view].motion_m
-        return predict_mapped(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
-
-    def _last_seen(self, view: int, tracks: Sequence[int]) -> dict[int, int]:
-        """Return the last of the previous views with an accepted pixel of each of ``tracks``, where there is one."""
-        views = [other for other in range(view - _FRAMES_BACK, view) if other in self.raw_frames] if tracks else []
-        return {track: seen[-1] for track in tracks if (seen := self.slam_map.seeing(track, views))}
 
     def _refuse(self, view: int, tracks: Sequence[int]) -> None:
         if not tracks:
@@ -293,21 +269,21 @@ class OutlierGate:
 
     def _readmit(self, adjusted: AdjustedWindow) -> None:
         """Readmit refused pixels of the window that fit their landmark, which was adjusted without them."""
-        rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
-        for slot, view in enumerate(adjusted.views):
-            refused = self.refused.get(view, set())
-            again = {t for t in refused if t in rows and self._fits(view, t, adjusted, (slot, rows[t]))}
+        if not any(self.refused.values()):
+            return
+        points_m = dict(zip(adjusted.tracks.tolist(), adjusted.state.points_m, strict=True))
+        for view, position_m in zip(adjusted.views, adjusted.state.positions_m, strict=True):
+            frame, again = self.raw_frames[view], set()
+            for track in self.refused.get(view, set()) & points_m.keys():
+                uv_px = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
+                predicted_px = self.slam_map.camera.project(frame.R_cam_body @ (points_m[track] - position_m))
+                # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower
+                # limit also keeps a pixel from being refused and readmitted in turn.
+                off = (uv_px - predicted_px) / frame.sigma_px
+                if off @ off < _READMIT_SHARE * self.limit:
+                    again.add(track)
             if again:
-                self._set(view, refused - again)
-
-    def _fits(self, view: int, track: int, adjusted: AdjustedWindow, place: tuple[int, int]) -> bool:
-        frame, (slot, row) = self.raw_frames[view], place
-        line = adjusted.state.points_m[row] - adjusted.state.positions_m[slot]
-        uv = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
-        # The landmark was adjusted without this pixel, so that its error is part of the difference; the lower limit
-        # also keeps a pixel from being refused and readmitted in turn.
-        off = (uv - self.slam_map.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
-        return bool(off @ off < _READMIT_SHARE * self.limit)
+                self._set(view, self.refused[view] - again)
 
 
 def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
@@ -315,20 +291,3 @@ def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
     kept = ~np.isin(frame.tracks, np.array(sorted(tracks), dtype=np.int64))
     ranges = tuple(item for item in frame.ranges if item.track not in tracks)
     return replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept], ranges=ranges)
-
-
-def _in_prior(problem: Adjustment, point: int) -> bool:
-    return problem.prior is not None and bool(np.any(problem.prior.points == point))
-
-
-def _kept(problem: Adjustment) -> int:
-    """Count the views and landmarks in the reduced system of an adjustment."""
-    prior = 0 if problem.prior is None else len(problem.prior.points)
-    return int(np.count_nonzero(problem.free_views)) + prior
-
-
-def _prior_tracks(adjusted: AdjustedWindow | None) -> set[int]:
-    """Tracks of the landmarks in the prior of an adjustment."""
-    if adjusted is None or adjusted.problem.prior is None:
-        return set()
-    return set(adjusted.tracks[adjusted.problem.prior.points].tolist())

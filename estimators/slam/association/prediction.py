@@ -47,37 +47,20 @@ def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArr
 def predict_from_window(
     slam_map: SlamMap, view: int, frame: TrackFrame, solved: AdjustedWindow | None
 ) -> Prediction | None:
-    """Predict from the last adjustment, whose last view is ``view``, and its landmarks.
+    """Predict the pixels of all landmarks of the last ``view`` in the frame after it, from the last adjustment.
 
-    Before the first adjustment the position is certain, and all landmarks are at a guessed distance. None if the
-    covariance does not exist.
+    Landmarks that are not adjusted are at the median depth on their lines of sight; before the first adjustment all
+    are, and the position is certain. None if the covariance does not exist.
     """
-    if solved is None:
-        # Landmarks relative to a known position: only their distances and the motion are uncertain.
-        return predict_pixels(slam_map, view, frame, (), np.zeros((3, 3)))
-    state, tracks = solved.state, solved.tracks
-    rows = np.flatnonzero(np.isin(tracks, slam_map.frames[view].tracks))
-    try:
-        covariance = joint_covariance(solved.problem, state, len(state.positions_m) - 1, rows)
-    except np.linalg.LinAlgError:
-        return None
-    return predict_pixels(slam_map, view, frame, tracks[rows].tolist(), covariance)
-
-
-def predict_pixels(
-    slam_map: SlamMap, view: int, frame: TrackFrame, tracks: Sequence[int], covariance: FloatArray
-) -> Prediction:
-    """Predict the pixels of all landmarks of a view in the frame after it.
-
-    Parameters
-    ----------
-    view
-        The last view.
-    tracks
-        The landmarks in ``covariance``; the others are at the median depth on their lines of sight.
-    covariance
-        (3 + 3 t, 3 + 3 t) of the view's position, then of those landmarks, m^2.
-    """
+    tracks: list[int] = []
+    covariance = np.zeros((3, 3))
+    if solved is not None:
+        rows = np.flatnonzero(np.isin(solved.tracks, slam_map.frames[view].tracks))
+        tracks = solved.tracks[rows].tolist()
+        try:
+            covariance = joint_covariance(solved.problem, solved.state, len(solved.views) - 1, rows)
+        except np.linalg.LinAlgError:
+            return None
     seen = np.sort(slam_map.frames[view].tracks)
     depth = slam_map.median_depth(view)
     place = {track: slot for slot, track in enumerate(tracks)}
@@ -88,31 +71,29 @@ def predict_pixels(
     own = np.zeros((len(seen), 3, 3))
     points = np.empty((len(seen), 3))
     for row, track in enumerate(seen.tolist()):
-        # Line of sight = landmark - camera.
-        by_known[row, :, :3] = -np.eye(3)
         if track in place:
             points[row] = slam_map.points_m[track]
+            # Line of sight = landmark - camera.
+            by_known[row, :, :3] = -np.eye(3)
             by_known[row, :, 3 + 3 * place[track] : 6 + 3 * place[track]] = np.eye(3)
-        else:
+        else:  # placed relative to the camera that saw it
             ray = slam_map.ray(view, track)
             points[row] = here + depth * ray
-            by_known[row, :, :3] = 0.0  # placed relative to the camera that saw it
             # Uncertain along the line of sight; the pixel's error across it is left out.
             own[row] = (_UNKNOWN_DEPTH * depth) ** 2 * np.outer(ray, ray)
     by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
-    rows = (by_line @ by_known).reshape(2 * len(seen), -1)
+    rows_by_known = (by_line @ by_known).reshape(2 * len(seen), -1)
     # The new camera is the old one plus the motion, so the motion's error has the sign of the camera's.
     by_motion = -by_line.reshape(2 * len(seen), 3)
     # First order: the joint error of camera and landmarks, and that of the motion, which is independent of it.
-    spread = rows @ covariance @ rows.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
+    spread = rows_by_known @ covariance @ rows_by_known.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
     # A pixel depends on the camera's displacement over the distance; the product of both errors is of second order.
     alone = by_line @ own @ np.swapaxes(by_line, 1, 2)
     product = by_line @ (covariance[:3, :3] + frame.motion_covariance_m2) @ np.swapaxes(by_line, 1, 2)
     alone += _UNKNOWN_DEPTH**2 * np.array([track not in place for track in seen.tolist()])[:, None, None] * product
     for row, block in enumerate(alone):
         spread[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += block
-    uv = slam_map.camera.project((points - camera) @ frame.R_cam_body.T)
-    return Prediction(seen, uv, spread)
+    return Prediction(seen, slam_map.camera.project((points - camera) @ frame.R_cam_body.T), spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,25 +125,8 @@ class PredictedLines:
 
     def subset(self, which: BoolArray) -> PredictedLines:
         """Return those marked in ``which`` (n,)."""
-        return PredictedLines(
-            self.rows[which],
-            self.lines_m[which],
-            self.by_shared[which],
-            self.covariance,
-            self.own_m2[which],
-            self.known[which],
-        )
-
-    def joined(self, other: PredictedLines) -> PredictedLines:
-        """Append lines with the same shared variables."""
-        return PredictedLines(
-            np.concatenate([self.rows, other.rows]),
-            np.concatenate([self.lines_m, other.lines_m]),
-            np.concatenate([self.by_shared, other.by_shared]),
-            self.covariance,
-            np.concatenate([self.own_m2, other.own_m2]),
-            np.concatenate([self.known, other.known]),
-        )
+        part = self.rows[which], self.lines_m[which], self.by_shared[which]
+        return PredictedLines(*part, self.covariance, self.own_m2[which], self.known[which])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,50 +243,56 @@ def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, Inde
     return 0.5 * (inverse + inverse.T), views, points
 
 
-def predict_mapped(
-    common: SharedUncertainty,
-    before: tuple[Adjustment, State, Sequence[int]],
-    places: tuple[IndexArray, IndexArray],
-    view: int,
-    position_m: FloatArray,
-) -> PredictedLines:
-    """Predict lines of sight from the position of the new ``view`` to landmarks of the adjustment.
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameMatches:
+    """Tracks of a new frame matched with the map.
 
-    ``places`` are (rows of the frame, indices in the adjustment's state).
+    Parameters
+    ----------
+    view
+        The frame; its camera position is that of the motion-only adjustment.
+    points
+        (n,) for each of its tracks the landmark of the last adjustment, or -1.
+    once
+        Rows of tracks that were seen before but are not mapped, and (view, track) of the last such pixel.
+    depth_m
+        Their guessed distance.
     """
-    (rows, points), (problem, state, views) = places, before
-    by_landmark, own = common.by_landmarks(problem, state, views, points)
-    lines = state.points_m[points] - position_m
-    # Line of sight = landmark - camera. An error common to both, such as the drift of all views, cancels here.
-    by_shared = by_landmark - common.by_camera(view)
-    return PredictedLines(rows, lines, by_shared, common.covariance, own, np.ones(len(rows), dtype=np.bool_))
+
+    view: int
+    points: IndexArray
+    once: tuple[IndexArray, list[tuple[int, int]]]
+    depth_m: float
 
 
-def predict_guessed(
-    common: SharedUncertainty,
-    slam_map: SlamMap,
-    places: tuple[IndexArray, Sequence[tuple[int, int]]],
-    depth_m: float,
-    view: int,
-) -> PredictedLines:
-    """Predict lines of sight to landmarks that were seen once, at their measured or guessed distance.
+def predict_lines(slam_map: SlamMap, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
+    """Predict the lines of sight from a new frame to its matched landmarks, with their covariance.
 
-    ``places`` are (rows of the frame, (view, track) of the earlier pixel).
+    First those of the last adjustment, then those seen once, at their measured or guessed distance.
     """
-    rows, single_pixels = places
-    points, own = guessed_points(slam_map, single_pixels, depth_m)
-    at = slam_map.positions_m[view - 1] + slam_map.frames[view].motion_m
+    view, frame = matches.view, slam_map.frames[matches.view]
+    # From the predicted position, not from the motion-only adjustment: that one used the pixels that are to be tested.
+    at = slam_map.positions_m[view - 1] + frame.motion_m
+    adjusted, views = (None, ()) if before is None else ((before.problem, before.state), before.views)
+    common = SharedUncertainty.of(adjusted, views, frame.motion_covariance_m2)
     by_camera = common.by_camera(view)
+    rows, single_pixels = matches.once
+    points, own = guessed_points(slam_map, single_pixels, matches.depth_m)
     # The landmark moves with the view that saw it: only the displacement since then is uncertain.
     by_shared = np.array([common.by_view(other) - by_camera for other, _ in single_pixels])
-    return PredictedLines(
-        rows,
-        points - at,
-        by_shared.reshape(len(single_pixels), 3, len(common.covariance)),
-        common.covariance,
-        own,
-        np.zeros(len(single_pixels), dtype=np.bool_),
-    )
+    by_shared = by_shared.reshape(len(rows), 3, len(common.covariance))
+    known = np.zeros(len(rows), dtype=np.bool_)
+    if before is not None:
+        mapped = np.flatnonzero(matches.points >= 0)
+        chosen = matches.points[mapped]
+        by_landmark, independent = common.by_landmarks(before.problem, before.state, before.views, chosen)
+        rows = np.concatenate([mapped, rows])
+        points = np.concatenate([before.state.points_m[chosen], points])
+        # Line of sight = landmark - camera. An error common to both, such as the drift of all views, cancels here.
+        by_shared = np.concatenate([by_landmark - by_camera, by_shared])
+        own = np.concatenate([independent, own])
+        known = np.arange(len(rows)) < len(mapped)
+    return PredictedLines(rows, points - at, by_shared, common.covariance, own, known)
 
 
 def guessed_points(

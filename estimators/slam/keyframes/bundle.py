@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, State
+from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule, reduced_rank_deficiency
-from boresight.estimators.slam.association.outliers import MAX_ROUNDS, OutlierGate
+from boresight.estimators.slam.association.outliers import OutlierGate, adjust_without_outliers
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower
@@ -18,14 +18,11 @@ from boresight.estimators.slam.keyframes.keyframes import (
     DepthGauge,
     gauge_distances,
     hand_over_gauge,
-    measure_gauge,
     offset_views,
-    reestimate_gauge,
     trailing_views,
 )
 from boresight.estimators.slam.keyframes.motion_filter import Propagator
 from boresight.estimators.slam.options import BundleOptions
-from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 _MAX_PLACED = 2
@@ -75,13 +72,14 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
 class _Window:
     """Sliding window of BA-SLAM on one sequence."""
 
+    gauge: DepthGauge
+
     def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:
         self.options = options
         self.slam_map = SlamMap(sequence.camera)
         self.first_m = sequence.position_m
         self.propagator = Propagator(sequence, options) if options.motion == "constant-gain" else None
-        self.trailing: list[int] = []
-        self.gauge: DepthGauge | None = None
+        self.trailing = [0]
         self.gate = OutlierGate(self.slam_map, options.false_alarm) if options.associations == "consensus" else None
         self.adjusted: AdjustedWindow | None = None
         self.placed_alone = 0
@@ -116,82 +114,64 @@ class _Window:
         last = len(self.slam_map.frames) - 1
         return predict_from_window(self.slam_map, last, frame, self.adjusted) if last >= 0 else None
 
-    def _follow(self, number: int) -> FrameEstimate:
-        # The tolerance scales with the distance: the same angle, about the same part of a pixel, at any range.
-        depth = self.slam_map.median_depth(number - 1)
-        rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
-        # Step 1 of the paper, motion only.
-        if self.gate is None:
-            self.slam_map.place(number, rule)
-        else:
-            self.gate.place(number, self.adjusted, rule, depth)
-        # Kept for the case that the adjustment of the window fails.
-        placed_m, guessed = self.slam_map.positions_m[number], set(self.slam_map.guessed)
-        views = self._window(number)
-        try:
-            self.adjusted = self._adjusted(views, rule)
-            if self.options.connected == "whole-window":
-                self._check_rank(self.adjusted.problem, self.adjusted.state)
-        except LostError:
-            if not self._lost_by_refusals(number):
-                raise
-            self.slam_map.guessed |= guessed
-            return self._place_only(number, placed_m)
-        self.placed_alone = 0
-        tracks = self.adjusted.tracks.tolist()
-        # A range at the leading view has fixed the scale of this window. The gauge goes on with the distance that it
-        # has in this solution, so that the next window has the same scale.
-        if len(self.slam_map.distances(views[-1:], tracks).view):
-            self.gauge = reestimate_gauge(self.slam_map, self._gauge(), self.options.gauge_sigma_m)
-        points = np.array([self.slam_map.points_m[track] for track in tracks])
-        return FrameEstimate(self.slam_map.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
-
-    def _lost_by_refusals(self, number: int) -> bool:
-        """Return whether refused pixels of the newest frame may be the reason that the window cannot be adjusted."""
-        gate = self.gate
-        return gate is not None and bool(gate.refused.get(number)) and self.placed_alone < _MAX_PLACED
-
-    def _place_only(self, number: int, position_m: FloatArray) -> FrameEstimate:
-        """Keep the result of the motion-only adjustment; the next frames may determine the scale again."""
-        self.placed_alone += 1
-        self.adjusted = None
-        self.slam_map.positions_m[number] = position_m
-        tracks = sorted(set(self.slam_map.frames[number].tracks.tolist()) & self.slam_map.points_m.keys())
-        points = self.slam_map.state((), tracks).points_m
-        return FrameEstimate(position_m, None, np.array(tracks, dtype=np.int64), points, 0.0)
-
-    def _adjusted(self, views: list[int], rule: StoppingRule) -> AdjustedWindow:
-        """Adjust the window, repeatedly while the gate rejects outliers."""
-        for rounds in range(MAX_ROUNDS):
-            seen = self.slam_map.seen_by(views)
-            self._update_gauge(views, seen)
-            tracks = self._map(seen)
-            problem = self._problem(views, tracks)
-            # Step 2 of the paper, structure only: all views fixed. Step 3, full, follows.
-            if self.options.steps == "motion-structure-full":
-                self._adjust(replace(problem, free_views=np.zeros_like(problem.free_views)), views, tracks, rule)
-            state = self._adjust(problem, views, tracks, rule)
-            adjusted = AdjustedWindow(problem, state, tuple(views), np.array(tracks, dtype=np.int64))
-            # No refusal after the last adjustment: the estimate would have used the refused pixels.
-            if self.gate is None or rounds + 1 == MAX_ROUNDS or not self.gate.reject_outliers(adjusted):
-                break
-        return adjusted
-
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and its landmarks provisionally at the distance of the gauge."""
         slam_map = self.slam_map
         # The first position is known, section 3.1. A bearing gives no distance: all landmarks start at that of the
         # gauge, on a sphere about the camera, and are marked as guessed.
         slam_map.positions_m[0] = self.first_m.copy()
-        self.gauge = measure_gauge(slam_map, 0)
-        if self.gauge.track not in frame.tracks:
-            raise LostError(f"the range is to track {self.gauge.track}, which is not in view")
-        self.trailing = [0]
-        slam_map.guess(0, self.gauge.range_m)
-        tracks = np.array([self.gauge.track], dtype=np.int64)
-        return FrameEstimate(self.first_m.copy(), None, tracks, slam_map.points_m[self.gauge.track][None], 0.0)
+        if not frame.ranges:
+            raise LostError("no range is measured at the first frame: the scale is unobservable")
+        # The range with the smallest error; the track decides between equal errors, so that the choice does not depend
+        # on the order of the ranges.
+        best = min(frame.ranges, key=lambda item: (item.sigma_m, item.track))
+        if best.track not in frame.tracks:
+            raise LostError(f"the range is to track {best.track}, which is not in view")
+        self.gauge = DepthGauge(0, best.track, best.range_m, best.sigma_m)
+        slam_map.guess(0, best.range_m)
+        tracks = np.array([best.track], dtype=np.int64)
+        return FrameEstimate(self.first_m.copy(), None, tracks, slam_map.points_m[best.track][None], 0.0)
 
-    def _window(self, lead: int) -> list[int]:
+    def _follow(self, number: int) -> FrameEstimate:
+        """Run the three steps of section 3.2 on a new leading view."""
+        slam_map, gate = self.slam_map, self.gate
+        # The tolerance scales with the distance: the same angle, about the same part of a pixel, at any range.
+        depth = slam_map.median_depth(number - 1)
+        rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
+        # Step 1 of the paper, motion only.
+        if gate is None:
+            slam_map.place(number, rule)
+        else:
+            gate.place(number, self.adjusted, rule, depth)
+        # Kept for the case that the adjustment of the window fails.
+        placed_m, guessed = slam_map.positions_m[number], set(slam_map.guessed)
+        views = self._choose_views(number)
+        try:
+            adjusted = self.adjusted = self._adjust(views, rule)
+        except LostError:
+            # Refused pixels of the newest frame may be the reason that the window cannot be adjusted. Then the result
+            # of the motion-only adjustment is kept; the next frames may determine the scale again.
+            if gate is None or not gate.refused.get(number) or self.placed_alone >= _MAX_PLACED:
+                raise
+            self.placed_alone += 1
+            self.adjusted = None
+            slam_map.guessed |= guessed
+            slam_map.positions_m[number] = placed_m
+            tracks = sorted(set(slam_map.frames[number].tracks.tolist()) & slam_map.points_m.keys())
+        else:
+            self.placed_alone = 0
+            tracks = adjusted.tracks.tolist()
+            # A range at the leading view has fixed the scale of this window. The gauge goes on with the distance that
+            # it has in this solution, so that the next window has the same scale.
+            if len(slam_map.distances(views[-1:], tracks).view):
+                distance = slam_map.points_m[self.gauge.track] - slam_map.positions_m[self.gauge.view]
+                self.gauge = replace(
+                    self.gauge, range_m=float(np.linalg.norm(distance)), sigma_m=self.options.gauge_sigma_m
+                )
+        points = slam_map.state((), tracks).points_m
+        return FrameEstimate(slam_map.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
+
+    def _choose_views(self, lead: int) -> list[int]:
         """Choose the trailing views for a new leading one; the leading view is the last of the list."""
         before = self.trailing
         # Refused pixels count, so that outliers do not shift the window.
@@ -205,46 +185,41 @@ class _Window:
         self.shifts += int(choose[0] != before[0])
         return [*choose, lead]
 
-    def _update_gauge(self, views: list[int], seen: dict[int, list[int]]) -> None:
-        """Hand the depth gauge over to another landmark if necessary."""
-        gauge = hand_over_gauge(self.slam_map, self._gauge(), views, seen, self.options)
+    def _adjust(self, views: list[int], rule: StoppingRule) -> AdjustedWindow:
+        """Adjust the window, repeatedly while the gate rejects outliers."""
+        adjusted = adjust_without_outliers(self.gate, lambda: self._adjust_once(views, rule))
+        whole = self.options.connected == "whole-window"
+        if whole and reduced_rank_deficiency(adjusted.problem, adjusted.state):
+            raise LostError("the scale is unobservable: the reduced system has not full rank")
+        return adjusted
+
+    def _adjust_once(self, views: list[int], rule: StoppingRule) -> AdjustedWindow:
+        """Adjust the window and the landmarks that two of its views or more see, new ones triangulated before."""
+        slam_map, seen = self.slam_map, self.slam_map.seen_by(views)
+        gauge = hand_over_gauge(slam_map, self.gauge, views, seen, self.options)
         self.handovers += int(gauge != self.gauge)
         self.gauge = gauge
-
-    def _map(self, seen: dict[int, list[int]]) -> list[int]:
-        """List the tracks seen in two views or more, sorted; new ones are triangulated."""
         # One bearing leaves the distance undetermined: section 3.2 estimates landmarks that were observed in at least
         # two views.
         tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
-        self.slam_map.triangulate_new(tracks, seen)
+        slam_map.triangulate_new(tracks, seen)
         if len(tracks) < self.options.connectivity:
             raise LostError(f"tracks are lost: {len(tracks)} landmarks are seen twice in the window")
-        return tracks
-
-    def _problem(self, views: list[int], tracks: list[int]) -> Adjustment:
-        """Return the full adjustment, with the depth gauge."""
-        return Adjustment(
-            camera=self.slam_map.camera,
-            R_cam_body=self.slam_map.attitudes(views),
-            pixels=self.slam_map.pixels(views, tracks),
+        problem = Adjustment(
+            camera=slam_map.camera,
+            R_cam_body=slam_map.attitudes(views),
+            pixels=slam_map.pixels(views, tracks),
             # Of the seven freedoms of a monocular reconstruction the known attitudes fix three; the fixed oldest view
             # fixes the translation, and the depth gauge of eq. (5) the scale.
             free_views=np.arange(len(views)) > 0,
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=gauge_distances(self.slam_map, self._gauge(), views, tracks),
+            distances=gauge_distances(slam_map, gauge, views, tracks),
         )
-
-    def _adjust(self, problem: Adjustment, views: list[int], tracks: list[int], rule: StoppingRule) -> State:
-        """Minimise the structure-only or the full adjustment from the present estimates, and count the steps."""
-        solution = self.slam_map.adjust(problem, views, tracks, rule)
+        # Step 2 of the paper, structure only: all views fixed.
+        if self.options.steps == "motion-structure-full":
+            structure = replace(problem, free_views=np.zeros_like(problem.free_views))
+            self.iterations += slam_map.adjust(structure, views, tracks, rule).iterations
+        # Step 3, full.
+        solution = slam_map.adjust(problem, views, tracks, rule)
         self.iterations += solution.iterations
-        return solution.state
-
-    def _check_rank(self, problem: Adjustment, state: State) -> None:
-        if reduced_rank_deficiency(problem, state):
-            raise LostError("the scale is unobservable: the reduced system has not full rank")
-
-    def _gauge(self) -> DepthGauge:
-        if self.gauge is None:
-            raise LostError("there is no depth gauge")
-        return self.gauge
+        return AdjustedWindow(problem, solution.state, tuple(views), np.array(tracks, dtype=np.int64))

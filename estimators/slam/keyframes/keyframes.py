@@ -25,22 +25,6 @@ class DepthGauge:
     sigma_m: float
 
 
-def measure_gauge(slam_map: SlamMap, view: int) -> DepthGauge:
-    """Return the range measured at ``view`` with the smallest error.
-
-    Raises
-    ------
-    LostError
-        If there is none: the scale is unobservable.
-    """
-    ranges = slam_map.frames[view].ranges
-    if not ranges:
-        raise LostError("no range is measured at the first frame: the scale is unobservable")
-    # The track decides between equal errors, so that the choice does not depend on the order of the ranges.
-    best = min(ranges, key=lambda item: (item.sigma_m, item.track))
-    return DepthGauge(view, best.track, best.range_m, best.sigma_m)
-
-
 def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], tracks: Sequence[int]) -> Distances:
     """Return the distances that fix the scale of a window: the leading view's measured ranges, or else the gauge."""
     lead = slam_map.distances(views[-1:], tracks)
@@ -54,12 +38,6 @@ def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], 
         np.array([gauge.range_m]),
         np.array([gauge.sigma_m]),
     )
-
-
-def reestimate_gauge(slam_map: SlamMap, gauge: DepthGauge, sigma_m: float) -> DepthGauge:
-    """Return a gauge with its present estimated distance, as after an adjustment with a range measured later."""
-    distance = float(np.linalg.norm(slam_map.points_m[gauge.track] - slam_map.positions_m[gauge.view]))
-    return DepthGauge(gauge.view, gauge.track, distance, sigma_m)
 
 
 def hand_over_gauge(
@@ -138,11 +116,19 @@ def trailing_views(
     """
     views = list(trailing)
     if len(views) < options.views - 1:
-        return _grown(tracks, views, lead, options)
+        held = tracks.shared(views[-1], views[-1])
+        # The first and the leading view of a full window, views - 1 steps apart, then share just the connectivity.
+        share = (options.connectivity / held) ** (1.0 / (options.views - 1))
+        near = tracks.shared(views[-1], lead) >= share * held
+        grown = views if near or views[-1] == lead - 1 else [*views, lead - 1]
+        return _connected_part(tracks, grown, lead, options)
     # Shared landmarks are counted with the last trailing view, as in the paper, or with the oldest; the angle of table
     # 2 is between consecutive views, so with the last one in both cases.
     base = views[-1] if options.connected == "last-two" else views[0]
-    if _connected(slam_map, tracks, base, views[-1], lead, options):
+    a, b = slam_map.positions_m[views[-1]], slam_map.positions_m[lead]
+    # The arc tangent is accurate for small angles, where the arc cosine loses half of the digits.
+    angle = float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    if tracks.shared(base, lead) >= options.connectivity and angle <= np.radians(options.angle_max_deg):
         return views
     # The shift of section 3.2: T1 := T2, T2 := T3, T3 := T4, where T4 was the leading view of the step before.
     return _connected_part(tracks, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
@@ -156,23 +142,6 @@ def offset_views(tracks: SharedLandmarks, lead: int, options: BundleOptions) -> 
     return _connected_part(tracks, views, lead, options)
 
 
-def _grown(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
-    """Add the view before the leading one when the leading one shares few enough landmarks with the last."""
-    held = tracks.shared(views[-1], views[-1])
-    # The first and the leading view of a full window, views - 1 steps apart, then share just the connectivity.
-    share = (options.connectivity / held) ** (1.0 / (options.views - 1))
-    near = tracks.shared(views[-1], lead) >= share * held
-    candidate = views if near or views[-1] == lead - 1 else [*views, lead - 1]
-    return _connected_part(tracks, candidate, lead, options)
-
-
-def _connected(
-    slam_map: SlamMap, tracks: SharedLandmarks, oldest: int, last: int, lead: int, options: BundleOptions
-) -> bool:
-    shared = tracks.shared(oldest, lead) >= options.connectivity
-    return shared and _angle(slam_map, last, lead) <= np.radians(options.angle_max_deg)
-
-
 def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Drop the oldest views until the leading one is connected with the first remaining one."""
     while views and tracks.shared(views[0], lead) < options.connectivity:
@@ -182,10 +151,3 @@ def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, option
     # No trailing view is connected: start again from the frame before, which is the best connected one.
     check_connected(tracks.shared(lead - 1, lead), options.connectivity)
     return [lead - 1]
-
-
-def _angle(slam_map: SlamMap, first: int, second: int) -> float:
-    """Angle between two camera positions at the centre of the body, rad."""
-    a, b = slam_map.positions_m[first], slam_map.positions_m[second]
-    # The arc tangent is accurate for small angles, where the arc cosine loses half of the digits.
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

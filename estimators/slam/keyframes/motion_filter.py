@@ -12,7 +12,7 @@ from boresight.estimators.slam.contract import LostError
 from boresight.estimators.slam.force_model import ForceModel, propagate
 from boresight.estimators.slam.options import BundleOptions
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
+from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFilter:
-    """Position and velocity in inertial axes about the body's centre, propagated by equation (6), constant gain.
+    """Position and velocity in inertial axes about the body's centre, propagated by equation (6).
 
     Equation (6) is printed as ``mu / r^3 r``, which would repel: gravity is ``-mu / r^3 r``.
 
@@ -62,8 +62,6 @@ class MotionFilter:
     ----------
     field
         Gravity and solar radiation pressure.
-    acceleration_m_s2, sigma_m
-        Standard deviations for the gain: of the unmodelled acceleration, and of an adjusted position.
     time_s
         Epoch of the state.
     position_m, velocity_m_s
@@ -71,21 +69,9 @@ class MotionFilter:
     """
 
     field: ForceModel
-    acceleration_m_s2: float
-    sigma_m: float
     time_s: float
     position_m: FloatArray
     velocity_m_s: FloatArray
-
-    @classmethod
-    def at_first(
-        cls, sequence: TrackSequence, forces: Forces, acceleration_m_s2: float, sigma_m: float
-    ) -> MotionFilter:
-        """Return the filter at the first frame of a sequence, with the known position and velocity."""
-        first = sequence.frames[0]
-        position = first.R_body_inertial.T @ sequence.position_m
-        field = ForceModel.of(forces, float(np.linalg.norm(position)))
-        return cls(field, acceleration_m_s2, sigma_m, first.time_s, position, forces.velocity_m_s.copy())
 
     def predicted(self, time_s: float) -> MotionFilter:
         """Propagate to a later epoch."""
@@ -94,19 +80,6 @@ class MotionFilter:
         start = np.concatenate([self.position_m, self.velocity_m_s * unit])[None]
         end = propagate(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
         return replace(self, time_s=time_s, position_m=end[:3], velocity_m_s=end[3:] / unit)
-
-    def corrected(self, position_m: FloatArray, gain: SteadyGain) -> MotionFilter:
-        """Update with a measured position (3,), inertial axes."""
-        innovation = position_m - self.position_m
-        return replace(
-            self,
-            position_m=self.position_m + gain.position * innovation,
-            velocity_m_s=self.velocity_m_s + gain.velocity_s * innovation,
-        )
-
-    def gain(self, duration_s: float) -> SteadyGain:
-        """Return the constant gain for a frame interval."""
-        return steady_gain(duration_s, self.acceleration_m_s2, self.sigma_m)
 
 
 class Propagator:
@@ -122,6 +95,7 @@ class Propagator:
         self.sequence = sequence
         self.options = options
         self.filter: MotionFilter | None = None
+        self.noise_m_s2 = 0.0
         self.adjusted_m = sequence.position_m
         self.R_body_inertial: FloatArray = np.eye(3)
         self.gain: SteadyGain | None = None
@@ -130,11 +104,20 @@ class Propagator:
         """Replace a frame's displacement and its covariance by the filter's prediction."""
         self.R_body_inertial = frame.R_body_inertial
         if self.filter is None:
-            self.filter = self._first()
+            forces, position_m = self.sequence.forces, frame.R_body_inertial.T @ self.sequence.position_m
+            if forces is None:
+                raise LostError("the sequence tells no forces: motion: constant-gain needs knowledge.dynamics: true")
+            noise = self.options.motion_noise_m_s2 or forces.noise_m_s2
+            if not noise > 0.0:
+                raise LostError("the unmodelled acceleration is zero, and so would be the gain: set motion_noise_m_s2")
+            field = ForceModel.of(forces, float(np.linalg.norm(position_m)))
+            self.noise_m_s2 = noise
+            self.filter = MotionFilter(field, frame.time_s, position_m, forces.velocity_m_s.copy())
             return frame
         # "Considering the high cost of computing the camera position uncertainty" the gain is constant (section 3.2):
         # it depends on the interval alone, whatever the covariance of the adjustment.
-        self.gain = self.filter.gain(frame.time_s - self.filter.time_s)
+        duration_s = frame.time_s - self.filter.time_s
+        self.gain = steady_gain(duration_s, self.noise_m_s2, self.options.motion_position_sigma_m)
         self.filter = self.filter.predicted(frame.time_s)
         # From the adjusted position of the last frame, from which the map adds it, so that the new position starts at
         # the filter's.
@@ -148,14 +131,10 @@ class Propagator:
             raise LostError("a position is corrected before it is predicted")
         # The first position and velocity are known: nothing to correct.
         if self.gain is not None:
-            self.filter = self.filter.corrected(self.R_body_inertial.T @ position_m, self.gain)
+            innovation = self.R_body_inertial.T @ position_m - self.filter.position_m
+            self.filter = replace(
+                self.filter,
+                position_m=self.filter.position_m + self.gain.position * innovation,
+                velocity_m_s=self.filter.velocity_m_s + self.gain.velocity_s * innovation,
+            )
         return self.filter.velocity_m_s
-
-    def _first(self) -> MotionFilter:
-        forces = self.sequence.forces
-        if forces is None:
-            raise LostError("the sequence tells no forces: motion: constant-gain needs knowledge.dynamics: true")
-        noise = self.options.motion_noise_m_s2 or forces.noise_m_s2
-        if not noise > 0.0:
-            raise LostError("the unmodelled acceleration is zero, and so would be the gain: set motion_noise_m_s2")
-        return MotionFilter.at_first(self.sequence, forces, noise, self.options.motion_position_sigma_m)

@@ -140,7 +140,7 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
         return IncrementalFollower(sequence, self.options, lag=None)
 
 
-class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
+class GtsamFixedLag(GtsamIsam2):
     """Incremental fixed-lag smoother of gtsam: iSAM2 that marginalises frames older than the lag.
 
     It needs the extra ``gtsam``.
@@ -165,13 +165,8 @@ class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
 
     name: ClassVar[str] = "gtsam-fixed-lag"
     version: ClassVar[int] = 3
+    options: GtsamFixedLagOptions
     options_model = GtsamFixedLagOptions
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one, or without gtsam."""
-        load_gtsam()
-        return super().from_options(options)
 
     def follower(self, sequence: TrackSequence) -> Follower:
         """Return the estimator at work on one sequence."""
@@ -186,7 +181,14 @@ class IncrementalFollower:
         self.sequence = sequence
         self.slam_map = SlamMap(sequence.camera)
         self.factors = Factors(sequence.camera)
-        self.engine = self._engine()
+        gtsam = self.factors.gtsam
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(options.relinearize_m)
+        # Look for variables to linearise anew at every update.
+        parameters.relinearizeSkip = 1
+        self.engine: Any = gtsam.ISAM2(parameters)
+        if lag is not None:
+            self.engine = gtsam.IncrementalFixedLagSmoother(float(lag), parameters)
         self.mapped: set[int] = set()
 
     def diagnostics(self) -> dict[str, float]:
@@ -212,16 +214,6 @@ class IncrementalFollower:
             return self._estimate(number)
         except RuntimeError as error:  # exceptions of gtsam's C++ code
             raise LostError(f"gtsam: {str(error).strip().splitlines()[0]}") from error
-
-    def _engine(self) -> Any:
-        gtsam = self.factors.gtsam
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.options.relinearize_m)
-        # Look for variables to linearise anew at every update.
-        parameters.relinearizeSkip = 1
-        if self.lag is None:
-            return gtsam.ISAM2(parameters)
-        return gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
 
     def _add_view(self, graph: Any, values: Any, number: int) -> None:
         frame, factors = self.slam_map.frames[number], self.factors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,16 +10,24 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from boresight.estimators.slam.adjustment.marginal import Retained, landmark_covariance, marginalise_outside
-from boresight.estimators.slam.adjustment.problem import Adjustment, State
-from boresight.estimators.slam.adjustment.slam_map import lookup
+from boresight.estimators.slam.adjustment.problem import (
+    AdjustedWindow,
+    Adjustment,
+    Distances,
+    Motions,
+    PixelMeasurements,
+    QuadraticPrior,
+    State,
+)
+from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
 from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.association.gating import diagonal_blocks
 from boresight.estimators.slam.association.outliers import without_tracks
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower
 from boresight.estimators.slam.options import LoopOptions
-from boresight.estimators.slam.smoothing.loop_history import GlobalMap
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 _SAME_PLACE_M = 1e-3
@@ -44,50 +52,121 @@ def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, proba
         Probability that a correct pair passes the test.
     """
     gate = 2.0 * float(gammaincinv(1.5, probability))  # the quantile of chi-square of 3 degrees of freedom
+    same_place = _SAME_PLACE_M**2 * np.eye(3)
     best: tuple[int, float] = (0, 0.0)
     found: list[int] = []
     for seed in range(len(differences_m)):
         if seed in found:  # it would grow into the same set
             continue
-        members, total = _grown(seed, differences_m.ravel(), covariance_m2, gate)
+        members: list[int] = []
+        total, candidate = 0.0, seed
+        difference, covariance = differences_m.ravel(), covariance_m2
+        while True:
+            parts = difference.reshape(-1, 3)
+            blocks = diagonal_blocks(covariance, 3) + same_place
+            squares = np.einsum("ki,ki->k", parts, np.linalg.solve(blocks, parts[:, :, None])[:, :, 0])
+            if members:
+                # Members are not candidates again. The conditional chi-squares of a chain add up to the joint one.
+                squares[members] = np.inf
+                candidate = int(np.argmin(squares))
+            if not squares[candidate] <= gate:
+                break
+            members.append(candidate)
+            total += float(squares[candidate])
+            # A Kalman update by the measurement "the difference of this pair is zero": what remains of the other
+            # differences is what the drift common to all does not explain.
+            rows = slice(3 * candidate, 3 * candidate + 3)
+            gain = np.linalg.solve(blocks[candidate], covariance[rows]).T
+            difference, covariance = difference - gain @ difference[rows], covariance - gain @ covariance[rows]
         if (len(members), -total) > best:
             best, found = (len(members), -total), members
     return sorted(found)
 
 
-def _grown(seed: int, difference: FloatArray, covariance: FloatArray, gate: float) -> tuple[list[int], float]:
-    """Grow a set from one pair; return it with its joint chi-square, empty if the pair fails its own test."""
-    members: list[int] = []
-    total, candidate = 0.0, seed
-    squares = _squares(difference, covariance)
-    while squares[candidate] <= gate:
-        members.append(candidate)
-        total += float(squares[candidate])
-        difference, covariance = _given(candidate, difference, covariance)
-        squares = _squares(difference, covariance)
-        # Members are not candidates again. The conditional chi-squares of a chain add up to the joint one.
-        squares[members] = np.inf
-        candidate = int(np.argmin(squares))
-    return members, total
+class GlobalMap:
+    """Map of all frames, whose tracks are renumbered to landmarks: a landmark has the number of its oldest track.
 
+    Attributes
+    ----------
+    landmark
+        Landmark of each track that was merged into another one.
+    members
+        Tracks of each landmark with more than one.
+    seen
+        Frames of each landmark.
+    track_in_frame
+        For each frame, the track of each landmark.
+    """
 
-def _squares(difference: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(k,) squared Mahalanobis distances of the pairs, one by one."""
-    count = len(difference) // 3
-    rows = np.arange(count)
-    blocks = covariance.reshape(count, 3, count, 3)[rows, :, rows] + _SAME_PLACE_M**2 * np.eye(3)
-    parts = difference.reshape(count, 3)
-    return np.asarray(np.einsum("ki,ki->k", parts, np.linalg.solve(blocks, parts[:, :, None])[:, :, 0]))
+    def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
+        self.slam_map = SlamMap(sequence.camera)
+        self.first_m = sequence.position_m
+        self.first_covariance_m2 = sequence.position_covariance_m2
+        self.motion = motion
+        self.landmark: dict[int, int] = {}
+        self.members: dict[int, set[int]] = {}
+        self.seen: dict[int, set[int]] = {}
+        self.track_in_frame: dict[int, dict[int, int]] = {}
 
+    def add(self, number: int, frame: TrackFrame) -> None:
+        """Add a frame, or replace it if its pixels have changed."""
+        # A gate may have refused pixels since the frame was added.
+        for landmark in self.track_in_frame.pop(number, {}):
+            self.seen[landmark].discard(number)
+        self.slam_map.frames[number] = self._renamed(frame)
+        self.track_in_frame[number] = {self.of(track): track for track in frame.tracks.tolist()}
+        for landmark in self.track_in_frame[number]:
+            self.seen.setdefault(landmark, set()).add(number)
 
-def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Condition the differences and their covariance on one pair being a single landmark."""
-    # A Kalman update by the measurement "the difference of this pair is zero": what remains of the other differences is
-    # what the drift common to all does not explain.
-    rows = slice(3 * pair, 3 * pair + 3)
-    block = covariance[rows, rows] + _SAME_PLACE_M**2 * np.eye(3)
-    gain = np.linalg.solve(block, covariance[rows]).T
-    return difference - gain @ difference[rows], covariance - gain @ covariance[rows]
+    def of(self, track: int) -> int:
+        """Return the landmark of a track."""
+        return self.landmark.get(track, track)
+
+    def may_merge(self, first: int, second: int) -> bool:
+        """Return whether two landmarks have different numbers and never appear in one frame."""
+        return first != second and not self.seen.get(first, set()) & self.seen.get(second, set())
+
+    def merge(self, new: int, old: int) -> None:
+        """Merge two landmarks into one with the number of ``old``."""
+        members = self.members.pop(new, {new})
+        self.members[old] = self.members.pop(old, {old}) | members
+        self.landmark.update(dict.fromkeys(members, old))
+        numbers = self.seen.pop(new)
+        self.seen[old] |= numbers
+        for number in numbers:
+            self.track_in_frame[number][old] = self.track_in_frame[number].pop(new)
+            self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
+
+    def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
+        """Return the adjustment of all frames and its landmarks; those in ``kept`` stay in the reduced system."""
+        slam_map = self.slam_map
+        views = sorted(slam_map.frames)
+        ranged = {item.track for frame in slam_map.frames.values() for item in frame.ranges}
+        # As in a window: two bearings, or one and a range, determine a landmark.
+        tracks = sorted(track for track, by in self.seen.items() if len(by) >= 2 or track in ranged)
+        for track in tracks:
+            slam_map.triangulate_new([track], {track: sorted(self.seen[track])})
+        free = np.ones(len(views), dtype=np.bool_)
+        # A first position without error is fixed, and has no prior.
+        free[0] = bool(np.any(self.first_covariance_m2))
+        problem = Adjustment(
+            camera=slam_map.camera,
+            R_cam_body=slam_map.attitudes(views),
+            pixels=slam_map.pixels(views, tracks),
+            free_views=free,
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=slam_map.distances(views, tracks),
+            motions=slam_map.motions(views) if self.motion else Motions(),
+            prior=QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2) if free[0] else None,
+            kept_points=np.isin(tracks, sorted(kept)),
+        )
+        return problem, tracks
+
+    def _renamed(self, frame: TrackFrame) -> TrackFrame:
+        """Renumber the tracks of a frame to their landmarks."""
+        tracks = np.array([self.of(track) for track in frame.tracks.tolist()], dtype=np.int64)
+        ranges = tuple(replace(item, track=self.of(item.track)) for item in frame.ranges)
+        return replace(frame, tracks=tracks, ranges=ranges)
 
 
 class LoopSmoother(ConfiguredEstimator[LoopOptions]):
@@ -139,6 +218,7 @@ class _LoopClosingWindow(WindowSmoother):
     def __init__(self, sequence: TrackSequence, options: LoopOptions) -> None:
         super().__init__(sequence, options)
         self.loops = options
+        self.closure_rule = StoppingRule(options.closure_tolerance_m, options.iterations)
         self.global_map = GlobalMap(sequence, motion=options.motion)
         self.raw: dict[int, TrackFrame] = {}
         self.pending: set[tuple[int, int]] = set()
@@ -158,9 +238,9 @@ class _LoopClosingWindow(WindowSmoother):
         if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
             return estimate
         self._update_global_map()
-        # A landmark seen once has no covariance along its line of sight.
-        ripe = [pair for pair in sorted(self.pending) if self._is_determined(*pair)]
         known = self.global_map
+        # A landmark seen once has no covariance along its line of sight.
+        ripe = [pair for pair in sorted(self.pending) if all(len(known.seen.get(known.of(t), ())) >= 2 for t in pair)]
         # Landmarks for tracks: earlier closures may have merged some. Two landmarks in one image are two.
         pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_merge(known.of(a), known.of(b))})
         if len(pairs) < self.loops.closure_pairs:
@@ -169,29 +249,25 @@ class _LoopClosingWindow(WindowSmoother):
         self.closed_at = number
         return self._close(pairs) or estimate
 
-    def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
+    def _marginalise(self, adjusted: AdjustedWindow) -> None:
         """Marginalise the oldest view, after adding it to the map of all frames."""
         # Before the base class deletes the frame, and with the refusals that are final now.
         self.global_map.add(self.views[0], self._believed(self.views[0]))
         del self.raw[self.views[0]]
-        super()._marginalise(problem, state, tracks)
-
-    def _is_determined(self, *tracks: int) -> bool:
-        """Return whether the landmarks of all of ``tracks`` were seen twice or more."""
-        return all(len(self.global_map.seen.get(self.global_map.of(track), ())) >= 2 for track in tracks)
+        super()._marginalise(adjusted)
 
     def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
         """Merge compatible pairs, adjust all frames, and replace the window's prior; None if none are compatible."""
         try:
-            united = self._merge(pairs)
-            if not united:
+            if not self._merge(pairs):
                 return None
             problem, state, tracks = self._adjusted()
             self._replace_prior(problem, state, tracks)
         except np.linalg.LinAlgError as error:
             raise LostError("the history of all frames is not determined") from error
         self.closures += 1
-        return self._smoothed()
+        # The window is adjusted once more, with its new prior.
+        return self._adjust_without_outliers(self.closure_rule)
 
     def _update_global_map(self) -> None:
         """Copy the window's frames and estimates to the map of all frames; merged landmarks keep their estimates."""
@@ -232,8 +308,7 @@ class _LoopClosingWindow(WindowSmoother):
         known = self.global_map
         problem, tracks = known.problem(kept)
         views = sorted(known.slam_map.frames)
-        rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
-        return problem, known.slam_map.adjust(problem, views, tracks, rule).state, tracks
+        return problem, known.slam_map.adjust(problem, views, tracks, self.closure_rule).state, tracks
 
     def _replace_prior(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
         """Replace the window's prior by the marginalised measurements of all frames outside the window.
@@ -244,21 +319,31 @@ class _LoopClosingWindow(WindowSmoother):
         known, views = self.global_map, np.array(sorted(self.global_map.slam_map.frames))
         # The window goes on with the track that is in view, under which the next frames will see the landmark.
         alive = {known.of(track): track for track in self.raw[self.views[-1]].tracks.tolist()}
-        numbers = np.array([self._window_number(track, alive) for track in tracks], dtype=np.int64)
-        inside = np.isin(views, self.views)
+        # Without one, with the newest.
+        numbers = np.array([alive.get(track, max(known.members.get(track, {track}))) for track in tracks])
         # Landmarks seen by an older frame stay only if they are in view; the others have been marginalised for good.
         outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
         stays = np.isin(tracks, sorted(alive)) | ~outer
-        rows = (problem.pixels, problem.distances)
-        sighted, ranged = (
-            inside[seen.view]
-            & stays[seen.point]
-            & self._seen_under_number(numbers[seen.point], views[seen.view], seen.point, tracks)
-            for seen in rows
-        )
+        held = {view: set(self.slam_map.frames[view].tracks.tolist()) for view in self.views}
+
+        def remain(rows: PixelMeasurements | Distances) -> BoolArray:
+            """(k,) which measurements of a remaining landmark the window has, under its track there."""
+            at = zip(views[rows.view].tolist(), rows.point.tolist(), strict=True)
+            return np.array(
+                [
+                    view in held
+                    and bool(stays[j])
+                    and known.track_in_frame[view][tracks[j]] == numbers[j]
+                    and int(numbers[j]) in held[view]
+                    for view, j in at
+                ],
+                dtype=np.bool_,
+            )
+
+        retained = Retained(np.isin(views, self.views), stays, remain(problem.pixels), remain(problem.distances))
         # From the measurements themselves, not from the old prior: linearised at the closed loop, and no measurement is
         # used twice.
-        prior = marginalise_outside(problem, state, Retained(inside, stays, sighted, ranged))
+        prior = marginalise_outside(problem, state, retained)
         for slot, track in enumerate(tracks):
             self.slam_map.points_m[int(numbers[slot])] = state.points_m[slot]
             members = known.members.get(track, {track})
@@ -269,30 +354,6 @@ class _LoopClosingWindow(WindowSmoother):
         # All first estimates are replaced with the prior that they belong to.
         self.first_positions_m = dict(zip(self.prior.views.tolist(), state.positions_m[prior.views], strict=True))
         self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))
-
-    def _seen_under_number(
-        self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]
-    ) -> BoolArray:
-        """(k,): whether a view of the window has a landmark under its track ``numbers`` (k,) of the window."""
-        held = {view: set(self.slam_map.frames[view].tracks.tolist()) for view in self.views}
-        named = self.global_map.track_in_frame
-        rows = zip(numbers.tolist(), views.tolist(), points.tolist(), strict=True)
-        return np.array(
-            [named[view][tracks[point]] == number and number in held.get(view, ()) for number, view, point in rows],
-            dtype=np.bool_,
-        )
-
-    def _window_number(self, landmark: int, alive: Mapping[int, int]) -> int:
-        """Return the window's track of a landmark: the one in view, if there is one, else the newest."""
-        if landmark in alive:
-            return alive[landmark]
-        return max(self.global_map.members.get(landmark, {landmark}))
-
-    def _smoothed(self) -> FrameEstimate:
-        """Adjust the window once more."""
-        rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
-        self.adjusted = self._adjust(rule)
-        return self._estimate(self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist())
 
     def _believed(self, view: int) -> TrackFrame:
         """Return a frame of the window as measured, without the refused pixels."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -13,7 +12,7 @@ from boresight.estimators.slam.adjustment.marginal import marginalise_view
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
 from boresight.estimators.slam.adjustment.solver import StoppingRule, view_covariance
-from boresight.estimators.slam.association.outliers import MAX_ROUNDS, OutlierGate, without_tracks
+from boresight.estimators.slam.association.outliers import OutlierGate, adjust_without_outliers, without_tracks
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected, check_scale
@@ -110,6 +109,8 @@ class WindowSmoother:
         self.slam_map = SlamMap(sequence.camera)
         self.first_m = sequence.position_m
         self.first_covariance_m2 = sequence.position_covariance_m2
+        # With a covariance of zero the first view is fixed instead: its information would be infinite.
+        self.first_is_free = bool(np.any(self.first_covariance_m2))
         self.views: list[int] = []
         self.prior: QuadraticPrior | None = None
         self.absorbed: set[int] = set()
@@ -142,16 +143,16 @@ class WindowSmoother:
             return self._begin()
         depth = self.slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
-        self._check_connected(number)
+        # Refused pixels count: outliers are not lost tracks.
+        shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
+        check_connected(shared, self.options.connectivity)
         if self.gate is None:
             self.slam_map.place(number, rule)
         else:
             self.gate.place(number, self.adjusted, rule, depth)
-        self.adjusted = self._adjust(rule)
-        problem, state, tracks = self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist()
-        estimate = self._estimate(problem, state, tracks)
-        if len(self.views) > self.options.lag:
-            self._marginalise(problem, state, tracks)
+        estimate = self._adjust_without_outliers(rule)
+        if len(self.views) > self.options.lag and self.adjusted is not None:
+            self._marginalise(self.adjusted)
         return estimate
 
     def weighted(self, frame: TrackFrame) -> TrackFrame:
@@ -167,16 +168,28 @@ class WindowSmoother:
         return replace(frame, sigma_px=math.hypot(frame.sigma_px, shift_px))
 
     def _adjust(self, rule: StoppingRule) -> AdjustedWindow:
-        """Adjust the window, repeatedly while the gate rejects outliers."""
-        for rounds in range(MAX_ROUNDS):
-            tracks = self._map()
-            problem = self._problem(tracks)
-            solution = self.slam_map.adjust(problem, self.views, tracks, rule)
-            self.iterations += solution.iterations
-            adjusted = AdjustedWindow(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
-            if self.gate is None or rounds + 1 == MAX_ROUNDS or not self.gate.reject_outliers(adjusted):
-                break
-        return adjusted
+        """Adjust the window once."""
+        joined = set() if self.prior is None else set(self.prior.points.tolist())
+        # Also landmarks of the prior whose pixels are all refused.
+        tracks, seen = self.slam_map.determined(self.views, self.absorbed, joined)
+        self.slam_map.triangulate_new(tracks, seen)
+        problem = self._problem(tracks)
+        solution = self.slam_map.adjust(problem, self.views, tracks, rule)
+        self.iterations += solution.iterations
+        return AdjustedWindow(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
+
+    def _adjust_without_outliers(self, rule: StoppingRule) -> FrameEstimate:
+        """Adjust the window, repeatedly while the gate rejects outliers; return the estimate of the newest view."""
+        self.adjusted = adjust_without_outliers(self.gate, lambda: self._adjust(rule))
+        problem, state = self.adjusted.problem, self.adjusted.state
+        try:
+            covariance = view_covariance(problem, state, len(self.views) - 1)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the scale is unobservable: the reduced system has not full rank") from error
+        # An unobservable scale shows as a large covariance: predicted motions and rounding keep it finite.
+        position = state.positions_m[-1]
+        check_scale(covariance, state.points_m, position, self.options.uncertainty_max)
+        return FrameEstimate(position, covariance, self.adjusted.tracks, state.points_m, 0.0)
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
         """Predict the pixels of the landmarks of the last frame in the next one."""
@@ -186,37 +199,23 @@ class WindowSmoother:
         """Place the first view, and its landmarks provisionally at the measured distance."""
         self.slam_map.positions_m[0] = self.first_m.copy()
         estimate = self.slam_map.first_estimate(self.first_covariance_m2)
-        # With a covariance of zero the first view is fixed instead: its information would be infinite.
-        if self._first_is_free():
+        if self.first_is_free:
             self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
         return estimate
 
-    def _first_is_free(self) -> bool:
-        return bool(np.any(self.first_covariance_m2))
-
-    def _check_connected(self, number: int) -> None:
-        # Refused pixels count: outliers are not lost tracks.
-        shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
-        check_connected(shared, self.options.connectivity)
-
-    def _map(self) -> list[int]:
-        """List the tracks of the landmarks that the window determines, sorted; new ones are triangulated."""
-        seen = self.slam_map.seen_by(self.views)
-        ranged = {item.track for view in self.views for item in self.slam_map.frames[view].ranges}
-        joined = set() if self.prior is None else set(self.prior.points.tolist())
-        # A single bearing leaves the distance undetermined, unless a range is measured. Pixels of absorbed landmarks
-        # would need the variable that was marginalised.
-        determined = {
-            track for track, by in seen.items() if track not in self.absorbed and (len(by) >= 2 or track in ranged)
-        }
-        tracks = sorted(determined | joined)  # also landmarks of the prior whose pixels are all refused
-        self.slam_map.triangulate_new(tracks, seen)
-        return tracks
-
     def _problem(self, tracks: list[int]) -> Adjustment:
+        """Return the adjustment of the window's views and of ``tracks``."""
+        prior, frozen, views = self.prior, None, self.views
+        if prior is not None:
+            prior = replace(prior, views=lookup(views, prior.views), points=lookup(tracks, prior.points))
+        if self.options.first_estimates:
+            # Derivatives are taken at the first estimates of the prior's variables. The prior of the first position is
+            # linear, so that it needs no point of linearisation: only variables of marginalised measurements are
+            # frozen.
+            frozen = State(values_or_nan(self.first_positions_m, views), values_or_nan(self.first_points_m, tracks))
         free_views = np.ones(len(self.views), dtype=np.bool_)
         # Later oldest views are free: the prior of marginalisation holds them.
-        free_views[0] = self.views[0] != 0 or self._first_is_free()
+        free_views[0] = self.views[0] != 0 or self.first_is_free
         return Adjustment(
             camera=self.slam_map.camera,
             R_cam_body=self.slam_map.attitudes(self.views),
@@ -225,56 +224,29 @@ class WindowSmoother:
             free_points=np.ones(len(tracks), dtype=np.bool_),
             distances=self.slam_map.distances(self.views, tracks),
             motions=self.slam_map.motions(self.views) if self.options.motion else Motions(),
-            prior=self._local_prior(tracks),
-            frozen=self._frozen(tracks),
+            prior=prior,
+            frozen=frozen,
         )
 
-    def _local_prior(self, tracks: list[int]) -> QuadraticPrior | None:
-        """Return the prior with its variables numbered as in the problem."""
-        if self.prior is None:
-            return None
-        return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
-
-    def _frozen(self, tracks: list[int]) -> State | None:
-        """Return the first estimates of the variables in the prior, where their derivatives are taken."""
-        if not self.options.first_estimates:
-            return None
-        # The prior of the first position is linear, so that it needs no point of linearisation: only variables of
-        # marginalised measurements are frozen.
-        return State(values_or_nan(self.first_positions_m, self.views), values_or_nan(self.first_points_m, tracks))
-
-    def _estimate(self, problem: Adjustment, state: State, tracks: list[int]) -> FrameEstimate:
-        try:
-            covariance = view_covariance(problem, state, len(self.views) - 1)
-        except np.linalg.LinAlgError as error:
-            raise LostError("the scale is unobservable: the reduced system has not full rank") from error
-        # An unobservable scale shows as a large covariance: predicted motions and rounding keep it finite.
-        position = state.positions_m[-1]
-        check_scale(covariance, state.points_m, position, self.options.uncertainty_max)
-        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), state.points_m, 0.0)
-
-    def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
+    def _marginalise(self, adjusted: AdjustedWindow) -> None:
         """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
-        number = np.array(tracks, dtype=np.int64)
-        oldest = self.slam_map.in_view(self.views[0], tracks)
-        if problem.prior is not None:
-            oldest[problem.prior.points] = True
+        problem, state, number = adjusted.problem, adjusted.state, adjusted.tracks
+        oldest = np.isin(number, self.slam_map.frames[self.views[0]].tracks)
+        oldest[problem.prior_points] = True
         newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
         # Refused pixels count as in view: the landmark may fit again in the next frame.
-        in_view = set(newest[self.views[-1]].tracks.tolist())
-        lost = oldest & np.array([track not in in_view for track in tracks], dtype=np.bool_)
+        lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
         # What remains of the oldest view's landmarks would enter the prior, which couples them all.
-        excess = self._beyond_prior_size(number, oldest & ~lost)
+        excess = self._beyond_prior_size(oldest & ~lost, problem.prior_points)
         try:
             local = marginalise_view(problem, state, 0, lost | excess)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
-        old = np.zeros(0, dtype=np.int64) if self.prior is None else self.prior.points
+        old = [] if self.prior is None else self.prior.points.tolist()
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
         if self.gate is not None:
-            self.prior = _with_weak_lines(
-                self.prior, lookup(old.tolist(), self.prior.points) < 0, self.slam_map.median_depth(self.views[-1])
-            )
+            new = lookup(old, self.prior.points) < 0
+            self.prior = _with_weak_lines(self.prior, new, self.slam_map.median_depth(self.views[-1]))
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         # The estimate at the first entry stays the point of linearisation as long as the variable is in the prior.
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
@@ -286,9 +258,17 @@ class WindowSmoother:
         if self.gate is not None:
             self.gate.drop_view(self.views[0])
         self.views = self.views[1:]
-        self._forget_measurements(number[excess])
+        # The prior contains the pixels of the excess landmarks.
+        gone = set(number[excess].tolist())
+        for view in self.views if gone else ():
+            self.slam_map.frames[view] = without_tracks(self.slam_map.frames[view], gone)
+            if self.gate is not None:
+                self.gate.drop_tracks(view, gone)
+        for track in gone:
+            # A later landmark of the same track is a new variable.
+            self.first_points_m.pop(track, None)
 
-    def _beyond_prior_size(self, number: IndexArray, staying: BoolArray) -> BoolArray:
+    def _beyond_prior_size(self, staying: BoolArray, in_prior: IndexArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
 
         The cost of a dense prior grows with the cube of its size. The pixels of an excess landmark are marginalised
@@ -297,26 +277,12 @@ class WindowSmoother:
         one landmark is lost: with 100 landmarks a frame, of which the prior would hold about 40, a limit of 30 made
         the error 1.4 times as large (10 sequences).
         """
-        beyond = staying.copy()
-        if np.count_nonzero(staying) <= self.options.prior_landmarks:
-            beyond[:] = False
-            return beyond
-        old = set() if self.prior is None else set(self.prior.points.tolist())
+        rows = np.flatnonzero(staying)
         # Landmarks of the prior first, then the oldest tracks.
-        order = sorted(np.flatnonzero(staying).tolist(), key=lambda j: (number[j] not in old, number[j]))
-        beyond[order[: self.options.prior_landmarks]] = False
+        rows = rows[np.argsort(~np.isin(rows, in_prior), kind="stable")]
+        beyond = np.zeros_like(staying)
+        beyond[rows[self.options.prior_landmarks :]] = True
         return beyond
-
-    def _forget_measurements(self, tracks: IndexArray) -> None:
-        """Drop the pixels of ``tracks`` from the window, since the prior contains them."""
-        gone = set(tracks.tolist())
-        for view in self.views if gone else ():
-            self.slam_map.frames[view] = without_tracks(self.slam_map.frames[view], gone)
-            if self.gate is not None:
-                self.gate.drop_tracks(view, gone)
-        for track in gone:
-            # A later landmark of the same track is a new variable.
-            self.first_points_m.pop(track, None)
 
 
 def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> QuadraticPrior:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.estimators.slam.association.gating import diagonal_blocks, snooped
 from boresight.estimators.slam.vision.features import ImageFeatures
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction
@@ -145,7 +146,7 @@ def guided_rows(
     best = _best(prediction.uv_px, covariance, apart, features.uv_px)
     agree = _consensus(prediction.uv_px, covariance, best, features.uv_px)
     innovation = np.where((best >= 0)[:, None], features.uv_px[best] - prediction.uv_px, 0.0)
-    agree = _snooped(covariance, innovation, agree)
+    agree = snooped(innovation, covariance, agree, _GATE**2)
     if agree.sum() < _LEAST_AGREEMENT:
         return none
     where, spread = _conditioned(prediction.uv_px, covariance, agree, features.uv_px[best[agree]], sigma_px)
@@ -169,16 +170,10 @@ def _descriptor_distances(ours: Descriptors, theirs: Descriptors) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)), dtype=np.float64)
 
 
-def _blocks(covariance: FloatArray) -> FloatArray:
-    """(n, 2, 2) covariances of single pixels."""
-    n = len(covariance) // 2
-    return covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)]
-
-
 def _best(where: FloatArray, covariance: FloatArray, apart: FloatArray, uv_px: FloatArray) -> IndexArray:
     """(n,) feature with the nearest descriptor in the ellipse of each landmark; -1 if the ellipse has none."""
     offset = uv_px - where[:, None]
-    inverse = np.linalg.inv(_blocks(covariance))
+    inverse = np.linalg.inv(diagonal_blocks(covariance))
     inside = np.einsum("nmi,nij,nmj->nm", offset, inverse, offset) <= _GATE**2
     rows = np.where(inside, apart, np.inf).argmin(axis=1).astype(np.int64)
     return np.where(inside.any(axis=1), rows, -1)
@@ -190,7 +185,7 @@ def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_p
     found = best >= 0
     innovation = np.where(found[:, None], uv_px[best] - where, 0.0)
     wide = covariance.reshape(n, 2, n, 2)
-    own = _blocks(covariance)
+    own = diagonal_blocks(covariance)
     agreement = np.zeros((n, n), dtype=np.bool_)
     for one in np.flatnonzero(found).tolist():
         # Kalman gain S_j1 S_11^-1 of this landmark's innovation alone, for the predictions of all others.
@@ -202,24 +197,6 @@ def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_p
         squared = np.einsum("ni,ni->n", left, np.linalg.solve(spread, left[..., None])[..., 0])
         agreement[one] = found & (squared <= _GATE**2)
     return np.asarray(agreement[int(agreement.sum(axis=1).argmax())], dtype=np.bool_)
-
-
-def _snooped(covariance: FloatArray, innovation: FloatArray, agree: BoolArray) -> BoolArray:
-    """(n,) landmarks that agree with each other: the one that the others contradict most is removed, repeatedly.
-
-    Data snooping, W. Baarda (1968): the test statistic of an observation against all others is S^-1 v, of covariance
-    S^-1.
-    """
-    kept = agree.copy()
-    while kept.sum() >= _LEAST_AGREEMENT:
-        rows = (2 * np.flatnonzero(kept)[:, None] + np.arange(2)).ravel()
-        inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
-        part = (inverse @ innovation[kept].ravel()).reshape(-1, 2)
-        squared = np.einsum("ni,ni->n", part, np.linalg.solve(_blocks(inverse), part[..., None])[..., 0])
-        if squared.max() <= _GATE**2:
-            break
-        kept[np.flatnonzero(kept)[int(squared.argmax())]] = False
-    return kept
 
 
 def _conditioned(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -88,70 +87,44 @@ class MatchedImage:
         return Spline(self.image, self.features.uv_px)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImagePair:
-    """Two consecutive images: features of the first, the second image, and the rows (K, 2) of their inlier matches."""
-
-    before: ImageFeatures
-    after: MatchedImage
-    pairs: IndexArray
-
-
-class PointTracker(Protocol):
-    """Tracker of n points, in the order in which they were started."""
-
-    @property
-    def places_px(self) -> FloatArray:
-        """(n, 2) pixels of the points in the present image."""
-        ...
-
-    def advance(self, step: ImagePair) -> BoolArray:
-        """Track to the next image; return which points (n,) were found there. The others are dropped."""
-        ...
-
-    def keep(self, keep: BoolArray) -> None:
-        """Drop all points but those marked in ``keep`` (n,)."""
-        ...
-
-    def start(self, current: MatchedImage, rows: IndexArray) -> None:
-        """Start points at features ``rows`` of the present image."""
-        ...
-
-
 class FeatureTracker:
-    """Tracking by matched features; ``rows`` are the features of the points in the present image."""
+    """Tracking by matched features: of n points, in the order in which they were started.
+
+    Attributes
+    ----------
+    rows, places_px
+        (n,) features of the points in the present image, and (n, 2) their pixels.
+    """
 
     def __init__(self) -> None:
         self.rows = np.empty(0, dtype=np.int64)
-        self._places_px = np.empty((0, 2))
+        self.places_px = np.empty((0, 2))
 
-    @property
-    def places_px(self) -> FloatArray:
-        """(n, 2) px."""
-        return self._places_px
+    def advance(self, before: ImageFeatures, after: MatchedImage, pairs: IndexArray) -> BoolArray:
+        """Track to the next image; return which points (n,) were found there. The others are dropped.
 
-    def advance(self, step: ImagePair) -> BoolArray:
-        """Go to the next image."""
-        follow = np.full(len(step.before), -1, dtype=np.int64)
-        follow[step.pairs[:, 0]] = step.pairs[:, 1]
+        ``pairs`` (K, 2) are the inlier matches of the features of both images.
+        """
+        follow = np.full(len(before), -1, dtype=np.int64)
+        follow[pairs[:, 0]] = pairs[:, 1]
         rows = follow[self.rows]
         found = rows >= 0
         self.rows = rows[found]
-        self._places_px = step.after.features.uv_px[self.rows]
+        self.places_px = after.features.uv_px[self.rows]
         return found
 
     def keep(self, keep: BoolArray) -> None:
-        """Keep some of the tracks alone."""
-        self.rows, self._places_px = self.rows[keep], self._places_px[keep]
+        """Drop all points but those marked in ``keep`` (n,)."""
+        self.rows, self.places_px = self.rows[keep], self.places_px[keep]
 
     def start(self, current: MatchedImage, rows: IndexArray) -> None:
-        """Begin tracks at features."""
+        """Start points at features ``rows`` of the present image."""
         self.rows = np.concatenate([self.rows, rows])
-        self._places_px = np.concatenate([self._places_px, current.features.uv_px[rows]])
+        self.places_px = np.concatenate([self.places_px, current.features.uv_px[rows]])
 
 
 class PatchTracker:
-    """Tracking by registration of the patch from each point's first image.
+    """Tracking by registration of the patch from each point's first image; the methods are those of `FeatureTracker`.
 
     The local flow of the matches gives the initial position and deformation of the patch.
     """
@@ -163,20 +136,20 @@ class PatchTracker:
 
     @property
     def places_px(self) -> FloatArray:
-        """(n, 2) px."""
+        """(n, 2) pixels of the points in the present image."""
         return self._warps.place_px
 
-    def advance(self, step: ImagePair) -> BoolArray:
-        """Go to the next image."""
+    def advance(self, before: ImageFeatures, after: MatchedImage, pairs: IndexArray) -> BoolArray:
+        """Track to the next image."""
         none = np.zeros(len(self.places_px), dtype=np.bool_)
-        if self._patches is None or len(step.pairs) < LEAST_MATCHES or not len(none):
+        if self._patches is None or len(pairs) < LEAST_MATCHES or not len(none):
             self.keep(none)
             return none
-        first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
+        first, second = before.uv_px[pairs[:, 0]], after.features.uv_px[pairs[:, 1]]
         expected_px, change = local_flow(first, second, self._warps.place_px)
         # The patch is always that of the first image, so its deformation is the product of all changes since.
         start = AffineWarps(change @ self._warps.linear, expected_px)
-        self._warps, correlation = register_patches(step.after.spline, self._patches, start)
+        self._warps, correlation = register_patches(after.spline, self._patches, start)
         corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)
         found: BoolArray = (correlation > _LEAST_CORRELATION) & (corrected_px < _MOST_CORRECTION_PX)
         found &= area_change(change) < self._growth_max**2
@@ -184,13 +157,13 @@ class PatchTracker:
         return found
 
     def keep(self, keep: BoolArray) -> None:
-        """Keep some of the tracks alone."""
+        """Drop all points but some."""
         if self._patches is not None:
             self._patches = self._patches[keep]
         self._warps = AffineWarps(self._warps.linear[keep], self._warps.place_px[keep])
 
     def start(self, current: MatchedImage, rows: IndexArray) -> None:
-        """Begin tracks at features."""
+        """Start points at features."""
         if not len(rows):
             return
         places = current.features.uv_px[rows]
@@ -200,3 +173,6 @@ class PatchTracker:
             np.concatenate([self._warps.linear, np.tile(np.eye(2), (len(rows), 1, 1))]),
             np.concatenate([self._warps.place_px, places]),
         )
+
+
+PointTracker = FeatureTracker | PatchTracker

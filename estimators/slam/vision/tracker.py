@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from boresight.estimators.slam.vision.matching import (
 from boresight.estimators.slam.vision.point_trackers import (
     LEAST_MATCHES,
     FeatureTracker,
-    ImagePair,
     MatchedImage,
     PatchTracker,
     PointTracker,
@@ -32,17 +31,6 @@ from boresight.scenarios.tracks import Prediction
 
 _LEAST_APART_PX = 3.0
 """Least distance of a new track from all others: nearer ones would be the same feature."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EpipolarInliers:
-    """(K,) inliers of the matches with the previous frame.
-
-    ``direction`` is the unit direction of motion fitted to them, body axes; None if they are fewer than 2.
-    """
-
-    kept: BoolArray
-    direction: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,62 +79,63 @@ class Tracker:
         kept = np.zeros(len(current.pairs), dtype=np.bool_)
         preferred = np.zeros(len(current.features), dtype=np.bool_)
         if self._features is not None:
-            inliers = self._epipolar_inliers(self._features, current, R_cam_body)
-            kept = inliers.kept
-            step, direction = ImagePair(self._features, current, current.pairs[kept]), inliers.direction
+            before_px = self._features.uv_px[current.pairs[:, 0]]
+            after_px = current.features.uv_px[current.pairs[:, 1]]
+            kept, direction = self._epipolar_inliers(before_px, after_px, R_cam_body)
+            pairs, tracker = current.pairs[kept], self._point_tracker
             # Guided matches are tested against the prediction, which is stricter than the epipolar line: no direction
             # is needed.
-            if prediction is not None and isinstance(self._point_tracker, FeatureTracker):
-                step, direction = replace(step, pairs=self._guided(self._features, current, prediction)), None
-            self._carry(step, direction, R_cam_body)
-            preferred[current.pairs[kept, 1]] = self._keeps_size(self._features, current, kept)
+            if prediction is not None and isinstance(tracker, FeatureTracker):
+                pairs, direction = self._guided(tracker.rows, self._features, current.features, prediction), None
+            # Tracks go on if they are found again near their epipolar lines.
+            places_px = tracker.places_px
+            found = tracker.advance(self._features, current, pairs)
+            self._tracks = self._tracks[found]
+            if direction is not None:
+                rays = self._rays(places_px[found], tracker.places_px, R_cam_body)
+                near = np.abs(off_plane(*rays, direction)) < self._limit_rad
+                tracker.keep(near)
+                self._tracks = self._tracks[near]
+            preferred[current.pairs[kept, 1]] = self._keeps_size(before_px[kept], after_px[kept])
         self._features, self._R_cam_body = current.features, R_cam_body
         self._begin(current, preferred)
         return TrackedFrame(self._tracks, self._point_tracker.places_px, kept, time.perf_counter() - started)
 
-    def _guided(self, before: ImageFeatures, current: MatchedImage, prediction: Prediction) -> IndexArray:
-        """(k, 2) rows of the tracks' features and of the features matched with them by the prediction."""
-        assert isinstance(self._point_tracker, FeatureTracker)  # noqa: S101
+    def _epipolar_inliers(
+        self, before_px: FloatArray, after_px: FloatArray, R_cam_body: FloatArray
+    ) -> tuple[BoolArray, FloatArray | None]:
+        """Return which of the matches (K, 2) with the previous frame are inliers (K,), and their direction of motion.
+
+        It is a unit direction fitted to them, body axes; None if they are fewer than 2.
+        """
+        rays = self._rays(before_px, after_px, R_cam_body)
+        if self._spec.epipolar == "fundamental":
+            kept = fundamental_inliers(before_px, after_px, self._spec.epipolar_max_px)
+        else:
+            kept = direction_inliers(*rays, self._limit_rad, self._rng)
+        return kept, fitted_direction(rays[0][kept], rays[1][kept]) if kept.sum() >= 2 else None
+
+    def _guided(
+        self, features: IndexArray, before: ImageFeatures, after: ImageFeatures, prediction: Prediction
+    ) -> IndexArray:
+        """(k, 2) rows of the tracks' ``features`` (n,) and of the features matched with them by the prediction."""
         _, ours, theirs = np.intersect1d(self._tracks, prediction.tracks, assume_unique=True, return_indices=True)
-        rows = self._point_tracker.rows[ours]
+        rows = features[ours]
         both = (2 * theirs[:, None] + np.arange(2)).ravel()
         known = Prediction(
             prediction.tracks[theirs], prediction.uv_px[theirs], prediction.covariance_px2[np.ix_(both, both)]
         )
-        found = guided_rows(known, before.descriptors[rows], current.features, self._spec.sigma_px)
+        found = guided_rows(known, before.descriptors[rows], after, self._spec.sigma_px)
         return np.column_stack([rows, found])[found >= 0]
 
-    def _epipolar_inliers(
-        self, before: ImageFeatures, current: MatchedImage, R_cam_body: FloatArray
-    ) -> EpipolarInliers:
-        first, second = before.uv_px[current.pairs[:, 0]], current.features.uv_px[current.pairs[:, 1]]
-        rays = self._rays(first, second, R_cam_body)
-        if self._spec.epipolar == "fundamental":
-            kept = fundamental_inliers(first, second, self._spec.epipolar_max_px)
-        else:
-            kept = direction_inliers(*rays, self._limit_rad, self._rng)
-        return EpipolarInliers(kept, fitted_direction(rays[0][kept], rays[1][kept]) if kept.sum() >= 2 else None)
-
-    def _carry(self, step: ImagePair, direction: FloatArray | None, R_cam_body: FloatArray) -> None:
-        """Continue the tracks that are found again near their epipolar lines."""
-        before_px = self._point_tracker.places_px
-        found = self._point_tracker.advance(step)
-        self._tracks = self._tracks[found]
-        if direction is not None:
-            rays = self._rays(before_px[found], self._point_tracker.places_px, R_cam_body)
-            near = np.abs(off_plane(*rays, direction)) < self._limit_rad
-            self._point_tracker.keep(near)
-            self._tracks = self._tracks[near]
-
-    def _keeps_size(self, before: ImageFeatures, current: MatchedImage, kept: BoolArray) -> BoolArray:
-        """Return which of the inlier matches lie where the local scale of the image is constant.
+    def _keeps_size(self, before_px: FloatArray, after_px: FloatArray) -> BoolArray:
+        """(K,) which of the inlier matches lie where the local scale of the image is constant.
 
         Towards the limb it changes with the foreshortening, and features are found again less often.
         """
-        if kept.sum() < LEAST_MATCHES:
-            return np.ones(int(kept.sum()), dtype=np.bool_)
-        first, second = before.uv_px[current.pairs[kept, 0]], current.features.uv_px[current.pairs[kept, 1]]
-        _, change = local_flow(first, second, first)
+        if len(before_px) < LEAST_MATCHES:
+            return np.ones(len(before_px), dtype=np.bool_)
+        _, change = local_flow(before_px, after_px, before_px)
         return np.asarray(area_change(change) <= self._spec.growth_max, dtype=np.bool_)
 
     def _begin(self, current: MatchedImage, preferred: BoolArray) -> None:

@@ -2,7 +2,7 @@
 
 Of block row ``i`` the upper triangle is stored up to block column ``reach[i]``, which never decreases with ``i``.
 Landmarks are in view for a limited time, so that the reduced matrix of many views is banded; that of a small window is
-full.
+full. Marginalisation eliminates variables from the matrix in dense form.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import kernel
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
 class Envelope(NamedTuple):
@@ -199,3 +199,42 @@ def dense(values: FloatArray, shape: Envelope) -> FloatArray:
                 matrix[3 * i + row, 3 * i + column] = values[at + column]
                 matrix[3 * i + column, 3 * i + row] = values[at + column]
     return matrix
+
+
+@kernel
+def without(matrix: FloatArray, gradient: FloatArray, out: BoolArray) -> tuple[bool, FloatArray, FloatArray]:
+    """Eliminate rows of a dense matrix, those marked in ``out`` (n,); False first if they are not determined."""
+    # Eliminated rows first; the remaining rows keep their order and the sums their rounding.
+    order, count = np.concatenate((np.flatnonzero(out), np.flatnonzero(~out))), int(np.count_nonzero(out))
+    sorted_matrix, sorted_gradient = matrix[order][:, order], gradient[order]
+    # Elimination pivot by pivot shows an undetermined variable by a pivot that is not positive; an inverse would return
+    # large numbers instead.
+    known = eliminate(sorted_matrix, sorted_gradient, count)
+    return known, sorted_matrix[count:, count:].copy(), sorted_gradient[count:]
+
+
+@kernel
+def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
+    """Eliminate the first ``count`` rows: the other rows and ``right`` (n,) become their Schur complement.
+
+    False if the eliminated part is not positive definite; the values are then undefined.
+    """
+    n = len(matrix)
+    for i in range(count):
+        pivot = matrix[i, i]
+        # NaN fails too.
+        if not pivot > 0.0:
+            return False
+        for j in range(i + 1, n):
+            # Only the upper triangle is used: column i of a symmetric matrix is its row i.
+            part = matrix[i, j] / pivot
+            # Uncoupled rows stay exactly as they are: a row of zeros remains one.
+            if part != 0.0:
+                right[j] -= part * right[i]
+                for k in range(j, n):
+                    matrix[j, k] -= part * matrix[i, k]
+    # The lower triangle was not updated: mirror the upper one.
+    for i in range(count, n):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
+    return True

@@ -8,13 +8,7 @@ import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import kernel
 from boresight.estimators.slam.adjustment.compiled.envelope import add_entry, add_symmetric
-from boresight.estimators.slam.adjustment.compiled.problem import (
-    LANES,
-    FlatOrdering,
-    FlatProblem,
-    make_ordering,
-    prior_slots,
-)
+from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, prior_slots
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 Block = tuple[float, float, float, float, float, float]
@@ -325,67 +319,3 @@ def _add_prior(
                     for column in range(3):
                         kept[begin + 3 * slots[j] + column] += information[3 * j + column]
     return total
-
-
-@kernel
-def residual_squares(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
-    fx, fy, cx, cy = problem.pinhole
-    squares = np.empty(len(problem.seen_view))
-    for k in range(len(squares)):
-        R = problem.attitudes[problem.seen_view[k]]
-        a, b, c = _line_of_sight(positions, problem.seen_view[k], points, problem.seen_point[k])
-        x, y = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c, R[1, 0] * a + R[1, 1] * b + R[1, 2] * c
-        z = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c
-        u, v = fx * x / z + cx - problem.seen_px[k, 0], fy * y / z + cy - problem.seen_px[k, 1]
-        squares[k] = (u * u + v * v) / problem.seen_sigma_px[k] ** 2 if z > 0.0 else np.nan
-    return squares
-
-
-@kernel
-def landmark_information(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """(L, 3, 3) sum of A'A of each landmark over its pixels and distances, 1/m^2."""
-    ordering = make_ordering(problem)
-    by_point = linearise(problem, ordering, positions, points)[1].by_point
-    information = np.empty((len(points), 3, 3))
-    for j in range(len(points)):
-        own = six(by_point, ordering.group[j], ordering.lane[j])
-        for row in range(3):
-            for column in range(3):
-                # xx, xy, xz, yy, yz, zz
-                low, high = min(row, column), max(row, column)
-                information[j, row, column] = own[low + high + int(low > 0)]
-    return information
-
-
-@kernel
-def pixel_squares(
-    pinhole: FloatArray, R: FloatArray, lines: FloatArray, uv_px: FloatArray, sigma_px: float, own: FloatArray
-) -> FloatArray:
-    """(n,) squared Mahalanobis distances of measured from predicted pixels; NaN behind the camera.
-
-    ``lines`` (n, 3) are landmark minus camera, body frame, with covariances ``own`` (n, 3, 3), m^2.
-    """
-    fx, fy, cx, cy = pinhole
-    squares = np.empty(len(lines))
-    for k in range(len(lines)):
-        line_of_sight = lines[k]
-        # For behind-camera landmarks the values have no meaning and are replaced by NaN at the end.
-        x = R[0, 0] * line_of_sight[0] + R[0, 1] * line_of_sight[1] + R[0, 2] * line_of_sight[2]
-        y = R[1, 0] * line_of_sight[0] + R[1, 1] * line_of_sight[1] + R[1, 2] * line_of_sight[2]
-        z = R[2, 0] * line_of_sight[0] + R[2, 1] * line_of_sight[1] + R[2, 2] * line_of_sight[2]
-        u, v = uv_px[k, 0] - fx * x / z - cx, uv_px[k, 1] - fy * y / z - cy
-        # Innovation covariance [[a, b], [b, c]] = H P H' + sigma^2 I.
-        a = c = sigma_px**2
-        b = 0.0
-        for i in range(3):
-            by_u, by_v = fx / z * (R[0, i] - x / z * R[2, i]), fy / z * (R[1, i] - y / z * R[2, i])
-            for j in range(3):
-                other_u, other_v = fx / z * (R[0, j] - x / z * R[2, j]), fy / z * (R[1, j] - y / z * R[2, j])
-                a += by_u * own[k, i, j] * other_u
-                b += by_u * own[k, i, j] * other_v
-                c += by_v * own[k, i, j] * other_v
-        # Inverse of a 2 x 2 matrix in closed form; the floor guards against a determinant of zero by rounding.
-        square = (c * u * u - 2.0 * b * u * v + a * v * v) / max(a * c - b * b, 1e-18)
-        squares[k] = square if z > 0.0 else np.nan
-    return squares

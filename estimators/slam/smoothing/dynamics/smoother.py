@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.slam.adjustment.problem import Adjustment, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
@@ -49,22 +48,6 @@ class FirstEstimates:
     velocities_m: dict[int, FloatArray] = field(default_factory=dict)
     points_m: dict[int, FloatArray] = field(default_factory=dict)
 
-    def keep(
-        self, prior: DynamicPrior, state: DynamicState, views: NDArray[np.int64], tracks: NDArray[np.int64]
-    ) -> None:
-        """Store the variables of ``prior``, numbered as ``state``, by frame in ``views`` and by track in ``tracks``."""
-        count = 3 * len(prior.views)
-        informed = np.diag(prior.information) > 0.0
-        # The three coordinates of a variable are informed together: the first one stands for them. Rows of zeros are
-        # fixed or unconstrained variables, which need no point of linearisation.
-        position, velocity = informed[:count:3], informed[count : 2 * count : 3]
-        for slot in prior.views[position].tolist():
-            self.positions_m.setdefault(int(views[slot]), state.vision.positions_m[slot])
-        for slot in prior.views[velocity].tolist():
-            self.velocities_m.setdefault(int(views[slot]), state.velocities_m[slot])
-        for slot in prior.points.tolist():
-            self.points_m.setdefault(int(tracks[slot]), state.vision.points_m[slot])
-
 
 class DynamicWindow:
     """Window of views by frame number, with their velocities and the parameters of the force model."""
@@ -104,8 +87,9 @@ class DynamicWindow:
     def predict(self, number: int) -> None:
         """Place a new view by propagating the state of the previous one."""
         # In T, the time unit of the force model.
-        arc = self._duration(number)
-        start = np.concatenate([self._inertial(number - 1), self.velocities_m[number - 1]])
+        arc, before = self._duration(number), number - 1
+        inertial_m = self.slam_map.frames[before].R_body_inertial.T @ self.slam_map.positions_m[before]
+        start = np.concatenate([inertial_m, self.velocities_m[before]])
         end = propagate(self.field, start[None], self.parameters_m, np.array([arc]))[0]
         # Propagated in inertial axes, kept in body axes of its own epoch.
         self.slam_map.positions_m[number] = self.slam_map.frames[number].R_body_inertial @ end[:3]
@@ -113,29 +97,30 @@ class DynamicWindow:
 
     def tracks(self) -> list[int]:
         """List the tracks of the landmarks that the window determines, sorted; new ones are triangulated."""
-        slam_map = self.slam_map
-        seen = slam_map.seen_by(self.views)
-        ranged = {item.track for view in self.views for item in slam_map.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
-        tracks = sorted(
-            track
-            for track, by in seen.items()
-            if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
-        )
+        tracks, seen = self.slam_map.determined(self.views, self.absorbed, joined)
         for track in tracks:
-            if track not in slam_map.points_m:
-                slam_map.points_m[track] = slam_map.triangulate(track, seen[track])
+            self.slam_map.triangulate_new([track], seen)
         return tracks
 
     def problem(self, tracks: list[int], *, first_estimates: bool) -> DynamicAdjustment:
         """Return the adjustment of all views of the window and of ``tracks``."""
-        prior = self._local_prior(tracks)
+        if self.prior is None:
+            raise LostError("the sequence has not begun")
+        # With its variables numbered as in the problem.
+        prior = replace(
+            self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points)
+        )
         kept = np.zeros(len(tracks), dtype=np.bool_)
         kept[prior.points] = True
         free = np.ones((2, len(self.views)), dtype=np.bool_)
         if self.views[0] == 0:  # with a covariance of zero the first position or velocity is fixed
             free[:, 0] = self.free_first
         first = self.first if first_estimates else FirstEstimates()
+        ends = np.arange(1, len(self.views))
+        durations = np.array([self._duration(view) for view in self.views[1:]])
+        # From m/s^2 to m per T^2.
+        acceleration = self.forces.noise_m_s2 * self.field.time_s**2
         vision = Adjustment(
             camera=self.slam_map.camera,
             R_cam_body=self.slam_map.attitudes(self.views),
@@ -150,7 +135,7 @@ class DynamicWindow:
             vision=vision,
             R_body_inertial=np.array([self.slam_map.frames[view].R_body_inertial for view in self.views]),
             field=self.field,
-            arcs=self._arcs(),
+            arcs=Arcs(ends - 1, ends, durations, arc_information(durations, acceleration, self.field.length_m)),
             free_velocities=free[1],
             free_parameters=self.free_parameters,
             frozen_velocities_m=values_or_nan(first.velocities_m, self.views),
@@ -172,7 +157,16 @@ class DynamicWindow:
     def pass_on(self, prior: DynamicPrior, state: DynamicState, tracks: list[int], lost: BoolArray) -> None:
         """Replace the oldest view and the ``lost`` landmarks (L,) by ``prior``, which is numbered as ``state``."""
         views, number = np.array(self.views), np.array(tracks, dtype=np.int64)
-        self.first.keep(prior, state, views, number)
+        count = 3 * len(prior.views)
+        # The three coordinates of a variable are informed together: the first one stands for them. Rows of zeros are
+        # fixed or unconstrained variables, which need no point of linearisation.
+        informed = np.diag(prior.information) > 0.0
+        for slot in prior.views[informed[:count:3]].tolist():
+            self.first.positions_m.setdefault(int(views[slot]), state.vision.positions_m[slot])
+        for slot in prior.views[informed[count : 2 * count : 3]].tolist():
+            self.first.velocities_m.setdefault(int(views[slot]), state.velocities_m[slot])
+        for slot in prior.points.tolist():
+            self.first.points_m.setdefault(int(number[slot]), state.vision.points_m[slot])
         # Every marginalisation constrains the parameters: their point of linearisation is that of the first one.
         self.first_parameters_m = np.where(
             np.isnan(self.first_parameters_m), state.parameters_m, self.first_parameters_m
@@ -182,26 +176,9 @@ class DynamicWindow:
         oldest = self.views.pop(0)
         del self.slam_map.frames[oldest], self.velocities_m[oldest]
 
-    def _local_prior(self, tracks: list[int]) -> DynamicPrior:
-        """Return the prior with its variables numbered as in the problem."""
-        if self.prior is None:
-            raise LostError("the sequence has not begun")
-        return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
-
-    def _arcs(self) -> Arcs:
-        ends = np.arange(1, len(self.views))
-        durations = np.array([self._duration(view) for view in self.views[1:]])
-        # From m/s^2 to m per T^2.
-        acceleration = self.forces.noise_m_s2 * self.field.time_s**2
-        return Arcs(ends - 1, ends, durations, arc_information(durations, acceleration, self.field.length_m))
-
     def _duration(self, number: int) -> float:
         frames = self.slam_map.frames
         return (frames[number].time_s - frames[number - 1].time_s) / self.field.time_s
-
-    def _inertial(self, view: int) -> FloatArray:
-        turned = self.slam_map.frames[view].R_body_inertial.T @ self.slam_map.positions_m[view]
-        return np.asarray(turned, dtype=np.float64)
 
 
 def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
@@ -304,7 +281,12 @@ class _Smoother:
         self.iterations += solution.iterations
         if not np.isfinite(solution.cost):
             raise LostError("a landmark is behind a camera that sees it")
-        self._test(solution.cost, problem)
+        # Innovation of the new frame: twice the rise of the minimal cost. It is a chi-square of as many degrees of
+        # freedom as there are new measurements beyond new unknowns, the squared normalised innovation of an iterated
+        # filter.
+        count = measurements_beyond_unknowns(problem)
+        self.innovation.add(2.0 * (solution.cost - self.before[0]), count - self.before[1])
+        self.before = solution.cost, count
         window.keep(solution.state, tracks)
         estimate = self._estimate(problem, solution.state, tracks)
         if len(window.views) > self.options.lag:
@@ -320,16 +302,6 @@ class _Smoother:
         window.begin(sequence)
         self.parameter_sigmas_m = window.field.sigmas(sequence.forces)
         return window.slam_map.first_estimate(sequence.position_covariance_m2)
-
-    def _test(self, cost: float, problem: DynamicAdjustment) -> None:
-        """Test the innovation of the new frame: twice the rise of the minimal cost.
-
-        It is a chi-square of as many degrees of freedom as there are new measurements beyond new unknowns, the squared
-        normalised innovation of an iterated filter.
-        """
-        measurements = measurements_beyond_unknowns(problem)
-        self.innovation.add(2.0 * (cost - self.before[0]), measurements - self.before[1])
-        self.before = cost, measurements
 
     def _estimate(self, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> FrameEstimate:
         rows = DynamicOrdering.of(problem)

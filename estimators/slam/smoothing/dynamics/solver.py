@@ -14,7 +14,7 @@ from boresight.estimators.slam.adjustment.compiled.descent import reduced, step_
 from boresight.estimators.slam.adjustment.compiled.envelope import dense
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
 from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, floats, make_ordering
-from boresight.estimators.slam.adjustment.marginal import constrained_points, eliminate_rows
+from boresight.estimators.slam.adjustment.marginal import Retained, eliminate_rows, removed_part
 from boresight.estimators.slam.adjustment.problem import State
 from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
@@ -170,14 +170,32 @@ def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: Stop
     """Minimise the cost from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
     system = dynamic_equations(problem, state, DynamicOrdering.of(problem))
     damping = 1e-6
+    # Near the minimum rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
+    # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
+    # their gradient is zero; damping would only delay that.
+    slack = 1e-10 if np.isnan(problem.frozen_parameters_m).all() else 1e-6
     for iteration in range(1, rule.iterations + 1):
         if not np.isfinite(system.cost):
             return DynamicSolution(state, system.cost, iteration)
-        # Without a step that decreases the cost the present state is the minimum within rounding.
-        trial, ahead, step, damping = _descend(problem, system, state, damping)
-        if trial is None:
+        # Increase the damping until the cost does not increase.
+        for _ in range(25):
+            try:
+                # Cholesky as the test for a positive definite matrix: if it fails, the damping is increased.
+                matrix, right, inverse = system.reduced(damping)
+                solved = cho_solve(cho_factor(matrix), right)
+            except LinAlgError:
+                damping *= 10.0
+                continue
+            trial, step = system.stepped(state, solved, inverse)
+            # In one pass with the next equations, since most steps are accepted.
+            ahead = dynamic_equations(problem, trial, system.rows)
+            if ahead.cost <= system.cost + slack * abs(system.cost) + 1e-12:
+                break
+            damping *= 10.0
+        else:
+            # Without a step that decreases the cost the present state is the minimum within rounding.
             return DynamicSolution(state, system.cost, iteration)
-        state, system = trial, ahead
+        state, system, damping = trial, ahead, 0.1 * damping
         if step <= rule.step_m:
             return DynamicSolution(state, system.cost, iteration)
     return DynamicSolution(state, system.cost, rule.iterations)
@@ -203,35 +221,6 @@ def covariance_of(
     return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 
 
-def _descend(
-    problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, damping: float
-) -> tuple[DynamicState | None, DynamicEquations, float, float]:
-    """Increase the damping until the cost does not increase; None if it increases for every step.
-
-    Returns the new state, the equations there, the largest step of an unknown (m), and the next initial damping. Near
-    the minimum rounding may increase the cost by some parts in 1e10, since the arcs have small covariances.
-    """
-    # First-estimates Jacobians are not the derivatives of the cost, which may increase a little towards the state where
-    # their gradient is zero; damping would only delay that.
-    slack = 1e-10 if np.isnan(problem.frozen_parameters_m).all() else 1e-6
-    step = 0.0
-    for _ in range(25):
-        try:
-            # Cholesky as the test for a positive definite matrix: if it fails, the damping is increased.
-            matrix, right, inverse = system.reduced(damping)
-            solved = cho_solve(cho_factor(matrix), right)
-        except LinAlgError:
-            damping *= 10.0
-            continue
-        trial, step = system.stepped(state, solved, inverse)
-        # In one pass with the next equations, since most steps are accepted.
-        ahead = dynamic_equations(problem, trial, system.rows)
-        if ahead.cost <= system.cost + slack * abs(system.cost) + 1e-12:
-            return trial, ahead, step, 0.1 * damping
-        damping *= 10.0
-    return None, system, step, damping
-
-
 def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
     """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), linearised at ``state``.
 
@@ -242,7 +231,9 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
-    part = _departing_part(problem, view, lost)
+    joined = np.zeros(0, dtype=np.int64) if problem.prior is None else problem.prior.points
+    vision = removed_part(problem.vision, Retained.without_view(problem.vision, view, lost), joined)
+    part = replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
     rows = DynamicOrdering.of(part)
     matrix, right, _ = dynamic_equations(part, state, rows).reduced()
     views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
@@ -259,21 +250,3 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     return DynamicPrior(
         views, points, gather(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
     )
-
-
-def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
-    """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
-    seen, measured = problem.vision.pixels, problem.vision.distances
-    # All pixels of a lost landmark go with it, also those in views that remain: its variable no longer exists.
-    vision = replace(
-        problem.vision,
-        pixels=seen.subset((seen.view == view) | lost[seen.point]),
-        distances=measured.subset((measured.view == view) | lost[measured.point]),
-    )
-    joined = np.zeros(len(lost), dtype=np.bool_)
-    if problem.prior is not None:
-        joined[problem.prior.points] = True
-    # Landmarks of the old prior are coupled with each other: they are kept for the dense elimination even if they go.
-    constrained = constrained_points(vision) | joined
-    vision = replace(vision, free_points=vision.free_points & constrained, kept_points=constrained & (joined | ~lost))
-    return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
