@@ -196,7 +196,7 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
     """
 
     name: ClassVar[str] = "loop-smoother"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     options_model = LoopOptions
 
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -242,10 +242,9 @@ class WindowSmoother:
             local = marginalise_view(problem, state, 0, lost | excess)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
-        old = [] if self.prior is None else self.prior.points.tolist()
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
         if self.gate is not None:
-            new = lookup(old, self.prior.points) < 0
+            new = ~np.isin(local.points, problem.prior_points)
             self.prior = _with_weak_lines(self.prior, new, self.slam_map.median_depth(self.views[-1]))
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         # The estimate at the first entry stays the point of linearisation as long as the variable is in the prior.
