@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import ClassVar, Generic, Self, TypeVar, cast
 
 from pydantic import ValidationError
 
@@ -46,3 +46,19 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
         error = OptionsError(explain(fault, entry_of(options, f"estimator {estimator}"), model))
         error.model = model
         raise error from fault
+
+
+class Configured(Generic[Model]):
+    """Base of methods with options alone; a subclass names itself and the model of its options."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    options_model: ClassVar[type[SpecModel]]
+
+    def __init__(self, options: Model) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(cast("Model", parse_options(cls.options_model, options, cls.name)))

@@ -5,21 +5,18 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured, Model
 from boresight.estimators.slam.adjustment.slam_map import median_distance
 from boresight.estimators.slam.contract import FrameEstimate, LostError, SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
-
-OptionsT = TypeVar("OptionsT", bound=SpecModel)
 
 
 class Follower(Protocol):
@@ -70,20 +67,8 @@ class FrameCheck:
         self.held = tracks
 
 
-class ConfiguredEstimator(ABC, Generic[OptionsT]):
-    """Base of the sequence estimators with options; a subclass names the model of its options and makes a follower."""
-
-    name: ClassVar[str]
-    version: ClassVar[int]
-    options_model: ClassVar[type[SpecModel]]
-
-    def __init__(self, options: OptionsT) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(cast("OptionsT", parse_options(cls.options_model, options, cls.name)))
+class ConfiguredEstimator(Configured[Model], ABC):
+    """Base of the sequence estimators with options; a subclass makes a follower."""
 
     @abstractmethod
     def follower(self, sequence: TrackSequence) -> Follower:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from boresight.estimators.craters.matching.transfer import map_ellipses
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses, cross_matrix
 from boresight.scenarios.spec.base import SpecModel
@@ -35,7 +35,7 @@ class ContextOptions(SpecModel):
     loops: int = Field(100, ge=1, description="Triangles that are tried")
 
 
-class ContextMatcher:
+class ContextMatcher(Configured[ContextOptions]):
     """Tries triangles of craters for a linear transform that maps more craters onto others than chance would.
 
     The paper draws three craters from anywhere and stops at the first transform that fits. On a body with relief no
@@ -62,20 +62,12 @@ class ContextMatcher:
 
     name: ClassVar[str] = "context"
     version: ClassVar[int] = 2
-    options_model: ClassVar[type[SpecModel]] = ContextOptions
-
-    def __init__(self, options: ContextOptions) -> None:
-        self._options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        return cls(parse_options(ContextOptions, options, cls.name))
+    options_model = ContextOptions
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by the relative positions and the shapes of craters; ``ground`` is not used."""
         del ground
-        options = self._options
+        options = self.options
         if reason := too_few_craters(first, second, needed=options.agreeing + 1):
             return CraterMatches.none(reason)
         # Step 2: candidates by their distance from the epipolar line and the ratio of sizes.

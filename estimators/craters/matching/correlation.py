@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from boresight.estimators.craters.matching.transfer import (
     locate_craters,
     transfer_craters,
 )
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.spec.base import SpecModel
@@ -40,7 +39,7 @@ class CorrelationOptions(SpecModel):
     gate_sigma: float = Field(3.5, gt=0.0, description="Largest distance from the predicted place, in sigmas")
 
 
-class CorrelationMatcher:
+class CorrelationMatcher(Configured[CorrelationOptions]):
     """Confirms a crater if its image, rectified by the local plane, correlates with the second image.
 
     Use it when
@@ -63,28 +62,20 @@ class CorrelationMatcher:
 
     name: ClassVar[str] = "correlation"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = CorrelationOptions
-
-    def __init__(self, options: CorrelationOptions) -> None:
-        self._options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        return cls(parse_options(CorrelationOptions, options, cls.name))
+    options_model = CorrelationOptions
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by pixels, if the illumination is similar."""
         if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         angle_deg = np.degrees(sun_angle_rad(first, second))
-        if angle_deg > self._options.sun_deg:
+        if angle_deg > self.options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
-        near = near_expected(expected, first, second, self._options)
-        return confirm_by_correlation(expected, first, second, near, self._options)
+        near = near_expected(expected, first, second, self.options)
+        return confirm_by_correlation(expected, first, second, near, self.options)
 
 
 def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:

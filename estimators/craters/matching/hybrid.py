@@ -16,8 +16,7 @@ Our reading, from the text on each mode:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -32,7 +31,7 @@ from boresight.estimators.craters.matching.context import (
 from boresight.estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
 from boresight.estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
 from boresight.estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
 
@@ -49,7 +48,7 @@ class HybridOptions(SpecModel):
     agreeing: int = Field(3, ge=2, description="Matches that have to agree before others are added")
 
 
-class HybridMatcher:
+class HybridMatcher(Configured[HybridOptions]):
     """Combines context, invariants and correlation, each where its conditions hold, and adds craters that agree.
 
     Context is tried on the rims that poses and shape predict; where it finds none, invariants take its place.
@@ -76,17 +75,12 @@ class HybridMatcher:
 
     name: ClassVar[str] = "hybrid"
     version: ClassVar[int] = 2
-    options_model: ClassVar[type[SpecModel]] = HybridOptions
+    options_model = HybridOptions
 
     def __init__(self, options: HybridOptions) -> None:
-        self._options = options
+        super().__init__(options)
         self._invariants = InvariantMatcher(options.invariants)
         self._correlation = CorrelationMatcher(options.correlation)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        return cls(parse_options(HybridOptions, options, cls.name))
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by each mode that the two images permit."""
@@ -95,12 +89,12 @@ class HybridMatcher:
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
-        near = near_expected(expected, first, second, self._options.correlation)
+        near = near_expected(expected, first, second, self.options.correlation)
         correlated = self._correlation.match(first, second, ground)
         certain = _pairs_of_expected(correlated.pairs, expected, near)
         seed, seen = (first.number, second.number), second.detections.ellipses
         # Predicted rims instead of detected ones: relief is taken out, and what is left is nearly a common shift.
-        others, _ = match_constellations(expected.ellipses, seen, near, self._options.context, seed)
+        others, _ = match_constellations(expected.ellipses, seen, near, self.options.context, seed)
         if len(others) == 0:
             others = _pairs_of_expected(self._invariants.match(first, second, ground).pairs, expected, near)
         found = _merge_pairs(certain, others)
@@ -118,7 +112,7 @@ class HybridMatcher:
         self, expected: CraterTransfer, second: CraterImage, near: BoolArray, found: IndexArray
     ) -> IndexArray:
         """Find the pairs (k, 2) that agree with the transform fitted to the pairs found so far."""
-        options, seen = self._options, second.detections.ellipses
+        options, seen = self.options, second.detections.ellipses
         here = expected.ellipses
         # Wrong pairs are dropped first: one of them can spoil a fit of least squares.
         inlier = _agreeing_offsets(seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]], options.context.place_px)

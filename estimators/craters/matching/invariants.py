@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.spec.base import SpecModel
@@ -27,7 +26,7 @@ class InvariantOptions(SpecModel):
     )
 
 
-class InvariantMatcher:
+class InvariantMatcher(Configured[InvariantOptions]):
     """Compares the conic invariants of all pairs of craters: needs no pose, but rims in one plane.
 
     On a body with relief no two rims are coplanar: from 200 km around Eros the invariants of exact rims differ by 3 %
@@ -55,24 +54,16 @@ class InvariantMatcher:
 
     name: ClassVar[str] = "invariants"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = InvariantOptions
-
-    def __init__(self, options: InvariantOptions) -> None:
-        self._options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        return cls(parse_options(InvariantOptions, options, cls.name))
+    options_model = InvariantOptions
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by invariants alone; ``ground`` is not used."""
         del ground
         if reason := too_few_craters(first, second, needed=2):
             return CraterMatches.none(reason)
-        votes = vote_matrix(first.detections.ellipses, second.detections.ellipses, self._options.tolerance)
-        pairs = unambiguous_pairs(votes, self._options.votes, self._options.margin)
-        if len(pairs) <= self._options.couples:
+        votes = vote_matrix(first.detections.ellipses, second.detections.ellipses, self.options.tolerance)
+        pairs = unambiguous_pairs(votes, self.options.votes, self.options.margin)
+        if len(pairs) <= self.options.couples:
             return CraterMatches.none(f"{len(pairs)} couples of craters have enough votes of conic invariants")
         return CraterMatches(pairs, votes[pairs[:, 0], pairs[:, 1]].astype(np.float64))
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +17,7 @@ from boresight.estimators.craters.matching.association import (
     centre_noise,
 )
 from boresight.estimators.craters.matching.transfer import joint_covariance, locate_craters, transfer_craters
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
 
@@ -33,7 +32,7 @@ class VoteOptions(SpecModel):
     height_sigma_m: float = Field(30.0, ge=0.0, description="Uncertainty of the a priori shape's height under a crater")
 
 
-class VoteMatcher:
+class VoteMatcher(Configured[VoteOptions]):
     """Predicts the craters of one image in the other by the shape, and estimates the poses' errors with the matches.
 
     No pixels are compared, so that the directions of the Sun may differ by any angle, and the craters need not lie in a
@@ -58,15 +57,7 @@ class VoteMatcher:
 
     name: ClassVar[str] = "vote"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = VoteOptions
-
-    def __init__(self, options: VoteOptions) -> None:
-        self._options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        return cls(parse_options(VoteOptions, options, cls.name))
+    options_model = VoteOptions
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by place, size and shape."""
@@ -91,7 +82,7 @@ class VoteMatcher:
 
         The estimate only changes the point of linearisation: the prior of the errors stays the same.
         """
-        options, covariance = self._options, joint_covariance(first, second)
+        options, covariance = self.options, joint_covariance(first, second)
         one, other = with_pose_error(first, error[:6]), with_pose_error(second, error[6:])
         expected = transfer_craters(one, other, locate_craters(one, ground), ground)
         noise = centre_noise(expected.ellipses, options.association)
