@@ -130,7 +130,7 @@ def associate(
     none = Association(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(size), expected.covariance)
     if len(expected.ellipses) == 0 or len(seen) == 0:
         what = "no crater is expected in the image" if len(expected.ellipses) == 0 else "the image has no crater"
-        return _no_association(none, what)
+        return replace(none, reason=what)
     likelihoods = _Likelihoods(_shape_ratios(expected.ellipses, seen, options), len(seen) / area_px2)
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]
@@ -138,13 +138,8 @@ def associate(
     # the common error, and the others then vote within their own noise.
     elected = _best_supported_pair(expected, offsets, likelihoods, options)
     if len(elected) == 0:
-        return _no_association(none, "no detection fits an expected crater in place, size and shape")
+        return replace(none, reason="no detection fits an expected crater in place, size and shape")
     return _refine(expected, offsets, elected, likelihoods, options)
-
-
-def _no_association(none: Association, reason: str) -> Association:
-    """Return the association without pairs, with its reason."""
-    return Association(none.pairs, none.probability, none.error, none.covariance, reason)
 
 
 def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociationOptions) -> FloatArray:
@@ -260,27 +255,19 @@ def _refine(
 ) -> Association:
     """Start from the best supported pair, and condition the field on all its pairs until they no longer change."""
     for _ in range(_REFITS):
-        error, covariance = condition_on_pairs(expected, offsets, pairs)
-        H = expected.by_error
-        spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
-        ratios = _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
-        found = _one_to_one(ratios)
+        ratios = _given_pairs(expected, offsets, pairs, likelihoods, options)
+        # Odds below 0 cost the same as no pair, so that no crater is forced into a bad one.
+        rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
+        taken = ratios[rows, columns] > 0.0
+        found = np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
         if np.array_equal(found, pairs) or len(found) == 0:
             break
         pairs = found
-    probability = _leave_one_out_probability(expected, offsets, pairs, likelihoods, options)
+    probability = _probability(expected, offsets, pairs, likelihoods, options)
     sure = probability >= options.probability
     error, covariance = condition_on_pairs(expected, offsets, pairs[sure])
     reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
     return Association(pairs[sure], probability[sure], expected.mean + error, covariance, reason)
-
-
-def _one_to_one(ratios: FloatArray) -> IndexArray:
-    """Return the pairs (k, 2) with positive log-odds of the best one-to-one assignment."""
-    # Odds below 0 cost the same as no pair, so that no crater is forced into a bad one.
-    rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
-    taken = ratios[rows, columns] > 0.0
-    return np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
 
 
 def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -307,17 +294,17 @@ def condition_on_pairs(
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
 
 
-def _leave_one_out_probability(
+def _probability(
     expected: ExpectedCraters,
     offsets: FloatArray,
     pairs: IndexArray,
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """Return (k,) the probability of each pair given all others, against other pairs of its crater and clutter.
+    """Return (k,) the probability of each pair, against other pairs of its crater, of its detection, and clutter.
 
-    Leaving pair i out of a Gaussian field with covariance S gives the residual (W_ii)^-1 (W y)_i with covariance
-    (W_ii)^-1, W = S^-1.
+    Against other pairs of the crater it is that given all other pairs: leaving pair i out of a Gaussian field with
+    covariance S gives the residual (W_ii)^-1 (W y)_i with covariance (W_ii)^-1, W = S^-1.
     """
     _, joint = _joint(expected, pairs)
     weights = np.linalg.inv(joint)
@@ -328,31 +315,27 @@ def _leave_one_out_probability(
         # Without its own pair: an offset that has helped to fit the common error would agree with it too well.
         spread = np.linalg.inv(weights[block, block])
         place = offsets[i, k] - spread @ weighted[row]
-        own = _log_ratios((offsets[i] - place)[None], spread[None], _row_of(likelihoods, i), options)[0]
+        alone = replace(likelihoods, shape=likelihoods.shape[i : i + 1])
+        own = _log_ratios((offsets[i] - place)[None], spread[None], alone, options)[0]
         # The 1 is the event that none of the detections is this crater.
         probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
-    rivals = _rival_probability(expected, offsets, pairs, likelihoods, options)
-    return np.minimum(probability, rivals)
+    # Against the other expected craters of its detection, given all pairs.
+    ratios = np.exp(_given_pairs(expected, offsets, pairs, likelihoods, options))
+    return np.minimum(probability, ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0)))
 
 
-def _row_of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
-    """Return the likelihoods of one expected crater."""
-    return _Likelihoods(likelihoods.shape[row : row + 1], likelihoods.density_px2)
-
-
-def _rival_probability(
+def _given_pairs(
     expected: ExpectedCraters,
     offsets: FloatArray,
     pairs: IndexArray,
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """Return (k,) the probability of each pair against the other expected craters of its detection."""
+    """Return (n, m) log-odds of all pairs, given the field conditioned on ``pairs``."""
     error, covariance = condition_on_pairs(expected, offsets, pairs)
     H = expected.by_error
     spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
-    ratios = np.exp(_log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options))
-    return np.asarray(ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0)))
+    return _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
 
 
 def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:

@@ -150,54 +150,38 @@ def _triangles(
         # Neighbours, because a plane fits the ground only locally.
         near = order[1 : _NEIGHBOURS + 1]
         triangle = np.concatenate([[start], rng.choice(near, 2, replace=False)])
-        if _height(centres[triangle]) > options.least_height:
+        sides = centres[triangle] - np.roll(centres[triangle], 1, axis=0)
+        # The cross product is twice the area, which is the longest side times the smallest height.
+        longest2 = float((sides**2).sum(axis=1).max())
+        height = abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
+        if height > options.least_height:
             yield triangle
-
-
-def _height(corners: FloatArray) -> float:
-    """Return the smallest height of a triangle (3, 2), in units of its longest side."""
-    sides = corners - np.roll(corners, 1, axis=0)
-    # The cross product is twice the area, which is the longest side times the smallest height.
-    longest2 = float((sides**2).sum(axis=1).max())
-    return abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
 
 
 def _best_combination(
     first: Ellipses, second: Ellipses, candidates: BoolArray, triangle: IndexArray, options: ContextOptions
 ) -> IndexArray:
-    """Try all combinations of candidates for a triangle; return the pairs of the transform with most agreement."""
-    combinations = _combinations(candidates[triangle])
-    none = np.zeros((0, 2), dtype=np.int64)
-    if len(combinations) == 0:
-        return none
-    transforms = linear_transforms(first.centre_px[triangle], second.centre_px[combinations])
+    """Try combinations of candidates for a triangle; return the pairs of the transform with most agreement.
+
+    It is fitted to all pairs that agree, and they are searched again, until they no longer change.
+    """
+    # In lexicographic order; only the first if there are very many.
+    choices = product(*(np.flatnonzero(row) for row in candidates[triangle]))
+    different = [choice for choice in choices if len(set(choice)) == 3][:_MAX_COMBINATIONS]
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if not different:
+        return pairs
+    transforms = linear_transforms(first.centre_px[triangle], second.centre_px[np.array(different, dtype=np.int64)])
     upright = np.linalg.det(transforms) > 0.0  # the far side of a surface is never seen
     if not upright.any():
-        return none
+        return pairs
     agree = agreeing_craters(transforms[upright], first, second, candidates, options)
     # A crater may agree with several: the smaller count of both sides bounds the one-to-one pairs.
     counts = np.minimum(agree.any(axis=2).sum(axis=1), agree.any(axis=1).sum(axis=1))
     best = int(np.argmax(counts))
     if counts[best] <= options.agreeing:
-        return none
-    return _refitted(first, second, candidates, transforms[upright][best], options)
-
-
-def _combinations(candidates: BoolArray) -> IndexArray:
-    """Return (c, 3) choices of three different candidates, (3, m); only the first if there are very many.
-
-    They are in lexicographic order: the first candidate of the first crater with all those of the others, and so on.
-    """
-    choices = product(*(np.flatnonzero(row) for row in candidates))
-    different = [choice for choice in choices if len(set(choice)) == 3]
-    return np.array(different[:_MAX_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
-
-
-def _refitted(
-    first: Ellipses, second: Ellipses, candidates: BoolArray, transform: FloatArray, options: ContextOptions
-) -> IndexArray:
-    """Fit the transform to all pairs that agree and search again, until they no longer change."""
-    pairs = np.zeros((0, 2), dtype=np.int64)
+        return pairs
+    transform = transforms[upright][best]
     for _ in range(_REFITS):
         found = nearest_couples(transform, first, second, candidates, options)
         if len(found) < 3 or np.array_equal(found, pairs):
@@ -236,8 +220,11 @@ def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
     # x2 = R x1 + t from the first to the second camera; ``here`` are the sights of the first, rotated by R.
     rotation = other.rotation @ one.rotation.T
     baseline = other.translation_m - rotation @ one.translation_m
-    here = _homogeneous(first.detections.ellipses.centre_px) @ np.linalg.inv(first.camera.matrix).T @ rotation.T
-    there = _homogeneous(second.detections.ellipses.centre_px)
+    seen, there = (
+        np.column_stack([image.detections.ellipses.centre_px, np.ones(len(image.detections.ellipses))])
+        for image in (first, second)
+    )
+    here = seen @ np.linalg.inv(first.camera.matrix).T @ rotation.T
     length = float(np.linalg.norm(baseline))
     if length <= _NO_BASELINE * float(np.linalg.norm(other.translation_m)):
         places = here @ second.camera.matrix.T
@@ -259,7 +246,3 @@ def size_ratios(first: CraterImage, second: CraterImage) -> FloatArray:
         for image in (first, second)
     ]
     return np.asarray(sizes[1][None] / sizes[0][:, None])
-
-
-def _homogeneous(uv_px: FloatArray) -> FloatArray:
-    return np.column_stack([uv_px, np.ones(len(uv_px))])

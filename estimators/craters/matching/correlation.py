@@ -68,22 +68,29 @@ class CorrelationMatcher(Configured[CorrelationOptions]):
         """Match by pixels, if the illumination is similar."""
         if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
-        angle_deg = np.degrees(sun_angle_rad(first, second))
+        # Between the directions of the Sun in body axes, from the prior attitudes: there the shadows are cast, however
+        # the camera is rolled.
+        suns = [image.frame.prior_T_cam_body.rotation.T @ image.frame.sun_dir_cam for image in (first, second)]
+        # The arc tangent is accurate at small angles, where the arc cosine loses half of the digits.
+        angle_deg = np.degrees(np.arctan2(np.linalg.norm(np.cross(*suns)), suns[0] @ suns[1]))
         if angle_deg > self.options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
-        near = near_expected(expected, first, second, self.options)
-        return confirm_by_correlation(expected, first, second, near, self.options)
-
-
-def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:
-    """Return the angle between the directions of the Sun in body axes, from the prior attitudes."""
-    # In body axes: there the shadows are cast, however the camera is rolled.
-    suns = [image.frame.prior_T_cam_body.rotation.T @ image.frame.sun_dir_cam for image in (first, second)]
-    # The arc tangent is accurate at small angles, where the arc cosine loses half of the digits.
-    return float(np.arctan2(np.linalg.norm(np.cross(suns[0], suns[1])), suns[0] @ suns[1]))
+        near, options = near_expected(expected, first, second, self.options), self.options
+        # The best of each crater.
+        best = np.full(near.shape, -np.inf)
+        image, other = (np.ascontiguousarray(each.frame.image, dtype=np.float32) for each in (first, second))
+        for p in np.flatnonzero(near.any(axis=1)):
+            template = rectify_template(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
+            for k in np.flatnonzero(near[p]):
+                best[p, k] = _best_correlation(template, other, second.detections.ellipses.centre_px[k], options)
+        pairs = mutual_best(np.where(best > options.accepted, -best, np.inf))
+        if len(pairs) == 0:
+            return CraterMatches.none(f"none of {int(near.sum())} couples near their predicted place correlates")
+        rows = np.column_stack([expected.rows[pairs[:, 0]], pairs[:, 1]])
+        return CraterMatches(rows, best[pairs[:, 0], pairs[:, 1]])
 
 
 def near_expected(
@@ -97,28 +104,6 @@ def near_expected(
     far = np.einsum("pmi,pij,pmj->pm", offsets, np.linalg.inv(covariance), offsets)
     ratio = np.log(seen.radius_px[None] / expected.ellipses.radius_px[:, None])
     return np.asarray((far < options.gate_sigma**2) & (np.abs(ratio) < np.log(options.size_ratio)))
-
-
-def confirm_by_correlation(
-    expected: CraterTransfer,
-    first: CraterImage,
-    second: CraterImage,
-    near: NDArray[np.bool_],
-    options: CorrelationOptions,
-) -> CraterMatches:
-    """Keep the pairs (p, m) of ``near`` that correlate: the best of each crater."""
-    best = np.full(near.shape, -np.inf)
-    image, other = _pixels(first), _pixels(second)
-    for p in np.flatnonzero(near.any(axis=1)):
-        template = rectify_template(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
-        for k in np.flatnonzero(near[p]):
-            best[p, k] = _best_correlation(template, other, second.detections.ellipses.centre_px[k], options)
-    pairs = mutual_best(np.where(best > options.accepted, -best, np.inf))
-    if len(pairs) == 0:
-        tried = int(near.sum())
-        return CraterMatches.none(f"none of {tried} couples near their predicted place correlates")
-    rows = np.column_stack([expected.rows[pairs[:, 0]], pairs[:, 1]])
-    return CraterMatches(rows, best[pairs[:, 0], pairs[:, 1]])
 
 
 def rectify_template(image: Image, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions) -> Image:
@@ -180,7 +165,3 @@ def _best_correlation(template: Image, image: Image, centre_px: FloatArray, opti
     # The best place has to be at the detected centre, or another structure has correlated.
     place = np.array([column, row]) + at - reach + 0.5
     return float(scores.max()) if np.linalg.norm(place - centre_px) <= options.place_px else -np.inf
-
-
-def _pixels(image: CraterImage) -> Image:
-    return np.ascontiguousarray(image.frame.image, dtype=np.float32)

@@ -115,8 +115,11 @@ class HybridMatcher(Configured[HybridOptions]):
         options, seen = self.options, second.detections.ellipses
         here = expected.ellipses
         # Wrong pairs are dropped first: one of them can spoil a fit of least squares.
-        inlier = _agreeing_offsets(seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]], options.context.place_px)
-        pairs = found[inlier]
+        # Errors of poses move neighbouring craters nearly alike: the right ones are near the mode of the offsets (not
+        # their mean: false pairs are scattered).
+        offsets = seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]]
+        near_each_other = np.linalg.norm(offsets[:, None] - offsets, axis=2) < _ROUGH * options.context.place_px
+        pairs = found[near_each_other[int(np.argmax(near_each_other.sum(axis=1)))]]
         for _ in range(_ROUNDS):
             if len(pairs) < options.agreeing:
                 return np.zeros((0, 2), dtype=np.int64)
@@ -139,16 +142,6 @@ def _merge_pairs(certain: IndexArray, others: IndexArray) -> IndexArray:
     """Add the pairs of ``others`` that share no crater with those of ``certain``."""
     free = ~np.isin(others[:, 0], certain[:, 0]) & ~np.isin(others[:, 1], certain[:, 1])
     return np.concatenate([certain, others[free]])
-
-
-def _agreeing_offsets(offsets: FloatArray, limit_px: float) -> BoolArray:
-    """Return (k,) which offsets (k, 2) are near the one with most others around it.
-
-    Errors of poses move neighbouring craters nearly alike.
-    """
-    # The mode of the offsets, not their mean: false pairs are scattered.
-    apart = np.linalg.norm(offsets[:, None] - offsets[None], axis=2) < _ROUGH * limit_px
-    return np.asarray(apart[int(np.argmax(apart.sum(axis=1)))])
 
 
 def _transform(here: FloatArray, there: FloatArray) -> FloatArray:

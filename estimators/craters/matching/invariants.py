@@ -119,11 +119,9 @@ def unambiguous_pairs(votes: IndexArray, threshold: int, margin: float | None = 
     if margin is None:
         alone = strong & (strong.sum(axis=1, keepdims=True) == 1) & (strong.sum(axis=0, keepdims=True) == 1)
         return np.argwhere(alone).astype(np.int64)
-    kept = [(i, k) for i, k in np.argwhere(strong) if votes[i, k] > margin * _most_of_rivals(votes, i, k)]
+    kept = []
+    for i, k in np.argwhere(strong):
+        rivals = np.concatenate([np.delete(votes[i], k), np.delete(votes[:, k], i)])
+        if votes[i, k] > margin * int(rivals.max(initial=0)):
+            kept.append((i, k))
     return np.array(kept, dtype=np.int64).reshape(-1, 2)
-
-
-def _most_of_rivals(votes: IndexArray, row: int, column: int) -> int:
-    """Return the most votes of the other pairs in a row and column."""
-    others = np.concatenate([np.delete(votes[row], column), np.delete(votes[:, column], row)])
-    return int(others.max(initial=0))

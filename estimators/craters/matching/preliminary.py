@@ -49,29 +49,6 @@ class ImagePairs:
     overlap: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Landmarks:
-    """All landmarks of all images.
-
-    Parameters
-    ----------
-    image
-        (n,) place of their image in the sequence.
-    points_m, covariance_m2
-        (n, 3) and (n, 3, 3), body axes.
-    by_common
-        (n, 3, s) m: effect of the errors that all images share, see `CraterImage.common`.
-    log_radius
-        (n,) logarithm of the radius in metres.
-    """
-
-    image: IndexArray
-    points_m: FloatArray
-    covariance_m2: FloatArray
-    by_common: FloatArray
-    log_radius: FloatArray
-
-
 def preliminary_pairs(
     images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions | None = None
 ) -> ImagePairs:
@@ -79,18 +56,32 @@ def preliminary_pairs(
     options = options or PreliminaryOptions()
     if not images:
         return ImagePairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
-    landmarks = _all_landmarks(images, ground, options)
-    couples = couples_at_same_place(
-        landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common
-    )
-    ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
-    between = landmarks.image[couples]
+    # All landmarks of all images: the image, position with covariance, effect of the errors that all images share (see
+    # `CraterImage.common`), and logarithm of the radius in metres.
+    parts = []
+    for number, image in enumerate(images):
+        located = locate_craters(image, ground)
+        known = located.on_body
+        covariance = landmark_covariances(image, located, options.height_sigma_m)
+        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+        radius_m = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
+        here = np.full(int(known.sum()), number)
+        moved = located.by_pose()[known] @ image.common
+        parts.append((here, located.points_body_m[known], covariance[known], moved, np.log(radius_m[known])))
+    image_of, points, covariances, moved, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
+    couples = couples_at_same_place(points, covariances, options.gate_sigma, moved)
+    ratio = np.abs(np.diff(radii[couples], axis=1)[:, 0])
+    between = image_of[couples]
     # Sorted, so that (i, j) and (j, i) count as one pair of images.
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
     # How often each pair of images occurs is the number of landmarks that may be the same.
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
-    lit = [_lit_points_of(image, ground, options.footprint) for image in images]
-    shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])
+    lit = []
+    for image in images:
+        pose = image.frame.prior_T_cam_body
+        sun_dir_body = pose.rotation.T @ image.frame.sun_dir_cam
+        lit.append(lit_points(image.camera, pose, sun_dir_body, ground, options.footprint)[0])
+    shares = np.array([max(_share_in_frame(images[j], lit[i]), _share_in_frame(images[i], lit[j])) for i, j in pairs])
     kept = (counts >= options.landmarks) & (shares >= options.overlap)
     return ImagePairs(pairs[kept], counts[kept], shares[kept])
 
@@ -147,34 +138,6 @@ def lit_points(
         # Rays that miss the body have NaN normals, for which the comparison is false. Cast shadows are not computed.
         lit = normals @ sun_dir_body > 0.0
     return points[lit], normals[lit]
-
-
-def _lit_points_of(image: CraterImage, ground: GroundModel, side: int) -> FloatArray:
-    """Return the sunlit points (k, 3) of an image."""
-    pose = image.frame.prior_T_cam_body
-    return lit_points(image.camera, pose, pose.rotation.T @ image.frame.sun_dir_cam, ground, side)[0]
-
-
-def _all_landmarks(images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions) -> _Landmarks:
-    """Locate the craters of all images."""
-    parts = []
-    for number, image in enumerate(images):
-        located = locate_craters(image, ground)
-        known = located.on_body
-        covariance = landmark_covariances(image, located, options.height_sigma_m)
-        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
-        radius_m = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
-        here = np.full(int(known.sum()), number)
-        moved = located.by_pose()[known] @ image.common
-        parts.append((here, located.points_body_m[known], covariance[known], moved, np.log(radius_m[known])))
-    image_of, points, covariances, moved, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _Landmarks(image_of.astype(np.int64), points, covariances, moved, radii)
-
-
-def _overlap(first: CraterImage, second: CraterImage, here: FloatArray, there: FloatArray) -> float:
-    """Return the share of the points lit in one image that are in the frame of the other; the larger of both."""
-    shares = [_share_in_frame(there_image, points) for there_image, points in ((second, here), (first, there))]
-    return max(shares)
 
 
 def _share_in_frame(image: CraterImage, points_body_m: FloatArray) -> float:

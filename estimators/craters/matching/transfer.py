@@ -172,7 +172,9 @@ def transfer_craters(
     planes = _rows_of(located, rows)
     towards = pose.camera_position_m - planes.points_body_m
     away = np.einsum("ni,ni->n", planes.normals_body, towards) <= 0.0
-    radii_m = _radii_m(first, planes, rows)
+    ranges = np.linalg.norm(planes.points_body_m - planes.T_cam_body.camera_position_m, axis=1)
+    # From the longer axis, which foreshortening leaves unchanged.
+    radii_m = first.detections.ellipses.semi_axes_px[rows, 0] * first.camera.pixel_angle_rad * ranges
     # Two radii of slack: the rim is above the ground on which its crater was located.
     kept = ~away & ~occluded(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
     rows, planes = rows[kept], _rows_of(planes, np.flatnonzero(kept))
@@ -181,7 +183,8 @@ def transfer_craters(
     ellipses, real = map_ellipses(first.detections.ellipses[rows], maps)
     spread = 3.0 * np.sqrt(np.einsum("nij,jk,nik->ni", by_error, joint_covariance(first, second), by_error))
     inside = np.zeros(len(rows), dtype=np.bool_)
-    inside[real] = _near_frame(ellipses.centre_px, spread[real], camera)
+    centre_px, size_px = ellipses.centre_px, np.array([camera.width_px, camera.height_px])
+    inside[real] = ((centre_px > -spread[real]) & (centre_px < size_px + spread[real])).all(axis=1)
     return CraterTransfer(rows[inside], maps[inside], ellipses[inside[real]], by_error[inside], by_height[inside])
 
 
@@ -227,18 +230,6 @@ def _sensitivity(located: LocatedCraters, camera: Camera, pose: Pose) -> tuple[F
     second = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
     by_height = np.einsum("nij,nj->ni", by_point @ pose.rotation, located.by_height())
     return np.concatenate([first, second], axis=2), by_height
-
-
-def _radii_m(image: CraterImage, located: LocatedCraters, rows: IndexArray) -> FloatArray:
-    """Return (p,) radii of the rims on the body, from the longer axis, which foreshortening leaves unchanged."""
-    ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
-    return np.asarray(image.detections.ellipses.semi_axes_px[rows, 0] * image.camera.pixel_angle_rad * ranges)
-
-
-def _near_frame(centre_px: FloatArray, spread_px: FloatArray, camera: Camera) -> BoolArray:
-    """Return (n,) whether centres are in the frame, or outside by less than ``spread_px``."""
-    size = np.array([camera.width_px, camera.height_px])
-    return np.asarray(((centre_px > -spread_px) & (centre_px < size + spread_px)).all(axis=1))
 
 
 def _rows_of(located: LocatedCraters, rows: IndexArray) -> LocatedCraters:
