@@ -14,8 +14,9 @@ from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.options import OptionsError, parse_options
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Pose, TriangleMesh
+from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Observation, RangeReading
+from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.base import SpecModel
 
 _ROUNDS = 10
@@ -76,7 +77,7 @@ class RangeUpdate:
 
 
 def fuse_range(
-    prior: tuple[Pose, FloatArray], reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float, adaptive: bool
+    prior: tuple[Pose, FloatArray], reading: RangeReading, ground: MeshGround, height_sigma_m: float, adaptive: bool
 ) -> RangeUpdate | None:
     """Update a pose with a range by an iterated Kalman update with one scalar measurement.
 
@@ -91,7 +92,7 @@ def fuse_range(
         T_cam_body and its (6, 6) covariance.
     reading
         The measured range.
-    mesh
+    ground
         The shape that predicts the range.
     height_sigma_m
         RMS error of its heights.
@@ -103,7 +104,7 @@ def fuse_range(
     The update, or None where the boresight at the prior pose misses the mesh.
     """
     start, covariance = prior
-    first = _linearised(start, reading, mesh, height_sigma_m)
+    first = _linearised(start, reading, ground, height_sigma_m)
     if first is None:
         return None
     projected_m2 = float(first.gradient @ covariance @ first.gradient)  # H P H^T
@@ -116,7 +117,7 @@ def fuse_range(
         # The prediction is linearised at the pose of the previous step, the prior stays at the start.
         previous, step = step, at.gain(grown) * (at.innovation_m + float(at.gradient @ step))
         pose = start.perturbed(step[:3], step[3:])
-        there = _linearised(pose, reading, mesh, height_sigma_m)
+        there = _linearised(pose, reading, ground, height_sigma_m)
         if there is None or np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
             break
         at = there
@@ -147,8 +148,8 @@ class _Linearised:
         return carried / (float(self.gradient @ carried) + self.variance_m2)
 
 
-def _linearised(pose: Pose, reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float) -> _Linearised | None:
-    predicted = boresight_range(mesh, pose)
+def _linearised(pose: Pose, reading: RangeReading, ground: MeshGround, height_sigma_m: float) -> _Linearised | None:
+    predicted = boresight_range(ground, pose)
     if predicted is None:
         return None
     # An error of height along the normal changes the range by its size over cos i.
@@ -175,46 +176,24 @@ class MeshRange:
     cos_incidence: float
 
 
-def boresight_range(mesh: TriangleMesh, T_cam_body: Pose) -> MeshRange | None:
+def boresight_range(ground: MeshGround, T_cam_body: Pose) -> MeshRange | None:
     """Predict the range along the boresight with its gradient; None where the boresight misses the mesh.
 
     With n the facet's normal and p a point on it, both in camera axes, the range is r = n.p / n_z. A translation d of
     the body changes it by n.d / n_z, a rotation w by n.(w x a) / n_z, where a is the point hit, relative to the body's
     origin.
     """
-    found = _first_hit(mesh, T_cam_body.camera_position_m, T_cam_body.rotation[2])
-    if found is None:
+    distances_m, facets = ground.first_met(T_cam_body.camera_position_m[None], T_cam_body.rotation[2][None])
+    range_m, facet = float(distances_m[0]), int(facets[0])
+    normal_cam = T_cam_body.rotate(ground.mesh.normals[facet])
+    # From inside the mesh a facet is seen from behind: that is no range.
+    if facet < 0 or normal_cam[2] >= 0.0:
         return None
-    range_m, facet = found
-    normal_cam = T_cam_body.rotate(mesh.normals[facet])
     # The point hit lies on the boresight, the z axis of the camera; relative to the body's origin, about which
     # `Pose.perturbed` turns.
     arm_m = np.array([0.0, 0.0, range_m]) - T_cam_body.translation_m
     gradient = np.concatenate([np.cross(arm_m, normal_cam), normal_cam]) / normal_cam[2]
     return MeshRange(range_m, gradient, float(-normal_cam[2]))
-
-
-def _first_hit(mesh: TriangleMesh, origin_m: FloatArray, direction: FloatArray) -> tuple[float, int] | None:
-    """Distance, m, and facet of a ray's first hit on a facet that faces it (Moeller and Trumbore 1997); None if none.
-
-    ``direction`` (3,) is a unit vector in the body frame.
-    """
-    first = mesh.corners_m[:, 0]
-    edge1, edge2 = mesh.corners_m[:, 1] - first, mesh.corners_m[:, 2] - first
-    # From outside a closed mesh the first hit is on a facet that faces the ray: the others need no test.
-    entering = mesh.area_vectors_m2 @ direction < 0.0
-    p = np.cross(direction, edge2)
-    determinant = np.where(entering, np.einsum("fi,fi->f", edge1, p), np.nan)
-    offset = origin_m - first
-    q = np.cross(offset, edge1)
-    u = np.einsum("fi,fi->f", offset, p) / determinant
-    v = q @ direction / determinant
-    distance = np.einsum("fi,fi->f", edge2, q) / determinant
-    hit = np.flatnonzero((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0))
-    if not len(hit):
-        return None
-    nearest = int(hit[np.argmin(distance[hit])])
-    return float(distance[nearest]), nearest
 
 
 def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
@@ -226,33 +205,22 @@ def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
     is rough at every scale; half is used.
     """
     mesh = database.mesh()
-    normals = _vertex_normals(mesh)
+    vertices, faces = mesh.vertices_m, mesh.faces
+    # Area vectors of the facets around a vertex, summed: weighted by area.
+    total = np.zeros_like(vertices)
+    for corner in faces.T:
+        np.add.at(total, corner, mesh.area_vectors_m2)
+    normals = total / np.linalg.norm(total, axis=1, keepdims=True)
+    # Mean of the vertices that share an edge with each one. Each edge is added once: the two facets that share it
+    # traverse it in opposite directions.
+    around, count = np.zeros_like(vertices), np.zeros(len(vertices))
+    for tail, head in ((0, 1), (1, 2), (2, 0)):
+        np.add.at(around, faces[:, tail], vertices[faces[:, head]])
+        np.add.at(count, faces[:, tail], 1.0)
     # Along the normal only: across it a landmark slides on the surface, which changes no range.
     scatter_m2 = np.einsum("ni,nij,nj->n", normals, database.covariances_m2, normals)
-    relief_m = np.einsum("ni,ni->n", normals, mesh.vertices_m - _neighbour_means(mesh))
+    relief_m = np.einsum("ni,ni->n", normals, vertices - around / count[:, None])
     return float(np.sqrt(scatter_m2.mean() + np.mean((0.5 * relief_m) ** 2)))
-
-
-def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
-    # Area vectors of the facets around a vertex, summed: weighted by area.
-    total = np.zeros_like(mesh.vertices_m)
-    for corner in mesh.faces.T:
-        np.add.at(total, corner, mesh.area_vectors_m2)
-    normals: FloatArray = total / np.linalg.norm(total, axis=1, keepdims=True)
-    return normals
-
-
-def _neighbour_means(mesh: TriangleMesh) -> FloatArray:
-    """Mean (V, 3) of the vertices that share an edge with each vertex.
-
-    Each edge is added once: the two facets that share it traverse it in opposite directions.
-    """
-    total, count = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
-    for tail, head in ((0, 1), (1, 2), (2, 0)):
-        np.add.at(total, mesh.faces[:, tail], mesh.vertices_m[mesh.faces[:, head]])
-        np.add.at(count, mesh.faces[:, tail], 1.0)
-    means: FloatArray = total / count[:, None]
-    return means
 
 
 class AltimeterEstimator:
@@ -281,14 +249,14 @@ class AltimeterEstimator:
     """
 
     name: ClassVar[str] = "landmark-altimeter"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     options_model: ClassVar[type[SpecModel]] = AltimeterOptions
     base: ClassVar[str] = "landmark-harris"
     sensors: ClassVar[frozenset[str]] = frozenset({"altimeter"})
 
     def __init__(self, base: Estimator, database: LandmarkDatabase, options: AltimeterOptions) -> None:
         self._base = base
-        self._mesh = database.mesh()
+        self._ground = MeshGround(database.mesh())
         self._height_sigma_m = options.height_sigma_m or mesh_height_sigma_m(database)
         self._adaptive = options.trust == "adaptive"
 
@@ -320,38 +288,28 @@ class AltimeterEstimator:
         if estimate.covariance is None:
             return Estimate("failed", "the base gives no covariance to weigh the range with")
         clock = Stopwatch()
+        reading, fused = observation.frame.altimeter, None
         with clock("range"):
-            fused = self._fused(estimate.pose, estimate.covariance, observation.frame.altimeter)
-        found = estimate if fused is None else _with_range(estimate, fused)
+            if reading is not None:
+                prior = estimate.pose, estimate.covariance
+                fused = fuse_range(prior, reading, self._ground, self._height_sigma_m, self._adaptive)
+        diagnostics: dict[str, float | int | str] = {"range_used": 0}
+        if fused is not None:
+            bound = estimate.bound
+            if bound is not None:
+                # Information of independent measurements adds.
+                bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
+            estimate = replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
+            diagnostics = {
+                "range_used": 1,
+                "range_innovation_m": fused.innovation_m,
+                "range_contradiction": fused.normalised_innovation,
+                "range_sigma_m": fused.sigma_m,
+                "range_inflation": fused.inflation,
+            }
         return replace(
-            found,
-            stages=(*estimate.stages, Stage("range", estimate.pose if fused is None else fused.T_cam_body)),
-            diagnostics={**estimate.diagnostics, **_diagnostics(fused)},
+            estimate,
+            stages=(*estimate.stages, Stage("range", estimate.pose)),
+            diagnostics={**estimate.diagnostics, **diagnostics},
             timings_s={**estimate.timings_s, **clock.seconds},
         )
-
-    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> RangeUpdate | None:
-        if reading is None:
-            return None
-        return fuse_range((pose, covariance), reading, self._mesh, self._height_sigma_m, self._adaptive)
-
-
-def _with_range(estimate: Estimate, fused: RangeUpdate) -> Estimate:
-    """Replace the pose of the base by the updated one, and add the range's information to the base's bound."""
-    bound = estimate.bound
-    if bound is not None:
-        # Information of independent measurements adds.
-        bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
-    return replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
-
-
-def _diagnostics(fused: RangeUpdate | None) -> dict[str, float | int | str]:
-    if fused is None:
-        return {"range_used": 0}
-    return {
-        "range_used": 1,
-        "range_innovation_m": fused.innovation_m,
-        "range_contradiction": fused.normalised_innovation,
-        "range_sigma_m": fused.sigma_m,
-        "range_inflation": fused.inflation,
-    }

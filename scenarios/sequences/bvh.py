@@ -22,12 +22,13 @@ class FacetTree:
 
     Parameters
     ----------
-    corners_m
-        (L, K, 3, 3) facets of each leaf, padded by repetition.
+    facets, corners_m
+        (L, K) facets of each leaf, padded by repetition, and (L, K, 3, 3) their corners.
     low_m, high_m
         (2 L - 1, 3) corners of the boxes, those of the leaves last.
     """
 
+    facets: IndexArray
     corners_m: FloatArray
     low_m: FloatArray
     high_m: FloatArray
@@ -45,7 +46,7 @@ class FacetTree:
         while len(low[0]) > 1:
             low.insert(0, np.minimum(low[0][0::2], low[0][1::2]))
             high.insert(0, np.maximum(high[0][0::2], high[0][1::2]))
-        return cls(leaves, np.concatenate(low), np.concatenate(high))
+        return cls(groups, leaves, np.concatenate(low), np.concatenate(high))
 
     def hidden(self, points_m: FloatArray, origin_m: FloatArray) -> BoolArray:
         """(n,) whether a facet obstructs the line from ``origin_m``, (3,), to each point, (n, 3).
@@ -60,22 +61,21 @@ class FacetTree:
             hidden[start : start + share] = self._hidden(rays[start : start + share], origin_m)
         return hidden
 
-    def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, IndexArray]:
         """Find the first intersections of (n, 3) rays from (n, 3) origins.
 
         Returns
         -------
         tuple
-            (n,) distances in lengths of the ray, infinite for misses, and (n, 3, 3) corners of the facets, NaN for
-            misses.
+            (n,) distances in lengths of the ray, infinite for misses, and (n,) facets, -1 for misses.
         """
         # About 256 boxes for each ray, which does not end at a point of the surface.
         share = max(1, _PAIRS_AT_ONCE // 256)
-        nearest, corners = np.full(len(rays_m), np.inf), np.full((len(rays_m), 3, 3), np.nan)
+        nearest, facets = np.full(len(rays_m), np.inf), np.full(len(rays_m), -1, dtype=np.int64)
         for start in range(0, len(rays_m), share):
             part = slice(start, start + share)
-            nearest[part], corners[part] = self._first_met(rays_m[part], origins_m[part])
-        return nearest, corners
+            nearest[part], facets[part] = self._first_met(rays_m[part], origins_m[part])
+        return nearest, facets
 
     def _hidden(self, rays: FloatArray, origin: FloatArray) -> BoolArray:
         ray, leaf = self._leaves(rays, np.broadcast_to(origin, rays.shape), 1.0)
@@ -85,16 +85,15 @@ class FacetTree:
             hidden[ray[(along > 0.0) & (along < 1.0 - _SLACK)]] = True
         return hidden
 
-    def _first_met(self, rays: FloatArray, origins: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _first_met(self, rays: FloatArray, origins: FloatArray) -> tuple[FloatArray, IndexArray]:
         ray, leaf = self._leaves(rays, origins, np.inf)
-        nearest, corners = np.full(len(rays), np.inf), np.full((len(rays), 3, 3), np.nan)
+        nearest, facets = np.full(len(rays), np.inf), np.full(len(rays), -1, dtype=np.int64)
         for k in range(self.corners_m.shape[1]):
-            facets = self.corners_m[leaf, k]
-            along = _crossing(facets, origins[ray], rays[ray])
+            along = _crossing(self.corners_m[leaf, k], origins[ray], rays[ray])
             before = np.flatnonzero((along > 0.0) & (along < nearest[ray]))
             before = before[np.argsort(-along[before], kind="stable")]  # the nearest is written last
-            nearest[ray[before]], corners[ray[before]] = along[before], facets[before]
-        return nearest, corners
+            nearest[ray[before]], facets[ray[before]] = along[before], self.facets[leaf[before], k]
+        return nearest, facets
 
     def _leaves(self, rays: FloatArray, origins: FloatArray, end: float) -> tuple[IndexArray, IndexArray]:
         """Return pairs of rays, (P,), and leaves, (P,), whose boxes they intersect before ``end`` lengths."""
@@ -117,9 +116,9 @@ class FacetTree:
         """(P,) whether each ray intersects its box before its end (slab method, Kay and Kajiya 1986)."""
         with np.errstate(invalid="ignore"):
             one, other = (self.low_m[node] - origin) * inverse, (self.high_m[node] - origin) * inverse
-        # 0 times infinity is NaN, where a ray runs within a side of the box; fmin and fmax ignore it.
-        enter = np.fmin(one, other).max(axis=1)
-        leave = np.fmax(one, other).min(axis=1)
+        # 0 times infinity is NaN, where a ray runs within a side of the box: fmax and fmin ignore that axis.
+        enter = np.fmax.reduce(np.minimum(one, other), axis=1)
+        leave = np.fmin.reduce(np.maximum(one, other), axis=1)
         met: BoolArray = (enter <= leave + _SLACK) & (leave >= 0.0) & (enter < end)
         return met
 
@@ -151,5 +150,5 @@ def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> Floa
         u = np.einsum("pi,pi->p", offset, p) / determinant
         v = np.einsum("pi,pi->p", rays, q) / determinant
         t = np.einsum("pi,pi->p", edge2, q) / determinant
-    # Comparisons with NaN or infinity, of rays parallel to their facet, are false.
-    return np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.nan)
+        # Comparisons with NaN or infinity, of rays parallel to their facet, are false.
+        return np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.nan)

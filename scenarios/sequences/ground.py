@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from boresight.scenarios.arrays import BoolArray, FloatArray
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.sequences.bvh import FacetTree
 
@@ -128,12 +128,14 @@ class MeshGround:
 
     def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays hit the body; NaN for misses."""
-        along, corners = self._tree.first_met(origin_body_m, directions_body)
-        area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        along, facet = self.first_met(origin_body_m, directions_body)
         # Misses are infinite, and infinity times 0 must not be a point.
-        met = np.where(np.isfinite(along), along, np.nan)
-        points = origin_body_m + met[:, None] * directions_body
-        return points, area / np.linalg.norm(area, axis=1, keepdims=True)
+        met = np.where(facet >= 0, along, np.nan)[:, None]
+        return origin_body_m + met * directions_body, np.where(facet[:, None] >= 0, self.mesh.normals[facet], np.nan)
+
+    def first_met(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, IndexArray]:
+        """Return (n,) distances in lengths of (n, 3) rays to the facets (n,) that they hit first; -1 for misses."""
+        return self._tree.first_met(origin_body_m, directions_body)
 
 
 def faces_camera(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:

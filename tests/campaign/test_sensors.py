@@ -15,6 +15,7 @@ from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.sequences.ground import MeshGround
 
 TRIALS = 200
 
@@ -39,7 +40,7 @@ def test_a_reading_is_the_true_range_with_its_noise(tmp_path):
             observe(ranging.world, trial_image, ranging.seed, trial).frame.altimeter,
         )
         assert reading.sigma_m == 5.0
-        errors_m.append(reading.range_m - boresight_range(ranging.world.body.mesh, pose).range_m)
+        errors_m.append(reading.range_m - boresight_range(MeshGround(ranging.world.body.mesh), pose).range_m)
     assert kstest(errors_m, "norm", (0.0, 5.0)).pvalue > 1e-3
     assert np.unique(errors_m).size == TRIALS
 

@@ -19,6 +19,7 @@ from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.observation import Frame, Observation, RangeReading
+from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.brdf import LambertSpec
 
 CAMERA = Camera.from_fov(64, 64, 0.3)
@@ -60,7 +61,7 @@ def test_the_range_is_that_of_the_ray_tracer():
     for pose in poses(60, off_m=120.0):
         view = View(CAMERA, pose, np.array([0.0, 0.0, 1.0]))
         traced = renderer.surface(view, np.array([[CAMERA.cx_px, CAMERA.cy_px]]))
-        found = boresight_range(mesh, pose)
+        found = boresight_range(MeshGround(mesh), pose)
         assert (found is None) == (not traced.hit[0])
         if found is not None:
             point_m = traced.points_body_m[0]
@@ -74,12 +75,12 @@ def test_the_gradient_is_that_of_central_differences():
     mesh = mesh_of(bumpy(1))  # facets so large that a small step stays on them
     steps = np.array([1e-7] * 3 + [1e-4] * 3)
     for pose in poses(30):
-        found = boresight_range(mesh, pose)
+        found = boresight_range(MeshGround(mesh), pose)
         if found is None or found.cos_incidence < 0.3:
             continue
         numeric = [
-            (boresight_range(mesh, pose.perturbed(e[:3], e[3:])).range_m
-             - boresight_range(mesh, pose.perturbed(-e[:3], -e[3:])).range_m) / (2.0 * step)
+            (boresight_range(MeshGround(mesh), pose.perturbed(e[:3], e[3:])).range_m
+             - boresight_range(MeshGround(mesh), pose.perturbed(-e[:3], -e[3:])).range_m) / (2.0 * step)
             for step, e in zip(steps, np.diag(steps), strict=True)
         ]  # fmt: skip
         np.testing.assert_allclose(found.gradient, numeric, rtol=2e-5, atol=2e-5 * np.abs(numeric).max())
@@ -90,7 +91,7 @@ def test_a_straight_look_at_a_plane_is_the_weighted_mean():
     box = trimesh.creation.box(extents=(4000.0, 4000.0, 200.0))
     pose = look_at(np.array([0.0, 0.0, 1100.0]))  # 1000 m above the upper face
     covariance = np.diag([1e-4, 1e-4, 1e-4, 9.0, 9.0, 16.0])
-    fused = fuse_range((pose, covariance), RangeReading(1006.0, 3.0), mesh_of(box), 4.0, adaptive=False)
+    fused = fuse_range((pose, covariance), RangeReading(1006.0, 3.0), MeshGround(mesh_of(box)), 4.0, adaptive=False)
     R = 3.0**2 + 4.0**2
     assert fused.innovation_m == pytest.approx(6.0)
     assert fused.sigma_m == pytest.approx(5.0)
@@ -106,12 +107,12 @@ def test_the_fused_error_is_what_its_covariance_says():
     root = rng.normal(size=(6, 6)) * np.array([[0.001]] * 3 + [[3.0]] * 3)
     covariance, nees = root @ root.T, []
     for true in poses(400, seed=2, off_m=0.0):
-        found = boresight_range(box, true)
+        found = boresight_range(MeshGround(box), true)
         if found is None or found.cos_incidence < 0.5:
             continue
         start = true.perturbed(*np.split(root @ rng.normal(size=6), 2))
         reading = RangeReading(found.range_m + rng.normal(0, 5.0), 5.0)
-        fused = fuse_range((start, covariance), reading, box, 1e-6, adaptive=False)
+        fused = fuse_range((start, covariance), reading, MeshGround(box), 1e-6, adaptive=False)
         turn = Rotation.from_matrix(fused.T_cam_body.rotation @ true.rotation.T).as_rotvec()
         error = np.concatenate([turn, fused.T_cam_body.translation_m - true.translation_m])
         nees.append(error @ np.linalg.solve(fused.covariance, error))
@@ -123,8 +124,8 @@ def test_the_fused_error_is_what_its_covariance_says():
 def test_a_contradicted_covariance_grows_until_the_innovation_fits():
     pose, box = look_at(np.array([0.0, 0.0, 1100.0])), mesh_of(trimesh.creation.box(extents=(4000.0, 4000.0, 200.0)))
     covariance = np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0, 1.0])
-    agrees = fuse_range((pose, covariance), RangeReading(1002.0, 5.0), box, 1e-3, adaptive=True)
-    contradicts = fuse_range((pose, covariance), RangeReading(1020.0, 5.0), box, 1e-3, adaptive=True)
+    agrees = fuse_range((pose, covariance), RangeReading(1002.0, 5.0), MeshGround(box), 1e-3, adaptive=True)
+    contradicts = fuse_range((pose, covariance), RangeReading(1020.0, 5.0), MeshGround(box), 1e-3, adaptive=True)
     assert agrees.inflation == 1.0
     assert contradicts.inflation == pytest.approx((20.0**2 - 5.0**2) / 1.0, rel=1e-4)
     assert contradicts.normalised_innovation == pytest.approx(20.0 / np.sqrt(1.0 + 5.0**2), rel=1e-4)
@@ -133,7 +134,10 @@ def test_a_contradicted_covariance_grows_until_the_innovation_fits():
 
 def test_an_estimate_that_misses_the_mesh_is_left_alone():
     away = look_at(np.array([0.0, 0.0, 2000.0])).perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
-    assert fuse_range((away, np.eye(6)), RangeReading(1800.0, 5.0), mesh_of(bumpy()), 1.0, adaptive=True) is None
+    assert (
+        fuse_range((away, np.eye(6)), RangeReading(1800.0, 5.0), MeshGround(mesh_of(bumpy())), 1.0, adaptive=True)
+        is None
+    )
 
 
 @pytest.mark.parametrize("subdivisions", [2, 3])
