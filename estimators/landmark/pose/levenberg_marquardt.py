@@ -72,13 +72,20 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
 
     With fixed damping every step that leaves the landmarks in front of the camera is accepted.
     """
-    pose, chi2, damping = start, problem.chi2(start), options.damping
+    pose, chi2, damping = start, float(problem.chi2(start)), options.damping
     adaptive = options.schedule == "adaptive"
     iteration = 0
     while iteration < options.max_iterations and np.isfinite(chi2) and damping <= LAMBDA_MAX:
         iteration += 1
-        trial = _updated(pose, _damped_step(problem, pose, damping, options.parameters), options.parameters)
-        trial_chi2 = problem.chi2(trial)
+        minimal = options.parameters == "minimal"
+        jacobian = minimal_jacobian(problem, pose) if minimal else quaternion_jacobian(problem, pose)
+        matrix, vector = problem.normal_equations(jacobian, problem.residuals_px(pose))
+        # Marquardt's scaling by the diagonal: radians, quaternions and metres are damped alike. With the quaternion the
+        # matrix alone is singular, as scaling q by a factor and T by its square leaves the image unchanged; lambda
+        # stays positive.
+        step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), vector)  # eq. (24), by LUP
+        trial = _updated(pose, np.asarray(step, dtype=np.float64), options.parameters)
+        trial_chi2 = float(problem.chi2(trial))
         # Also a step that puts a landmark behind the camera, where chi-square is infinite.
         if adaptive and trial_chi2 > chi2:
             damping *= 10.0
@@ -91,16 +98,6 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
         if done:
             break
     return PoseFit(pose, chi2, pose_covariance(problem, pose), iteration)
-
-
-def _damped_step(problem: PoseProblem, pose: Pose, damping: float, parameters: str) -> FloatArray:
-    jacobian = minimal_jacobian(problem, pose) if parameters == "minimal" else quaternion_jacobian(problem, pose)
-    matrix, vector = problem.normal_equations(jacobian, problem.residuals_px(pose))
-    # Marquardt's scaling by the diagonal: radians, quaternions and metres are damped alike. With the quaternion the
-    # matrix alone is singular, as scaling q by a factor and T by its square leaves the image unchanged; lambda stays
-    # positive.
-    damped: FloatArray = matrix + damping * np.diag(np.diag(matrix))
-    return np.asarray(np.linalg.solve(damped, vector), dtype=np.float64)  # eq. (24), by LUP
 
 
 def _updated(pose: Pose, step: FloatArray, parameters: str) -> Pose:

@@ -79,7 +79,7 @@ def solve_matches(problem: PoseProblem, start: Pose, options: PoseOptions) -> tu
     if options.method == "closed-form":
         if closed_form is None:
             return None, None
-        fit = PoseFit(closed_form, problem.chi2(closed_form), pose_covariance(problem, closed_form), 0)
+        fit = PoseFit(closed_form, float(problem.chi2(closed_form)), pose_covariance(problem, closed_form), 0)
     else:
         fit = refine_pose(problem, closed_form or start, options.marquardt)
     usable = np.isfinite(fit.chi2) and np.isfinite(fit.covariance).all()

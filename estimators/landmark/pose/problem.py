@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -14,18 +15,26 @@ from boresight.scenarios.geometry import Camera, Pose, pixel_to_opencv
 MIN_LANDMARKS = 4
 
 
+class Transform(Protocol):
+    """One pose, or one for each problem of a stack."""
+
+    def transform(self, points_m: FloatArray, /) -> FloatArray:
+        """Take points (..., N, 3) to the camera frame."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseProblem:
-    """Landmarks in the body frame with their observed positions in the image.
+    """Landmarks in the body frame with their observed positions in the image, of one problem or of a stack of them.
 
     Parameters
     ----------
     points_body_m
-        (N, 3) positions in the body frame.
+        (..., N, 3) positions in the body frame.
     uv_px
-        (N, 2) observed positions: the data vector D of equation (16).
+        (..., N, 2) observed positions: the data vector D of equation (16).
     information_px2
-        (N, 2, 2) inverse covariances of the projections: the blocks of the inverse of equation (18).
+        (..., N, 2, 2) inverse covariances of the projections: the blocks of the inverse of equation (18).
     camera
         The camera.
 
@@ -41,27 +50,28 @@ class PoseProblem:
     camera: Camera
 
     def __post_init__(self) -> None:
-        n = len(self.points_body_m)
+        size = self.points_body_m.shape[:-1]
         shapes = (self.points_body_m.shape, self.uv_px.shape, self.information_px2.shape)
-        if shapes != ((n, 3), (n, 2), (n, 2, 2)) or n < MIN_LANDMARKS:
+        if shapes != ((*size, 3), (*size, 2), (*size, 2, 2)) or size[-1] < MIN_LANDMARKS:
             raise BoresightError(f"a pose needs {MIN_LANDMARKS} or more landmarks of agreeing shapes, not {shapes}")
 
-    def residuals_px(self, T_cam_body: Pose) -> FloatArray:
-        """D - M, (N, 2); NaN where a landmark is behind the camera."""
+    def residuals_px(self, T_cam_body: Transform) -> FloatArray:
+        """D - M, (..., N, 2); NaN where a landmark is behind the camera."""
         return self.uv_px - self.camera.project(T_cam_body.transform(self.points_body_m))
 
-    def chi2(self, T_cam_body: Pose) -> float:
-        """Total covariance-weighted reprojection error; infinite where a landmark is behind the camera."""
+    def chi2(self, T_cam_body: Transform) -> FloatArray:
+        """Total weighted reprojection errors (...); infinite where a landmark is behind the camera."""
         residuals = self.residuals_px(T_cam_body)
-        value = float(np.einsum("ni,nij,nj->", residuals, self.information_px2, residuals))  # eq. (20)
-        return value if np.isfinite(value) else float("inf")
+        values = np.einsum("...ni,...nij,...nj->...", residuals, self.information_px2, residuals)  # eq. (20)
+        finite: FloatArray = np.where(np.isfinite(values), values, np.inf)
+        return finite
 
     def normal_equations(self, jacobian: FloatArray, residuals_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J^T S^-1 J and J^T S^-1 (D - M) of equation (24), for a Jacobian of shape (N, 2, P)."""
+        """J^T S^-1 J and J^T S^-1 (D - M) of equation (24), for Jacobians of shape (..., N, 2, P)."""
         # S is block diagonal (18): each landmark is weighted with its own 2 x 2 block.
         weighted = self.information_px2 @ jacobian
-        matrix: FloatArray = np.einsum("nip,niq->pq", jacobian, weighted)
-        vector: FloatArray = np.einsum("nip,ni->p", weighted, residuals_px)
+        matrix: FloatArray = np.einsum("...nip,...niq->...pq", jacobian, weighted)
+        vector: FloatArray = np.einsum("...nip,...ni->...p", weighted, residuals_px)
         return matrix, vector
 
 

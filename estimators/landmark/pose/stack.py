@@ -6,6 +6,7 @@ result of a problem does not depend on the other problems in the stack.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,8 +25,7 @@ from boresight.estimators.landmark.pose.problem import (
     solve_epnp,
 )
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.geometry import Pose
 from boresight.scenarios.spec.base import SpecModel
 
 NAME = "pose-solver"
@@ -84,37 +84,10 @@ class PoseStack:
         return positions
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProblemStack:
-    """A stack of B pose problems of N landmarks each, see `PoseProblem`.
+class ProblemStack(PoseProblem):
+    """A stack of B pose problems of N landmarks each."""
 
-    Parameters
-    ----------
-    points_body_m
-        (B, N, 3).
-    uv_px
-        (B, N, 2) observed positions.
-    information_px2
-        (B, N, 2, 2) inverse covariances.
-    camera
-        The camera.
-
-    Raises
-    ------
-    BoresightError
-        If the shapes disagree.
-    """
-
-    points_body_m: FloatArray
-    uv_px: FloatArray
-    information_px2: FloatArray
-    camera: Camera
-
-    def __post_init__(self) -> None:
-        size = self.points_body_m.shape[:2]
-        shapes = (self.points_body_m.shape, self.uv_px.shape, self.information_px2.shape)
-        if shapes != ((*size, 3), (*size, 2), (*size, 2, 2)):
-            raise BoresightError(f"pose problems side by side need landmarks of agreeing shapes, not {shapes}")
+    __slots__ = ()
 
     def __len__(self) -> int:
         return len(self.points_body_m)
@@ -126,24 +99,6 @@ class ProblemStack:
     def problem(self, row: int) -> PoseProblem:
         """Return one of the problems."""
         return PoseProblem(self.points_body_m[row], self.uv_px[row], self.information_px2[row], self.camera)
-
-    def residuals_px(self, poses: PoseStack) -> FloatArray:
-        """D - M, (B, N, 2); NaN where a landmark is behind the camera."""
-        return self.uv_px - self.camera.project(poses.transform(self.points_body_m))
-
-    def chi2(self, poses: PoseStack) -> FloatArray:
-        """Total weighted reprojection errors, (B,); infinite where a landmark is behind the camera."""
-        residuals = self.residuals_px(poses)
-        values = np.einsum("bni,bnij,bnj->b", residuals, self.information_px2, residuals)  # eq. (20)
-        finite: FloatArray = np.where(np.isfinite(values), values, np.inf)
-        return finite
-
-    def normal_equations(self, jacobians: FloatArray, poses: PoseStack) -> tuple[FloatArray, FloatArray]:
-        """J^T S^-1 J, (B, P, P), and J^T S^-1 (D - M), (B, P), of equation (24), for Jacobians (B, N, 2, P)."""
-        weighted = self.information_px2 @ jacobians
-        matrices: FloatArray = np.einsum("bnip,bniq->bpq", jacobians, weighted)
-        vectors: FloatArray = np.einsum("bnip,bni->bp", weighted, self.residuals_px(poses))
-        return matrices, vectors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,19 +153,16 @@ def solve_stack(
     -------
     The fits; chi-square is infinite where there is no solution.
     """
-    starts = priors if options.method == "non-linear" else _or_prior(closed, priors)
+    starts = priors
+    if options.method != "non-linear":
+        starts = PoseStack(priors.rotations.copy(), priors.translations_m.copy())
+        for row, pose in enumerate(closed):
+            if pose is not None:
+                starts.rotations[row], starts.translations_m[row] = pose.rotation, pose.translation_m
     if options.method != "closed-form":
         return refine_poses(problems, starts, options.marquardt)
     found = np.array([pose is not None for pose in closed])
     return FitStack(starts, np.where(found, problems.chi2(starts), np.inf), np.zeros(len(found), dtype=np.int64))
-
-
-def _or_prior(closed: list[Pose | None], priors: PoseStack) -> PoseStack:
-    rotations, translations_m = priors.rotations.copy(), priors.translations_m.copy()
-    for row, pose in enumerate(closed):
-        if pose is not None:
-            rotations[row], translations_m[row] = pose.rotation, pose.translation_m
-    return PoseStack(rotations, translations_m)
 
 
 def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOptions) -> FitStack:
@@ -269,7 +221,7 @@ def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parame
 
 def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, damping: FloatArray) -> FloatArray:
     """Solve equation (24) for each problem, (B, P); no step where its matrix is singular."""
-    matrices, vectors = problems.normal_equations(jacobians, poses)
+    matrices, vectors = problems.normal_equations(jacobians, problems.residuals_px(poses))
     diagonal = np.arange(matrices.shape[1])
     # J^T S^-1 J + lambda diag(J^T S^-1 J).
     matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
@@ -277,12 +229,8 @@ def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, dampi
         return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
     # NumPy raises for the whole stack if one matrix is singular: then one by one.
     except np.linalg.LinAlgError:
-        return np.stack([_solution(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)])
-
-
-def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solve equation (24) for one problem; no step where its matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.zeros(len(vector))
+        steps = np.zeros_like(vectors)
+        for row, (matrix, vector) in enumerate(zip(matrices, vectors, strict=True)):
+            with contextlib.suppress(np.linalg.LinAlgError):
+                steps[row] = np.linalg.solve(matrix, vector)
+        return steps
