@@ -17,7 +17,7 @@ from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected, check_scale
 from boresight.estimators.slam.options import BatchOptions, SmootherOptions
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 _WEAK_RATIO = 10.0
@@ -231,21 +231,25 @@ class WindowSmoother:
     def _marginalise(self, adjusted: AdjustedWindow) -> None:
         """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
         problem, state, number = adjusted.problem, adjusted.state, adjusted.tracks
-        oldest = np.isin(number, self.slam_map.frames[self.views[0]].tracks)
-        oldest[problem.prior_points] = True
+        in_prior = np.zeros(len(number), dtype=np.bool_)
+        in_prior[problem.prior_points] = True
         newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
         # Refused pixels count as in view: the landmark may fit again in the next frame.
-        lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
+        last = set(newest[self.views[-1]].tracks.tolist())
+        first = set(self.slam_map.frames[self.views[0]].tracks.tolist())
+        oldest = in_prior | np.array([track in first for track in number.tolist()], dtype=np.bool_)
+        lost = oldest & np.array([track not in last for track in number.tolist()], dtype=np.bool_)
         # What remains of the oldest view's landmarks would enter the prior, which couples them all.
-        excess = self._beyond_prior_size(oldest & ~lost, problem.prior_points)
+        excess = self._beyond_prior_size(oldest & ~lost, in_prior)
         try:
             local = marginalise_view(problem, state, 0, lost | excess)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
         if self.gate is not None:
-            new = ~np.isin(local.points, problem.prior_points)
-            self.prior = _with_weak_lines(self.prior, new, self.slam_map.median_depth(self.views[-1]))
+            self.prior = _with_weak_lines(
+                self.prior, ~in_prior[local.points], self.slam_map.median_depth(self.views[-1])
+            )
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         # The estimate at the first entry stays the point of linearisation as long as the variable is in the prior.
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
@@ -267,7 +271,7 @@ class WindowSmoother:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)
 
-    def _beyond_prior_size(self, staying: BoolArray, in_prior: IndexArray) -> BoolArray:
+    def _beyond_prior_size(self, staying: BoolArray, in_prior: BoolArray) -> BoolArray:
         """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
 
         The cost of a dense prior grows with the cube of its size. The pixels of an excess landmark are marginalised
@@ -278,7 +282,7 @@ class WindowSmoother:
         """
         rows = np.flatnonzero(staying)
         # Landmarks of the prior first, then the oldest tracks.
-        rows = rows[np.argsort(~np.isin(rows, in_prior), kind="stable")]
+        rows = rows[np.argsort(~in_prior[rows], kind="stable")]
         beyond = np.zeros_like(staying)
         beyond[rows[self.options.prior_landmarks :]] = True
         return beyond
