@@ -288,18 +288,20 @@ class AltimeterEstimator:
         if estimate.covariance is None:
             return Estimate("failed", "the base gives no covariance to weigh the range with")
         clock = Stopwatch()
-        reading, fused = observation.frame.altimeter, None
+        reading, fused, pose = observation.frame.altimeter, None, estimate.pose
         with clock("range"):
             if reading is not None:
-                prior = estimate.pose, estimate.covariance
-                fused = fuse_range(prior, reading, self._ground, self._height_sigma_m, self._adaptive)
+                fused = fuse_range(
+                    (pose, estimate.covariance), reading, self._ground, self._height_sigma_m, self._adaptive
+                )
         diagnostics: dict[str, float | int | str] = {"range_used": 0}
         if fused is not None:
             bound = estimate.bound
             if bound is not None:
                 # Information of independent measurements adds.
                 bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
-            estimate = replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
+            pose = fused.T_cam_body
+            estimate = replace(estimate, pose=pose, covariance=fused.covariance, bound=bound)
             diagnostics = {
                 "range_used": 1,
                 "range_innovation_m": fused.innovation_m,
@@ -309,7 +311,7 @@ class AltimeterEstimator:
             }
         return replace(
             estimate,
-            stages=(*estimate.stages, Stage("range", estimate.pose)),
+            stages=(*estimate.stages, Stage("range", pose)),
             diagnostics={**estimate.diagnostics, **diagnostics},
             timings_s={**estimate.timings_s, **clock.seconds},
         )

@@ -321,7 +321,8 @@ def _probability(
         probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
     # Against the other expected craters of its detection, given all pairs.
     ratios = np.exp(_given_pairs(expected, offsets, pairs, likelihoods, options))
-    return np.minimum(probability, ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0)))
+    rivals = ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0))
+    return np.asarray(np.minimum(probability, rivals), dtype=np.float64)
 
 
 def _given_pairs(

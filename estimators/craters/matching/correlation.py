@@ -70,9 +70,9 @@ class CorrelationMatcher(Configured[CorrelationOptions]):
             return CraterMatches.none(reason)
         # Between the directions of the Sun in body axes, from the prior attitudes: there the shadows are cast, however
         # the camera is rolled.
-        suns = [image.frame.prior_T_cam_body.rotation.T @ image.frame.sun_dir_cam for image in (first, second)]
+        here, there = (each.frame.prior_T_cam_body.rotation.T @ each.frame.sun_dir_cam for each in (first, second))
         # The arc tangent is accurate at small angles, where the arc cosine loses half of the digits.
-        angle_deg = np.degrees(np.arctan2(np.linalg.norm(np.cross(*suns)), suns[0] @ suns[1]))
+        angle_deg = np.degrees(np.arctan2(np.linalg.norm(np.cross(here, there)), here @ there))
         if angle_deg > self.options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)

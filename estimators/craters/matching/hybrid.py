@@ -119,7 +119,7 @@ class HybridMatcher(Configured[HybridOptions]):
         # their mean: false pairs are scattered).
         offsets = seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]]
         near_each_other = np.linalg.norm(offsets[:, None] - offsets, axis=2) < _ROUGH * options.context.place_px
-        pairs = found[near_each_other[int(np.argmax(near_each_other.sum(axis=1)))]]
+        pairs: IndexArray = found[near_each_other[int(np.argmax(near_each_other.sum(axis=1)))]]
         for _ in range(_ROUNDS):
             if len(pairs) < options.agreeing:
                 return np.zeros((0, 2), dtype=np.int64)
