@@ -162,12 +162,16 @@ class _Filter:
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         before = self.state
         if before is not None:
-            # Lost landmarks are dropped before the update, which has no measurement of them.
-            state = self._updated(self._without_lost(before.predicted(frame), frame), frame)
+            # (1) State prediction and covariance propagation; lost landmarks, part of (3), are dropped before the
+            # update, which has no measurement of them.
+            state = self._without_lost(before.predicted(frame), frame)
+            # (2) State and covariance update.
+            state = self._updated(state, frame)
         elif self.options.camera == "position":
             state = FilterState.of_camera(*self.first, frame)
         else:
             state = PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
+        # (3) State management: new landmarks by equations (8) to (11), the first at the gauge's range.
         state = self.state = self._with_new(state, frame).with_fixed_linearisation(self.settled_sigma)
         position, covariance, points = state.estimate(self.camera)
         # Without a scale the filter still fits all pixels: only its covariance shows the drift.
