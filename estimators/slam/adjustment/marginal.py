@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from boresight.estimators.slam.adjustment.compiled import marginal as kernels
 from boresight.estimators.slam.adjustment.compiled.envelope import without
+from boresight.estimators.slam.adjustment.compiled.problem import floats
 from boresight.estimators.slam.adjustment.problem import Adjustment, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.solver import reduced_system
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
@@ -55,27 +57,13 @@ def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
-    # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
-    # landmarks that an old prior couples.
-    part = removed_part(problem, retained, problem.prior_points)
-    matrix, right, view_slots, point_slots = reduced_system(part, state)
-    views = np.flatnonzero(part.free_views & retained.views)
-    points = np.flatnonzero((point_slots >= 0) & retained.points)
-    out = np.ones(len(right) // 3, dtype=np.bool_)
-    out[view_slots[views]] = False
-    out[point_slots[points]] = False
-    # The right-hand side is minus the gradient. At x0 = ``state`` this is g of the prior g' (x - x0).
-    information, gradient = eliminate_rows(matrix, -right, np.repeat(out, 3))
-    # An exact test of which variables are constrained: nothing is ever added to the rows of the others.
-    constrained = (information != 0.0).any(axis=1).reshape(-1, 3).any(axis=1)
-    rows, count = np.repeat(constrained, 3), len(views)
-    return QuadraticPrior(
-        views[constrained[:count]],
-        points[constrained[count:]],
-        np.concatenate([state.positions_m[views], state.points_m[points]])[constrained],
-        information[np.ix_(rows, rows)],
-        gradient[rows],
-    )
+    at = floats(state.positions_m), floats(state.points_m)
+    stays = retained.views, retained.points, retained.pixels, retained.distances
+    known, views, points, information, gradient = kernels.marginalise(problem.flat, *at, stays)
+    if not known:
+        raise np.linalg.LinAlgError("the eliminated variables are not determined")
+    origin_m = np.concatenate([state.positions_m[views], state.points_m[points]])
+    return QuadraticPrior(views, points, origin_m, information, gradient)
 
 
 def removed_part(problem: Adjustment, retained: Retained, coupled: IndexArray) -> Adjustment:
