@@ -8,13 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.metrics import (
-    Metric,
-    choose_metric,
-    metric_names,
-    metric_values,
-)
-from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
+from boresight.reports.compare.metrics import Metric, choose_metric, metric_values, trial_numbers
+from boresight.reports.run.data import RunData
 from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.errors import BoresightError
 
@@ -143,7 +138,7 @@ def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
     faults = crater_faults(run)
     if faults is not None and metric in (None, MISSED_OR_WRONG):
         return faults, MISSED_OR_WRONG
-    if metric is None and not metric_names(run):
+    if metric is None and not trial_numbers(run):
         return pd.Series(np.nan, index=run.rows.index), "nothing: no trial has a number"
     chosen: Metric = choose_metric(metric, [run])
     return metric_values(run, chosen), chosen.name
@@ -155,7 +150,4 @@ def crater_faults(run: RunData) -> pd.Series | None:
     from boresight.campaign.inspection.show import show_of
 
     show = show_of(run.manifest.experiment) if run.manifest.experiment else None
-    counted = None if show is None or show.faults is None else show.faults(run)
-    if counted is None or counted.empty:
-        return None
-    return pd.Series(in_order_of(run.rows, counted.set_index(TRIAL_KEY)["faults"]), index=run.rows.index)
+    return None if show is None or show.faults is None else show.faults(run)

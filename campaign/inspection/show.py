@@ -117,7 +117,7 @@ class Show:
     trajectory
         Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
     faults
-        Counts the missed and the wrong craters of the trials of a run, in a column ``faults``, by which trials are
+        Counts the missed and the wrong craters of each row of a run, in order, by which trials are
         ranked.
     pooled
         Whether the poses of all trials refer to the same fixed body, and form one model.
@@ -131,7 +131,7 @@ class Show:
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
-    faults: Callable[[RunData], pd.DataFrame] | None = None
+    faults: Callable[[RunData], pd.Series | None] | None = None
     pooled: bool = False
     long: Callable[[ResolvedCampaign], bool] = lambda campaign: False
 

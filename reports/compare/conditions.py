@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.trials import CONDITIONS
@@ -15,7 +14,7 @@ from boresight.reports.figures.scenario_grids import Points
 from boresight.reports.schema.common import BORESIGHT, LATERAL
 from boresight.reports.schema.kinds.crater_detection import DETECTION
 from boresight.reports.schema.kinds.crater_matching import MATCHING
-from boresight.reports.statistics.measured import MEDIAN, measure, share_of
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of
 from boresight.scenarios.arrays import FloatArray
 
 ATTITUDE = "attitude_error_deg"
@@ -108,14 +107,6 @@ def _varies(values: pd.Series) -> bool:
     return len(known) > 0 and float(np.ptp(known)) > 1e-6 * max(float(np.abs(known).max()), 1e-12)
 
 
-def bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
-    """Choose edges (b + 1,) of bins that contain equal numbers of rows of all tables together."""
-    longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
-    bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
-    values = pd.concat([table[condition].dropna() for table in tables])
-    return np.unique(np.quantile(values.to_numpy(dtype=np.float64), np.linspace(0.0, 1.0, bins + 1)))
-
-
 def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
     """Yield medians of an error, or success rates, in bins of a condition, for each subject whose condition varies.
 
@@ -124,23 +115,29 @@ def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterato
     """
     varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
     for label, table in varying.items():
-        edges = bin_edges([table] if condition == OWN_BINS else list(varying.values()), condition)
+        edges = _bin_edges([table] if condition == OWN_BINS else list(varying.values()), condition)
         known = table[table[condition].notna() & (table[error].notna() if error != SUCCESS else True)]
         place = np.clip(np.searchsorted(edges, known[condition].to_numpy(), side="right") - 1, 0, len(edges) - 2)
-        found = [_bin_point(own, error, condition) for _, own in known.groupby(place)]
-        points = np.array([point for point in found if point is not None])
-        if len(points):
-            yield label, Points(points[:, 0], points[:, 1], points[:, 2:])
+        points = []
+        for _, own in known.groupby(place):
+            clusters = own["cluster"].to_numpy()
+            if error == SUCCESS:
+                share = share_of(~own["failed"].to_numpy(dtype=bool), clusters)
+                found = Measured(
+                    *(None if end is None else 100.0 * end for end in (share.value, share.low, share.high))
+                )
+            else:
+                found = measure(own[error].to_numpy(dtype=np.float64), clusters, (MEDIAN,))[0]
+            if len(np.unique(clusters)) >= _FEWEST and None not in (found.value, found.low, found.high):
+                points.append((float(own[condition].median()), found.value, found.low, found.high))
+        if points:
+            x, y, *ends = np.array(points, dtype=np.float64).T
+            yield label, Points(x, y, np.column_stack(ends))
 
 
-def _bin_point(rows: pd.DataFrame, error: str, condition: str) -> tuple[float, float, float, float] | None:
-    clusters: NDArray[np.generic] = rows["cluster"].to_numpy()
-    if len(np.unique(clusters)) < _FEWEST:
-        return None
-    if error == SUCCESS:
-        found, scale = share_of(~rows["failed"].to_numpy(dtype=bool), clusters), 100.0
-    else:
-        found, scale = measure(rows[error].to_numpy(dtype=np.float64), clusters, (MEDIAN,))[0], 1.0
-    if found.value is None or found.low is None or found.high is None:
-        return None
-    return float(rows[condition].median()), scale * found.value, scale * found.low, scale * found.high
+def _bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
+    """Choose edges (b + 1,) of bins that contain equal numbers of rows of all tables together."""
+    longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
+    bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
+    values = pd.concat([table[condition].dropna() for table in tables])
+    return np.unique(np.quantile(values.to_numpy(dtype=np.float64), np.linspace(0.0, 1.0, bins + 1)))

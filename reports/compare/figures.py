@@ -19,8 +19,8 @@ from boresight.reports.compare.conditions import (
 )
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import RunComparison, Subject
-from boresight.reports.compare.tables import SubjectConsistency, differing_level, subject_consistencies
-from boresight.reports.compare.trials import ESTIMATOR
+from boresight.reports.compare.tables import differing_level, subject_consistencies
+from boresight.reports.compare.trials import ESTIMATOR, run_names
 from boresight.reports.figures.comparison import (
     CoverageCurve,
     SubjectSummary,
@@ -41,53 +41,47 @@ from boresight.reports.statistics.measured import Measured
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw all figures for which there are data; captions give the number of solved trials of each subject."""
     counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
-    for figure in _figures(found):
+    groups = subjects_by_group(found)
+    by_group = (figure for group, own in groups.items() for figure in _group_figures(found, group, own))
+    for figure in (summary_figure(found), *consistency_figures(found), *by_group):
         yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
 
 
-def _figures(found: RunComparison) -> Iterator[NamedFigure]:
-    yield summary_figure(found)
-    yield from consistency_figures(found)
-    for name, subjects in subjects_by_group(found).items():
-        yield cumulative_figure(found, name, subjects)
-        split = _tables_by_condition(found, subjects)
-        if split is not None and split.conditions:
-            yield conditions_figure(found, name, split)
+def _group_figures(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> Iterator[NamedFigure]:
+    yield cumulative_figure(found, group, subjects)
+    split = _tables_by_condition(found, subjects)
+    if split is not None and split.conditions:
+        yield conditions_figure(found, group, split)
 
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw, for each kind of normalised error, the coverage of the covariance that subjects claim."""
-    claims = list(subject_consistencies(found))
+    claims, styles = list(subject_consistencies(found)), subject_styles(found)
     for kind in dict.fromkeys(one.kind for one in claims):
         for group, subjects in subjects_by_group(found).items():
             labels = {one.names: label for label, one in subjects.items()}
-            own = [one for one in claims if one.kind == kind and one.subject.names in labels]
-            if own:
-                yield _consistency_figure(found, group, {labels[one.subject.names]: one for one in own})
-
-
-def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, SubjectConsistency]) -> NamedFigure:
-    own = subject_styles(found)
-    kind = next(iter(claims.values())).kind
-    drawn = [
-        CoverageCurve(
-            f"{label} (n = {len(one.ratios)})",
-            own[one.subject.names],
-            one.ratios * one.degrees / one.expected,
-            one.degrees,
-            len(np.unique(one.clusters)),
-        )
-        for label, one in claims.items()
-    ]
-    title = figure_title(found, normalised_label(kind), group)
-    return NamedFigure(
-        file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
-        draw_coverage(drawn, title, credit_lines(found)),
-        f"{title}: share of the trials whose normalised squared error lies within the quantile given on the abscissa of"
-        " the chi-square distribution. On the diagonal the covariance is true, below it too small. Grey: 95 % band at"
-        " each abscissa for true covariances and the smallest number of independent trials among the curves.",
-        f"Coverage against claimed coverage for {', '.join(claims)}.",
-    )
+            own = {labels[one.subject.names]: one for one in claims if one.kind == kind and one.subject.names in labels}
+            drawn = [
+                CoverageCurve(
+                    f"{label} (n = {len(one.ratios)})",
+                    styles[one.subject.names],
+                    one.ratios * one.degrees / one.expected,
+                    one.degrees,
+                    len(np.unique(one.clusters)),
+                )
+                for label, one in own.items()
+            ]
+            title = _title(found, normalised_label(kind), group)
+            if drawn:
+                yield NamedFigure(
+                    file_stem("consistency", kind, *filter(None, [group])),
+                    draw_coverage(drawn, title, credit_lines(found)),
+                    f"{title}: share of the trials whose normalised squared error lies within the quantile given on the"
+                    " abscissa of the chi-square distribution. On the diagonal the covariance is true, below it too"
+                    " small. Grey: 95 % band at each abscissa for true covariances and the smallest number of"
+                    " independent trials among the curves.",
+                    f"Coverage against claimed coverage for {', '.join(own)}.",
+                )
 
 
 def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> NamedFigure:
@@ -96,10 +90,9 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
         panels[ATTITUDE] = "attitude error, deg"
-    own = subject_styles(found)
-    title = figure_title(found, "Cumulative error", group)
+    own, title = subject_styles(found), _title(found, "Cumulative error", group)
     return NamedFigure(
-        file_stem("cumulative", group) if group else "cumulative",
+        file_stem("cumulative", *filter(None, [group])),
         draw_cumulative_errors(
             {label: (table, len(table)) for label, table in tables.items()}, title, credit_lines(found), panels,
             {label: own[one.names] for label, one in subjects.items()},
@@ -112,30 +105,28 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
 
 def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) -> ConditionTables | None:
     """Choose frames of sequences, else trials; None where no estimator has an error or a sequence no frames."""
-    estimating = {label: one for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
-    if not estimating:
+    tables = {label: found.of(one) for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
+    if not tables:
         return None
     if all(run.table("epochs").empty for run in found.runs):
-        return trials_by_condition({label: found.of(one) for label, one in estimating.items()}, found.metric)
-    tables = {label: frames_of_subject(found, one) for label, one in estimating.items()}
-    return frames_by_condition(tables) if all(len(table) for table in tables.values()) else None
+        return trials_by_condition(tables, found.metric)
+    framed = {label: _frames(found, table) for label, table in tables.items()}
+    return frames_by_condition(framed) if all(len(table) for table in framed.values()) else None
 
 
-def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
-    """Gather the frames of a subject's trials; frames of the same ``cluster`` are not independent."""
-    trials = found.of(subject)
+def _frames(found: RunComparison, trials: pd.DataFrame) -> pd.DataFrame:
+    """Gather the frames of trials; frames of the same ``cluster`` are not independent."""
     parts = []
-    for run in found.runs:
+    for run, name in zip(found.runs, run_names(found.runs), strict=True):
         if {"true_x_m", "radial_m"} <= set(run.table("epochs").columns):
-            own = trials.loc[trials["run"] == run.folder.name, [*TRIAL_KEY, "cluster"]]
+            own = trials.loc[trials["run"] == name, [*TRIAL_KEY, "cluster"]]
             parts.append(run.table("epochs").merge(own, on=TRIAL_KEY))
     return prepare_frames(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 
 def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
     """Draw errors against conditions."""
-    own = subject_styles(found)
-    subjects = subjects_by_group(found)[group]
+    own, subjects = subject_styles(found), subjects_by_group(found)[group]
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
     panels = {
@@ -143,17 +134,14 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
         for error in split.errors
         for condition in split.conditions
     }
-    title = figure_title(found, "Errors by conditions", group)
-    over = (
-        "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
-        if frames
-        else "the solved trials"
-    )
+    over = "the solved trials"
+    if frames:
+        over = "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
+    title = _title(found, "Errors by conditions", group)
+    styles = {label: own[subjects[label].names] for label in split.tables}
     return NamedFigure(
-        file_stem("conditions", group) if group else "conditions",
-        draw_binned_errors(
-            panels, {label: own[subjects[label].names] for label in split.tables}, title, credit_lines(found)
-        ),
+        file_stem("conditions", *filter(None, [group])),
+        draw_binned_errors(panels, styles, title, credit_lines(found)),
         f"{title}: medians over {over} in bins of equal numbers, with 95 % intervals. Success: share of all trials of a"
         " bin.",
         f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
@@ -162,8 +150,11 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
 
 def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
-    own = subject_styles(found)
-    bases = _reference_differences(found)
+    own, order = subject_styles(found), {one.names: place for place, one in enumerate(found.subjects)}
+    # Of a subject the level that differs in the first one that it is compared with, and the median difference.
+    bases: dict[tuple[str, ...], tuple[str, Measured]] = {}
+    for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
+        bases.setdefault(one.first, (differing_level(one), one.median))
     standings = [
         SubjectSummary(
             found.label(one.names),
@@ -176,30 +167,16 @@ def summary_figure(found: RunComparison) -> NamedFigure:
         for one in found.subjects
     ]
     against = {name for name, _ in bases.values()}
+    reference = against.pop() if len(against) == 1 else "the first"
     title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
-        draw_summaries(
-            standings,
-            found.metric.axis,
-            against.pop() if len(against) == 1 else "the first",
-            title,
-            credit_lines(found),
-        ),
+        draw_summaries(standings, found.metric.axis, reference, title, credit_lines(found)),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
         " with failures counted, success rates, and the median of the paired differences to the first subject that"
         " differs in one factor only.",
         f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
     )
-
-
-def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
-    """Return for each subject with a reference the level that differs in the first one, and the median difference."""
-    order = {one.names: place for place, one in enumerate(found.subjects)}
-    references: dict[tuple[str, ...], tuple[str, Measured]] = {}
-    for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
-        references.setdefault(one.first, (differing_level(one), one.median))
-    return references
 
 
 def subject_styles(found: RunComparison) -> dict[tuple[str, ...], PlotStyle]:
@@ -231,6 +208,6 @@ def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
     return gathered
 
 
-def figure_title(found: RunComparison, what: str, group: str) -> str:
+def _title(found: RunComparison, what: str, group: str) -> str:
     """Return the title of a figure of one group."""
     return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

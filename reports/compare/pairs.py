@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.reports.compare.trials import KEY
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 from boresight.reports.statistics.paired import rate_difference, sign_test
-from boresight.scenarios.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +89,19 @@ def paired_contrast(
     if both.empty:
         return None
     difference = (both["value"] - both["value_other"]).to_numpy(dtype=np.float64)
-    clusters = coarser_clusters(both["cluster"], both["cluster_other"])
-    solved = np.isfinite(difference)
+    # One side may share few data bases: the clusters of the side with fewer of them are what is independent.
+    coarser = "cluster" if both["cluster"].nunique() <= both["cluster_other"].nunique() else "cluster_other"
+    clusters, solved = both[coarser].to_numpy(), np.isfinite(difference)
     median, mean = measure(difference[solved], clusters[solved], (MEDIAN, MEAN))
     better, chance, _ = sign_test(difference[solved], clusters[solved])
     mine, theirs = both["failed"].to_numpy(dtype=bool), both["failed_other"].to_numpy(dtype=bool)
-    better_of_all, chance_of_all, _ = sign_test(_with_failures(difference, mine, theirs), clusters)
+    # A failure is worse than any success, and two failures are a tie.
+    of_all = np.where(mine | theirs, mine.astype(float) - theirs.astype(float), np.nan_to_num(difference))
+    better_of_all, chance_of_all, _ = sign_test(of_all, clusters)
     return Contrast(
         *names, True, int(solved.sum()), len(both), median, mean, better, chance.value, better_of_all,
         chance_of_all.value, rate_difference(mine, theirs, clusters),
     )  # fmt: skip
-
-
-def coarser_clusters(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
-    """Return the cluster labels of the side with fewer clusters, as one side may share few data bases."""
-    return (one if one.nunique() <= other.nunique() else other).to_numpy()
 
 
 def without_failures(one: Contrast) -> Contrast:
@@ -113,44 +109,31 @@ def without_failures(one: Contrast) -> Contrast:
     return replace(one, better_of_all=Measured(None), p_of_all=None)
 
 
-def _with_failures(difference: FloatArray, mine: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> FloatArray:
-    """Replace differences with failures: a failure is worse than any success, two failures are a tie."""
-    alone = mine.astype(float) - theirs.astype(float)
-    return np.where(mine | theirs, alone, np.nan_to_num(difference))
-
-
 def independent_contrast(
     names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
 ) -> Contrast:
     """Compare two subjects as independent samples, by the test of Mann and Whitney."""
-    samples = [_solved_values(table) for table in (one, other)]
-    median, mean = _differences(samples)
-    better, p = _superiority(*(_by_cluster(*sample) for sample in samples))
-    worst = float(max((values.max() for values, _ in samples if len(values)), default=0.0)) + 1.0
-    whole = [
-        _by_cluster(table["value"].where(~table["failed"], worst).to_numpy(float), table["cluster"].to_numpy())
-        for table in (one, other)
+    tables, solved = (one, other), [table[table["value"].notna()] for table in (one, other)]
+    statistics = [
+        measure(table["value"].to_numpy(dtype=np.float64), table["cluster"].to_numpy(), (MEDIAN, MEAN))
+        for table in solved
     ]
-    better_of_all, p_of_all = _superiority(*whole)
-    rates = [share_of(table["failed"].to_numpy(dtype=bool), table["cluster"].to_numpy()) for table in (one, other)]
+    median, mean = (_difference(*ends) for ends in zip(*statistics, strict=True))
+    worst = max((float(table["value"].max()) for table in solved if len(table)), default=0.0) + 1.0
+    better, p = _superiority([table["value"].groupby(table["cluster"]).median() for table in solved])
+    better_of_all, p_of_all = _superiority(
+        [table["value"].where(~table["failed"], worst).groupby(table["cluster"]).median() for table in tables]
+    )
+    rates = [share_of(table["failed"].to_numpy(dtype=bool), table["cluster"].to_numpy()) for table in tables]
     return Contrast(
-        *names, False, len(samples[0][0]), len(samples[1][0]), median, mean, better, p, better_of_all, p_of_all,
+        *names, False, len(solved[0]), len(solved[1]), median, mean, better, p, better_of_all, p_of_all,
         _difference(*rates),
     )  # fmt: skip
 
 
-def _solved_values(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
-    known = table["value"].notna()
-    return table.loc[known, "value"].to_numpy(dtype=np.float64), table.loc[known, "cluster"].to_numpy()
-
-
-def _by_cluster(values: FloatArray, clusters: NDArray[np.generic]) -> FloatArray:
-    """Median of each cluster: what is independent counts once."""
-    return np.asarray(pd.Series(values).groupby(clusters).median(), dtype=np.float64)
-
-
-def _superiority(one: FloatArray, other: FloatArray) -> tuple[Measured, float | None]:
-    """Chance that a trial of the first is better than one of the second (ties count half), and the test's p."""
+def _superiority(samples: Sequence[pd.Series]) -> tuple[Measured, float | None]:
+    """Chance that one of the first sample is better than one of the second (ties count half), and the test's p."""
+    one, other = samples
     if not len(one) or not len(other):
         return Measured(None), None
     # Imported here, as it takes 1 s and paired comparisons need none of it.
@@ -158,12 +141,6 @@ def _superiority(one: FloatArray, other: FloatArray) -> tuple[Measured, float | 
 
     found = mannwhitneyu(one, other)
     return Measured(1.0 - float(found.statistic) / (len(one) * len(other))), float(found.pvalue)
-
-
-def _differences(samples: Sequence[tuple[FloatArray, NDArray[np.generic]]]) -> list[Measured]:
-    """Difference of medians and of means of two independent samples."""
-    found = [measure(values, clusters, (MEDIAN, MEAN)) for values, clusters in samples]
-    return [_difference(one, other) for one, other in zip(*found, strict=True)]
 
 
 def _difference(one: Measured, other: Measured) -> Measured:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.reports.compare.metrics import Metric, choose_metric
 from boresight.reports.compare.pairs import (
@@ -22,8 +21,9 @@ from boresight.reports.compare.pairs import (
 )
 from boresight.reports.compare.trials import (
     ESTIMATOR,
+    KEY,
+    RUN,
     SCENARIO,
-    all_factors,
     check_factors,
     check_pairs,
     tabulate_trials,
@@ -38,17 +38,13 @@ from boresight.reports.statistics.measured import (
     RMS,
     WORST,
     Measured,
-    Statistic,
     bounded,
     measure,
     share_of,
 )
-from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
 STATISTICS = (MEDIAN, RMS, P75, P95, P99)
-DEFAULT_FACTORS = (ESTIMATOR, SCENARIO)
-_QUANTILES = tuple(statistic for statistic in STATISTICS if statistic.quantile is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +130,7 @@ class RunComparison:
 def compare_runs(
     folders: Sequence[Path],
     metric: str | None = None,
-    factors: Sequence[str] = DEFAULT_FACTORS,
+    factors: Sequence[str] | None = None,
     unpaired: bool = False,
 ) -> RunComparison:
     """Compare estimators and scenarios of one run or of several.
@@ -147,7 +143,8 @@ def compare_runs(
         See `Metric`; by default the position error, of sequences after the last whole revolution.
     factors
         Factors that define the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios such as
-        ``brdf`` or ``camera.fov_deg``. Trials that differ in other things are pooled.
+        ``brdf`` or ``camera.fov_deg``. Trials that differ in other things are pooled. By default estimator and
+        scenario, and the run where several runs have the same ones.
     unpaired
         Whether subjects whose trials are not the same are compared as independent samples.
 
@@ -157,14 +154,14 @@ def compare_runs(
         If a run cannot be read, metric or factor is unknown, or the trials of two runs are not the same.
     """
     runs = tuple(read_run(folder) for folder in folders)
-    check_factors(factors, runs)
+    check_factors(factors or (), runs)
     if not unpaired:
         check_pairs(runs)
     return compared(runs, choose_metric(metric, runs), factors, unpaired)
 
 
 def compared(
-    runs: tuple[RunData, ...], chosen: Metric, factors: Sequence[str] = DEFAULT_FACTORS, unpaired: bool = False
+    runs: tuple[RunData, ...], chosen: Metric, factors: Sequence[str] | None = None, unpaired: bool = False
 ) -> RunComparison:
     """Compare runs that have been read and can be compared by these factors.
 
@@ -173,31 +170,40 @@ def compared(
     BoresightError
         If no trial has a value of the metric.
     """
-    trials = tabulate_trials(runs, chosen, factors)
-    own = all_factors(factors, trials)
-    names = _in_order(trials, own, runs)
-    subjects = tuple(_subject(_of(trials, own, one), one) for one in names)
+    trials = tabulate_trials(runs, chosen, factors or (ESTIMATOR, SCENARIO))
+    own = tuple(factors or (ESTIMATOR, SCENARIO))
+    if RUN not in own and trials.duplicated([*own, *KEY]).any():
+        own = (RUN, *own)  # several runs have the same trials of a subject
+    subjects = tuple(_subject(_of(trials, own, one), one) for one in _in_order(trials, own, runs))
     if all(subject.n_ok == 0 for subject in subjects):
         folders = ", ".join(str(run.folder) for run in runs)
         raise BoresightError(f"--metric {chosen.name}: no trial of {folders} has a value of it")
-    pairs = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
-    known = [one for one in pairs if one is not None]
-    contrasts = known if chosen.is_error else [without_failures(one) for one in known]
+    contrasts = []
+    # The control, which estimates nothing, is left out of the differences.
+    for second, first in combinations((one for one in subjects if one.estimator != CONTROL), 2):
+        if sum(a != b for a, b in zip(first.names, second.names, strict=True)) == 1:
+            names = (first.names, second.names)
+            tables = [_of(trials, own, one) for one in names]
+            found = paired_contrast(names, *tables)
+            if found is None and unpaired:
+                found = independent_contrast(names, *tables)
+            if found is not None:
+                contrasts.append(found if chosen.is_error else without_failures(found))
     return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:
     """List the subjects: estimators in the order of their campaigns, all else as the runs have it."""
-    labels = [str(label) for run in runs for label in run.manifest.estimators]
-    order = {label: place for place, label in enumerate(dict.fromkeys(labels))}
-    levels = trials.drop_duplicates(list(factors))
-    ranked = levels.assign(place=levels["estimator"].map(order).fillna(len(order)))
-    others = [factor for factor in factors if factor != ESTIMATOR]
-    first_seen = {factor: {one: i for i, one in enumerate(trials[factor].unique())} for factor in others}
-    keys = [ranked[factor].map(first_seen[factor]) for factor in others]
-    sorted_rows = ranked.assign(**{f"by {i}": key for i, key in enumerate(keys)})
-    sorted_rows = sorted_rows.sort_values([*(f"by {i}" for i in range(len(keys))), "place"], kind="stable")
-    return list(sorted_rows[list(factors)].itertuples(index=False, name=None))
+    labels = dict.fromkeys(str(label) for run in runs for label in run.manifest.estimators)
+    order = {ESTIMATOR: list(labels)} | {one: list(trials[one].unique()) for one in factors if one != ESTIMATOR}
+    subjects = trials.drop_duplicates(list(factors))[list(factors)]
+    # The estimator is the last key of the order, one that no campaign names comes after all others.
+    keys = sorted(factors, key=lambda one: one == ESTIMATOR)
+    places = [
+        [order[one].index(level) if level in order[one] else len(order[one]) for level in subjects[one]] for one in keys
+    ]
+    ranked = sorted(zip(*places, subjects.itertuples(index=False, name=None), strict=True), key=lambda line: line[:-1])
+    return [line[-1] for line in ranked]
 
 
 def _of(trials: pd.DataFrame, factors: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
@@ -207,32 +213,16 @@ def _of(trials: pd.DataFrame, factors: Sequence[str], names: Sequence[str]) -> p
     return trials[mine]
 
 
-def _pairs(subjects: Sequence[Subject]) -> list[tuple[Subject, Subject]]:
-    """Pair the subjects that differ in one factor alone; the control, which estimates nothing, is left out."""
-    named = [subject for subject in subjects if subject.estimator != CONTROL]
-    return [
-        (one, other)
-        for one, other in combinations(named, 2)
-        if sum(a != b for a, b in zip(one.names, other.names, strict=True)) == 1
-    ]
-
-
-def _contrast(
-    trials: pd.DataFrame, factors: Sequence[str], pair: tuple[Subject, Subject], unpaired: bool
-) -> Contrast | None:
-    """Set the later subject of a pair against the earlier one."""
-    second, first = pair
-    names = (first.names, second.names)
-    tables = [_of(trials, factors, one) for one in names]
-    found = paired_contrast(names, *tables)
-    return independent_contrast(names, *tables) if found is None and unpaired else found
-
-
 def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
     values, clusters = rows["value"].to_numpy(dtype=np.float64), rows["cluster"].to_numpy()
-    known = np.isfinite(values)
-    prior = rows["prior"].to_numpy(dtype=np.float64)
+    known, prior = np.isfinite(values), rows["prior"].to_numpy(dtype=np.float64)
     at_prior = bool(np.isfinite(prior[~known]).all()) and bool(np.isfinite(prior).any())
+    # Without priors only quantiles are defined; those that lie among the failures are infinite.
+    defined = [one for one in STATISTICS if at_prior or one.quantile is not None]
+    counted = dict(
+        zip(defined, measure(np.where(known, values, prior if at_prior else WORST), clusters, defined), strict=True)
+    )
+    ends = [counted.get(one, Measured(None)) for one in STATISTICS]
     labels = rows["estimator"].unique()
     return Subject(
         names,
@@ -241,19 +231,8 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
         len(rows),
         share_of(~rows["failed"].to_numpy(dtype=bool), clusters),
         tuple(measure(values[known], clusters[known], STATISTICS)),
-        tuple(_counted(np.where(known, values, prior if at_prior else WORST), clusters, at_prior)),
+        tuple(
+            Measured(*(None if end is None else bounded(end) for end in (one.value, one.low, one.high))) for one in ends
+        ),
         at_prior,
     )
-
-
-def _counted(values: FloatArray, clusters: NDArray[np.generic], at_prior: bool) -> list[Measured]:
-    """Evaluate over all trials; without a prior only quantiles are defined."""
-    statistics: tuple[Statistic, ...] = STATISTICS if at_prior else _QUANTILES
-    found = dict(zip(statistics, measure(values, clusters, statistics), strict=True))
-    return [_bounded(found.get(statistic, Measured(None))) for statistic in STATISTICS]
-
-
-def _bounded(measured: Measured) -> Measured:
-    """Make quantiles that lie among the failures infinite."""
-    ends = (measured.value, measured.low, measured.high)
-    return Measured(*(None if end is None else bounded(end) for end in ends))

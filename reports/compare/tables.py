@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from boresight.reports.compare.pairs import Contrast
 from boresight.reports.compare.subjects import STATISTICS, RunComparison, Subject
+from boresight.reports.compare.trials import run_names
 from boresight.reports.run.data import TRIAL_KEY
 from boresight.reports.run.limits import short_line
 from boresight.reports.run.outcomes import MEANING
@@ -44,22 +45,24 @@ def subject_lines(found: RunComparison, subject: Subject) -> list[tuple[str, tup
 
 def subject_grid(found: RunComparison) -> Grid:
     """Tabulate each subject: over the trials that it solved and, where it failed in some, over all."""
-    unit = f" {found.metric.unit}" if found.metric.unit else ""
-    prior = (f"prior{unit}",) if found.trials["prior"].notna().any() else ()
-    counted = ("trials", "solved", "success % [95 %]", *prior)
-    heads = (*found.varied, *counted, *(f"{name}{unit} [95 %]" for name in _HEADS))
+    unit, has_prior = _unit(found), found.trials["prior"].notna().any()
+    prior = (f"prior{unit}",) if has_prior else ()
+    statistics = (f"{name}{unit} [95 %]" for name in _HEADS)
+    heads = (*found.varied, "trials", "solved", "success % [95 %]", *prior, *statistics)
     rows = []
     for subject in found.subjects:
-        before = [number(_prior(found, subject)) for _ in prior]
+        known = found.of(subject)["prior"].dropna()
+        before = [number(None if known.empty else float(known.median()))] if has_prior else []
         for how, values, n in subject_lines(found, subject):
-            success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
+            estimates = how == SOLVED and subject.estimator != CONTROL
+            success = interval(subject.success, 100.0) if estimates else NO_VALUE
             told = (_WORDS[how], f"{n}/{subject.n}", success, *before)
             rows.append((*found.levels(subject.names), *told, *map(interval, values)))
     note = (
         f"{as_title(found.metric.label)}, with 95 % intervals of whole trials (real images: of whole"
         f" images). {MEANING} Lines of solved trials: those with a number."
     )
-    if prior:
+    if has_prior:
         note += " Prior: the median error of the trials' priors."
     if found.metric.is_error:
         note += (
@@ -71,76 +74,61 @@ def subject_grid(found: RunComparison) -> Grid:
     return Grid(title, heads, tuple(rows), text, note, short_line(*found.runs))
 
 
-def _prior(found: RunComparison, subject: Subject) -> float | None:
-    """Return the median error of the priors of all trials of a subject."""
-    known = found.of(subject)["prior"].dropna()
-    return None if known.empty else float(known.median())
-
-
-def _is_control(subject: Subject) -> bool:
-    return subject.estimator == CONTROL
+def _unit(found: RunComparison) -> str:
+    return f" {found.metric.unit}" if found.metric.unit else ""
 
 
 def contrast_grid(found: RunComparison) -> Grid | None:
     """Tabulate the differences; None where there are none."""
     if not found.contrasts:
         return None
-    unit = f" {found.metric.unit}" if found.metric.unit else ""
-    heads = (
-        *found.varied, "against", "both ok", f"median difference{unit} [95 %]", f"mean difference{unit} [95 %]",
-        "better %", "p", "p (Holm)", "failures % [95 %]", "better % of all", "p of all", "p of all (Holm)",
-    )  # fmt: skip
-    rows = tuple(_cells(found, one) for one in found.contrasts)
-    note = _note(found.metric.is_error)
+    is_error, unit = found.metric.is_error, _unit(found)
+    order = ("negative is better", "Better", "the better") if is_error else ("negative is less", "Less", "the smaller")
+    note = (
+        f"Differences trial by trial of the same views, priors or tracks, over the trials that both solved: {order[0]}."
+        f" {order[1]}: share of the trials in which the subject is {order[2]} of the two, and p of the sign test."
+        " Failures: difference of the failure rates, negative where there are fewer."
+        + (" Of all: a failure loses against what did not fail." if is_error else "")
+        + " Holm: p corrected for all tests of this table."
+    )
     if any(not one.paired for one in found.contrasts):
         note += (
             " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"
             " trial of the one is better than one of the other, and p of the test of Mann and Whitney; failures by the"
             " method of Newcombe, of Wilson's ends."
         )
-    whole = Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
-    return whole if found.metric.is_error else _of_numbers(whole)
-
-
-def _note(is_error: bool) -> str:
-    """Explain the columns of the differences."""
-    good = ("negative is better", "Better", "the better") if is_error else ("negative is less", "Less", "the smaller")
-    return (
-        f"Differences trial by trial of the same views, priors or tracks, over the trials that both solved: {good[0]}."
-        f" {good[1]}: share of the trials in which the subject is {good[2]} of the two, and p of the sign test."
-        " Failures: difference of the failure rates, negative where there are fewer."
-        + (" Of all: a failure loses against what did not fail." if is_error else "")
-        + " Holm: p corrected for all tests of this table."
+    heads = (
+        *found.varied, "against", "both ok", f"median difference{unit} [95 %]", f"mean difference{unit} [95 %]",
+        "better %", "p", "p (Holm)", "failures % [95 %]", "better % of all", "p of all", "p of all (Holm)",
+    )  # fmt: skip
+    rows = tuple(
+        (
+            *found.levels(one.first),
+            differing_level(one),
+            f"{one.n_both}/{one.n}" if one.paired else f"{one.n_both} and {one.n}, unpaired",
+            interval(one.median),
+            interval(one.mean),
+            interval(Measured(one.better.value), 100.0),
+            chance(one.p),
+            chance(one.p_holm),
+            interval(one.failures, 100.0),
+            interval(Measured(one.better_of_all.value), 100.0),
+            chance(one.p_of_all),
+            chance(one.p_of_all_holm),
+        )
+        for one in found.contrasts
     )
-
-
-def _of_numbers(grid: Grid) -> Grid:
-    """Remove the columns that need an order of better and worse, and say 'less' for 'better'."""
-    kept = grid.keep(*(name for name in grid.columns if "of all" not in name))
+    whole = Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
+    if is_error:
+        return whole
+    # Numbers that are not errors have no order of better and worse.
+    kept = whole.keep(*(name for name in heads if "of all" not in name))
     return replace(kept, columns=tuple(name.replace("better", "less") for name in kept.columns))
 
 
 def differing_level(one: Contrast) -> str:
     """Return the one level in which the second subject of a contrast differs."""
     return next(b for a, b in zip(one.first, one.second, strict=True) if a != b)
-
-
-def _cells(found: RunComparison, one: Contrast) -> tuple[str, ...]:
-    counts = f"{one.n_both}/{one.n}" if one.paired else f"{one.n_both} and {one.n}, unpaired"
-    return (
-        *found.levels(one.first),
-        differing_level(one),
-        counts,
-        interval(one.median),
-        interval(one.mean),
-        interval(Measured(one.better.value), 100.0),
-        chance(one.p),
-        chance(one.p_holm),
-        interval(one.failures, 100.0),
-        interval(Measured(one.better_of_all.value), 100.0),
-        chance(one.p_of_all),
-        chance(one.p_of_all_holm),
-    )
 
 
 def subject_table(found: RunComparison) -> pd.DataFrame:
@@ -161,14 +149,20 @@ def contrast_table(found: RunComparison) -> pd.DataFrame:
     """Tabulate the numbers of the differences, a row for each."""
     rows = []
     for one in found.contrasts:
-        row: dict[str, object] = {"subject": ", ".join(one.first), "against": ", ".join(one.second)}
-        for name, value in asdict(one).items():
-            if isinstance(value, dict):
-                row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
-            elif name not in ("first", "second"):
-                row[name] = value
-        rows.append(row)
+        numbers = {name: value for name, value in asdict(one).items() if name not in ("first", "second")}
+        rows.append({"subject": ", ".join(one.first), "against": ", ".join(one.second)} | _flat(numbers))
     return pd.DataFrame(rows)
+
+
+def _flat(numbers: Mapping[str, object]) -> dict[str, object]:
+    """Lay the ends of intervals beside their values."""
+    row: dict[str, object] = {}
+    for name, value in numbers.items():
+        if isinstance(value, dict):
+            row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
+        else:
+            row[name] = value
+    return row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,10 +185,10 @@ def subject_consistencies(found: RunComparison) -> Iterator[SubjectConsistency]:
     """Yield the normalised errors of every subject, kind by kind, without the control."""
     kinds: dict[str, int] = {}
     tables: dict[str, list[pd.DataFrame]] = {}
-    for run in found.runs:
+    for run, name in zip(found.runs, run_names(found.runs), strict=True):
         for weighed in normalised_errors(run):
             kinds[weighed.name] = weighed.expected
-            tables.setdefault(weighed.name, []).append(weighed.table.assign(run=run.folder.name))
+            tables.setdefault(weighed.name, []).append(weighed.table.assign(run=name))
     for kind, expected in kinds.items():
         weighed_rows = pd.concat(tables[kind], ignore_index=True)
         for subject in found.subjects:
@@ -237,10 +231,6 @@ def consistency_table(found: RunComparison) -> pd.DataFrame:
     for one in subject_consistencies(found):
         row: dict[str, object] = dict(zip(found.factors, one.subject.names, strict=True))
         row |= {"weighed": one.kind, "expected": one.expected, "n": one.subject.n}
-        for name, value in asdict(one.judged()).items():
-            if isinstance(value, dict):
-                row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
-            else:
-                row["n_ok"] = value
-        rows.append(row)
+        judged = asdict(one.judged())
+        rows.append(row | _flat({"n_ok" if name == "n" else name: value for name, value in judged.items()}))
     return pd.DataFrame(rows)

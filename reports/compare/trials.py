@@ -7,7 +7,8 @@ views, priors and tracks are drawn. Other differences (a reflectance, a detector
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -15,11 +16,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from boresight.reports.compare.metrics import Metric, nothing_to_find, prior_values, trial_numbers
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData
 from boresight.reports.run.outcomes import succeeded
-from boresight.reports.schema.common import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS
+from boresight.reports.schema.common import BORESIGHT, LATERAL, POSE_COLUMNS
 from boresight.reports.schema.records import CONTROL
 from boresight.scenarios.errors import BoresightError
 
@@ -35,6 +36,71 @@ _DRAWN = ("viewpoint", "lighting", "pose_error", "images", "sequence")
 _MISSING = object()
 
 
+def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[str]) -> pd.DataFrame:
+    """Tabulate the trials of all runs.
+
+    Returns
+    -------
+    trials
+        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find, and
+        without the prior where estimators are pooled, as it is none (`is_pooled_control`): the
+        ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the same of the prior, NaN where it
+        has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
+    """
+    named = zip(runs, run_names(runs), strict=True)
+    table = pd.concat([_of_run(run, name, metric, factors) for run, name in named], ignore_index=True)
+    for factor in keys_among(factors):
+        levels = list(table[factor].unique())
+        kinds = {one: one.split(" ", 1)[0] for one in levels}
+        if len(set(kinds.values())) == len(kinds):  # a section's kind alone tells its values apart
+            table[factor] = table[factor].map(kinds)
+    return table
+
+
+def _of_run(run: RunData, name: str, metric: Metric, factors: Sequence[str]) -> pd.DataFrame:
+    rows, numbers, prior = run.rows, trial_numbers(run), prior_values(run, metric)
+    value = numbers.get(metric.name, pd.Series(np.nan, index=rows.index))
+    posed, seed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy(), str(run.manifest.seed)
+    table = rows[["scenario", "estimator", "trial"]].assign(
+        run=name,
+        seed=seed,
+        draws=_by_scenario(run, drawn_settings),
+        rest=_by_scenario(run, lambda spec: remainder(spec, factors))
+        + ("" if ESTIMATOR in factors else rows["estimator"]),
+        value=value,
+        prior=np.nan if prior is None else prior,
+        failed=np.where(posed, ~succeeded(rows), value.isna()) | value.isna(),
+        cluster=np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
+        **{one: rows[one].astype(float) if one in rows else np.nan for one in CONDITIONS},
+        **{one: numbers.get(one, np.nan) for one in (LATERAL, BORESIGHT, POSE_COLUMNS[1])},
+    )
+    for factor in keys_among(factors):
+        table[factor] = _by_scenario(run, partial(level_text, factor=factor))
+    return table[~(nothing_to_find(run, metric) | is_pooled_control(run, factors))]
+
+
+def run_names(runs: Sequence[RunData]) -> list[str]:
+    """Name runs by their folders; by the whole paths where folders have the same name."""
+    names = [run.folder.name for run in runs]
+    return names if len(set(names)) == len(names) else [str(run.folder) for run in runs]
+
+
+def keys_among(factors: Sequence[str]) -> list[str]:
+    """Return the factors that are keys of the scenarios."""
+    return [factor for factor in factors if factor not in NAME_FACTORS]
+
+
+def _by_scenario(run: RunData, text: Callable[[Mapping[str, Any]], str]) -> pd.Series:
+    """Return a text on the scenario of each row."""
+    return run.rows["scenario"].map({name: text(spec) for name, spec in run.manifest.scenarios.items()})
+
+
+def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:
+    """Return which rows (n,) are of the control where it would be pooled with estimators; it estimates nothing."""
+    control = np.asarray(run.rows["estimator"] == CONTROL)
+    return np.asarray(control & (ESTIMATOR not in factors and not control.all()))
+
+
 def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
     """Refuse factors that are neither names nor keys of every scenario.
 
@@ -43,9 +109,7 @@ def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
     BoresightError
         The first such factor, and what there is in its place.
     """
-    for factor in factors:
-        if factor in NAME_FACTORS:
-            continue
+    for factor in keys_among(factors):
         for run in runs:
             for name, spec in run.manifest.scenarios.items():
                 if value_at(spec, factor) is _MISSING:
@@ -75,27 +139,18 @@ def level_text(spec: Mapping[str, Any], factor: str) -> str:
     return " ".join(filter(None, (str(value.get("kind", "")), ", ".join(rest))))
 
 
-def short_levels(levels: Sequence[str]) -> dict[str, str]:
-    """Shorten values of sections to their kinds where these alone tell them apart."""
-    kinds = {one: one.split(" ", 1)[0] for one in levels}
-    return kinds if len(set(kinds.values())) == len(kinds) else {one: one for one in levels}
-
-
 def remainder(spec: Mapping[str, Any], factors: Sequence[str]) -> str:
     """Write the parts of a scenario that are not factors, as JSON; '' where its name is a factor."""
     if SCENARIO in factors:
         return ""
-    left = {key: value for key, value in spec.items() if key not in _NAMES}
-    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
-        left = _without(left, factor.split("."))
+    left = json.loads(_json({key: value for key, value in spec.items() if key not in _NAMES}))
+    for factor in keys_among(factors):
+        *sections, last = factor.split(".")
+        inner = left
+        for section in sections:
+            inner = inner[section]
+        del inner[last]
     return _json(left)
-
-
-def _without(spec: Mapping[str, Any], path: Sequence[str]) -> dict[str, Any]:
-    first, *further = path
-    left = dict(spec)
-    inner = left.pop(first)
-    return {**left, first: _without(inner, further)} if further else left
 
 
 def drawn_settings(spec: Mapping[str, Any]) -> str:
@@ -112,6 +167,37 @@ def drawn_settings(spec: Mapping[str, Any]) -> str:
     return _json({name: spec.get(name) for name in names})
 
 
+def _json(value: object) -> str:
+    return json.dumps(value, sort_keys=True)
+
+
+def check_pairs(runs: Sequence[RunData]) -> None:
+    """Refuse runs of which no trials are the same.
+
+    Raises
+    ------
+    BoresightError
+        Which two they are and what makes their trials different.
+    """
+    for one, other in combinations(runs, 2):
+        seeds = one.manifest.seed, other.manifest.seed
+        ours, theirs = one.manifest.scenarios, other.manifest.scenarios
+        differences = [first_difference(a, b) for a in ours.values() for b in theirs.values()]
+        if seeds[0] != seeds[1]:
+            reason = f"their seeds are {seeds[0]} and {seeds[1]}"
+        elif all(differences):
+            named = [first_difference(ours[name], theirs[name]) for name in ours if name in theirs]
+            reason = f"the views, priors or tracks of their scenarios differ: {(named or differences)[0]}"
+        elif not set(one.rows["trial"]) & set(other.rows["trial"]):
+            reason = "they have no trial in common"
+        else:
+            continue
+        raise BoresightError(
+            f"{one.folder} and {other.folder} cannot be compared trial by trial: {reason}: give --unpaired to"
+            " compare them as independent samples"
+        )
+
+
 def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return the first key in which the draws of two scenarios differ, with both values; '' if none."""
     pair = (json.loads(drawn_settings(one)), json.loads(drawn_settings(other)))
@@ -124,98 +210,3 @@ def _differences(one: object, other: object, path: str = "") -> Iterator[str]:
             yield from _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
     elif one != other:
         yield f"{path} is {_json(one)} and {_json(other)}"
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, sort_keys=True)
-
-
-def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[str]) -> pd.DataFrame:
-    """Lay the trials of runs side by side.
-
-    Returns
-    -------
-    trials
-        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find, and
-        without the prior where estimators are pooled, as it is none (`is_pooled_control`): the
-        ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the same of the prior, NaN where it
-        has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
-    """
-    table = pd.concat([_of_run(run, metric, factors) for run in runs], ignore_index=True)
-    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
-        table[factor] = table[factor].map(short_levels(list(table[factor].unique())))
-    return table
-
-
-def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFrame:
-    rows, specs = run.rows, run.manifest.scenarios
-    prior, value = prior_values(run, metric), metric_values(run, metric)
-    posed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy()
-    seed = str(run.manifest.seed)
-    drawn = {name: drawn_settings(spec) for name, spec in specs.items()}
-    rest = {name: remainder(spec, factors) for name, spec in specs.items()}
-    beside = "" if "estimator" in factors else rows["estimator"]
-    table = pd.DataFrame(
-        {
-            "run": run.folder.name,
-            "scenario": rows["scenario"],
-            "estimator": rows["estimator"],
-            "trial": rows["trial"],
-            "seed": seed,
-            "draws": rows["scenario"].map(drawn),
-            "rest": rows["scenario"].map(rest) + beside,
-            "value": value,
-            "prior": np.nan if prior is None else prior,
-            "failed": np.where(posed, ~succeeded(rows), value.isna()) | value.isna(),
-            "cluster": np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
-        }
-    )
-    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
-        table[factor] = rows["scenario"].map({name: level_text(spec, factor) for name, spec in specs.items()})
-    for name in CONDITIONS:
-        table[name] = rows[name].astype(float) if name in rows else np.nan
-    for name in (LATERAL, BORESIGHT, POSE_COLUMNS[1]):
-        known = all(column in rows for column in COMPONENTS.get(name, (name,)))
-        table[name] = metric_values(run, Metric(name)) if known else np.nan
-    return table[~(nothing_to_find(run, metric) | is_pooled_control(run, factors))]
-
-
-def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:
-    """Return which rows (n,) are of the control where it would be pooled with estimators; it estimates nothing."""
-    control = np.asarray(run.rows["estimator"] == CONTROL)
-    return np.asarray(control & (ESTIMATOR not in factors and not control.all()))
-
-
-def all_factors(factors: Sequence[str], trials: pd.DataFrame) -> tuple[str, ...]:
-    """Return the factors, the run before them where several runs hold the same trials of a subject."""
-    twice = trials.duplicated([*factors, *KEY]).any()
-    return (RUN, *factors) if twice and RUN not in factors else tuple(factors)
-
-
-def check_pairs(runs: Sequence[RunData]) -> None:
-    """Refuse runs of which no trials are the same.
-
-    Raises
-    ------
-    BoresightError
-        Which two they are and what makes their trials different.
-    """
-    for one, other in combinations(runs, 2):
-        reason = _why_different(one, other)
-        if reason:
-            raise BoresightError(
-                f"{one.folder} and {other.folder} cannot be compared trial by trial: {reason}: give --unpaired to"
-                " compare them as independent samples"
-            )
-
-
-def _why_different(one: RunData, other: RunData) -> str:
-    seeds = one.manifest.seed, other.manifest.seed
-    if seeds[0] != seeds[1]:
-        return f"their seeds are {seeds[0]} and {seeds[1]}"
-    ours, theirs = one.manifest.scenarios, other.manifest.scenarios
-    differences = [first_difference(a, b) for a in ours.values() for b in theirs.values()]
-    if all(differences):
-        named = [first_difference(ours[name], theirs[name]) for name in ours if name in theirs]
-        return f"the views, priors or tracks of their scenarios differ: {(named or differences)[0]}"
-    return "" if set(one.rows["trial"]) & set(other.rows["trial"]) else "they have no trial in common"

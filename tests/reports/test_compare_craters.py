@@ -8,7 +8,7 @@ import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.metrics import metric_names
+from boresight.reports.compare.metrics import trial_numbers
 from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.tables import kind_schema
@@ -85,7 +85,7 @@ def test_centres_are_compared_over_the_craters_that_both_found(detectors):
 def test_what_is_left_out_is_said_and_the_missed_share_comes_first(detectors, tmp_path):
     found = compare_runs([detectors])
     assert found.metric.name == "missed_share"
-    assert metric_names(read_run(detectors)) == [
+    assert list(trial_numbers(read_run(detectors))) == [
         "missed_share",
         "false_alarm_share",
         "centre_error_px",

@@ -15,7 +15,7 @@ from boresight.campaign.kinds.crater_detection.trial import CraterDetection, Det
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.detection.classic import CraterClassic
-from boresight.reports.compare.metrics import N_FINDABLE, detection_counts
+from boresight.reports.compare.metrics import missed_or_wrong
 from boresight.reports.kinds.crater_detection.figures import draw_example, ellipses_of, example_figure, stages_figure
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run, select
@@ -136,10 +136,4 @@ def kept(shown: object) -> CaseFiles:
     return CaseFiles({"image": shown.observation.frame.image}) if isinstance(shown, DetectedImage) else CaseFiles()
 
 
-def faults(run: RunData) -> pd.DataFrame:
-    """Count missed craters and false alarms."""
-    counts = detection_counts(run) if len(run.table("crater_images")) else pd.DataFrame()
-    return counts if counts.empty else counts.assign(faults=counts[N_FINDABLE] - counts["n_hits"] + counts["n_false"])
-
-
-SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples, faults=faults)
+SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples, faults=missed_or_wrong)

@@ -18,6 +18,7 @@ from boresight.campaign.kinds.crater_matching.trial import CraterMatching, Match
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterMatches
+from boresight.reports.compare.metrics import missed_or_wrong
 from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run, select
@@ -158,10 +159,4 @@ def kept(shown: object) -> CaseFiles:
     )
 
 
-def faults(run: RunData) -> pd.DataFrame:
-    """Count missed and wrong matches."""
-    matched = run.table("crater_matches")
-    return matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
-
-
-SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples, faults=faults)
+SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples, faults=missed_or_wrong)
