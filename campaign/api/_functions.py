@@ -68,7 +68,7 @@ class Comparison:
 
 
 def compare(
-    *runs: Name, metric: str | None = None, by: Sequence[str] = ("estimator", "scenario"), unpaired: bool = False
+    *runs: Name, metric: str | None = None, by: Sequence[str] | None = None, unpaired: bool = False
 ) -> Comparison:
     """Compare estimators, scenarios or whole runs.
 
@@ -79,7 +79,8 @@ def compare(
     metric
         Column to compare by; the position error if left out.
     by
-        What makes the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios.
+        What makes the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios; estimator and scenario
+        if left out, and the run where several runs have the same ones.
     unpaired
         Whether subjects whose trials are not the same are compared as independent samples.
 

@@ -149,9 +149,10 @@ def _compare(commands: Commands) -> None:
     compare = commands.add_parser("compare", help="compare estimators and scenarios of runs, trial by trial")
     compare.add_argument("runs", nargs="+", metavar="RUN", help="run folders, or campaigns' names")
     compare.add_argument(
-        "--by", default="estimator,scenario", metavar="FACTOR,...",
+        "--by", metavar="FACTOR,...",
         help="what tells the lines apart: estimator, scenario, run, or a key of the scenarios such as brdf or"
-        " camera.fov_deg (default: estimator,scenario); the rest is pooled",
+        " camera.fov_deg (default: estimator,scenario, and run where several runs have the same ones); the rest is"
+        " pooled",
     )  # fmt: skip
     compare.add_argument(
         "--metric",

@@ -18,8 +18,10 @@ _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 
 def compare_command(arguments: argparse.Namespace) -> int:
     """Compare estimators, scenarios and runs, and write the comparison."""
-    factors = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.by.split(",")))))
-    if not factors:
+    factors = None
+    if arguments.by is not None:
+        factors = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.by.split(",")))))
+    if factors == []:
         raise BoresightError("--by: empty: give estimator, scenario, run or a key of the scenarios")
     folders = [find_run(name) for name in arguments.runs]
     paths = list(dict.fromkeys(folder.path.resolve() for folder in folders))

@@ -26,6 +26,7 @@ from boresight.reports.compare.trials import (
     SCENARIO,
     check_factors,
     check_pairs,
+    default_factors,
     tabulate_trials,
 )
 from boresight.reports.run.data import RunData, read_run
@@ -171,7 +172,7 @@ def compared(
         If no trial has a value of the metric.
     """
     trials = tabulate_trials(runs, chosen, factors or (ESTIMATOR, SCENARIO))
-    own = tuple(factors or (ESTIMATOR, SCENARIO))
+    own = tuple(factors or default_factors(trials))
     if RUN not in own and trials.duplicated([*own, *KEY]).any():
         own = (RUN, *own)  # several runs have the same trials of a subject
     subjects = tuple(_subject(_of(trials, own, one), one) for one in _in_order(trials, own, runs))

@@ -171,6 +171,12 @@ def _json(value: object) -> str:
     return json.dumps(value, sort_keys=True)
 
 
+def default_factors(trials: pd.DataFrame) -> tuple[str, ...]:
+    """Return estimator and scenario, the run before them where several runs have the same ones of both."""
+    runs = trials.groupby([ESTIMATOR, SCENARIO])[RUN].nunique()
+    return (RUN, ESTIMATOR, SCENARIO) if (runs > 1).any() else (ESTIMATOR, SCENARIO)
+
+
 def check_pairs(runs: Sequence[RunData]) -> None:
     """Refuse runs of which no trials are the same.
 

@@ -142,6 +142,25 @@ def test_trials_that_are_not_the_same_are_no_pairs(tmp_path, changes, why):
     assert contrast.median.low < contrast.median.value < contrast.median.high
 
 
+def test_two_runs_of_one_campaign_are_two_lines_with_their_difference(tmp_path):
+    first = store(tmp_path / "a" / "run", {"one": [10, 20, 30]})
+    again = store(tmp_path / "b" / "run", {"one": [11, 22, 33]})
+    (contrast,) = compare_runs([first, again]).contrasts
+    assert (contrast.first, contrast.paired) == ((str(again), "one", SCENARIO), True), (
+        "of the same name: by their paths"
+    )
+    assert (contrast.n_both, contrast.median.value) == (3, 2.0)
+    other = store(tmp_path / "c" / "other", {"one": [15, 25, 35, None]}, seed=8)
+    found = compare_runs([first, other], unpaired=True)
+    assert [(one.names[0], one.n_ok, one.n) for one in found.subjects] == [("run", 3, 3), ("other", 3, 4)]
+    (contrast,) = found.contrasts
+    assert (contrast.paired, contrast.n_both, contrast.n, contrast.median.value) == (False, 3, 3, 5.0)
+    pooled = compare_runs([first, other], factors=["estimator", "scenario"], unpaired=True)
+    assert [one.n for one in pooled.subjects] == [7], "as asked for"
+    labelled = store(tmp_path / "d" / "labelled", {"two": [1, 2, 3]}, seed=8)
+    assert compare_runs([first, labelled], unpaired=True).factors == ("estimator", "scenario"), "these tell them apart"
+
+
 def failures(k, n, clusters=None):
     """Trials of a subject of which the first k of n failed; each by itself unless clusters are given."""
     failed = np.arange(n) < k
