@@ -41,7 +41,7 @@ def write(folder: RunFolder, worst: int, pdf: bool, source: str) -> Printed:
         lines.append(
             f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it"
         )
-    written = (files.html, files.markdown, *files.tables, *files.rows, *files.figures)
+    written = (files.html, files.markdown, *files.tables, *files.figures)
     printed = Printed(
         source=source, files=digests(files.folder, written), grids=tuple(brief_grids(files.content)), lines=tuple(lines)
     )

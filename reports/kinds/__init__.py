@@ -33,8 +33,13 @@ def report_grids(content: Content) -> list[Grid]:
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
-    claims = claim_grid([one for one in content.claims if not one.claim.unmeasured])
-    return _headed(content.run, (*report_kind(content.run).brief(content), verdict_grid(content.compared), claims))
+    return _headed(content.run, (*report_kind(content.run).brief(content), *told_grids(content)))
+
+
+def told_grids(content: Content) -> list[Grid]:
+    """List the last tables of `brief_grids`: published values and statements with ours."""
+    claims = [one for one in content.claims if not one.claim.unmeasured]
+    return [grid for grid in (verdict_grid(content.compared), claim_grid(claims)) if grid is not None]
 
 
 def _headed(run: RunData, grids: Tables) -> list[Grid]:

@@ -9,19 +9,14 @@ from pathlib import Path
 from urllib.parse import quote
 
 import cv2
-import numpy as np
 from markupsafe import Markup
 
-from boresight.reports.compare.metrics import Metric, choose_metric
-from boresight.reports.compare.trials import ESTIMATOR, tabulate_trials
-from boresight.reports.pages.build import LEAD, verdict_counts
+from boresight.reports.pages.build import LEAD, estimator_results, verdict_counts
 from boresight.reports.pages.content import content_of
 from boresight.reports.pages.document import Document, write_document
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
 from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.measured import MEDIAN, measure
 from boresight.reports.tables import interval
 from boresight.scenarios.errors import BoresightError
 
@@ -71,11 +66,11 @@ def _line(run: RunData, out: Path) -> tuple[str, ...]:
     manifest, report = run.manifest, run.folder / "report" / "report.html"
     done, total = run.progress()
     try:
-        metric = choose_metric(None, [run])
-        estimators = _estimators(run, metric)
+        metric, found = estimator_results(run)
         measured = metric.axis
     except BoresightError:  # its trials have no number to go by
-        estimators, measured = [], NO_VALUE
+        found, measured = [], NO_VALUE
+    estimators = [(one.label, f"{one.n_ok}/{one.n}", interval(one.median), number(one.prior)) for one in found]
     name: str = run.folder.name
     if report.exists():
         way = quote(Path(os.path.relpath(report, out)).as_posix())
@@ -90,20 +85,6 @@ def _line(run: RunData, out: Path) -> tuple[str, ...]:
         *(_lines(column) for column in (zip(*estimators, strict=True) if estimators else [[NO_VALUE]] * 4)),
         verdicts or NO_VALUE,
     )
-
-
-def _estimators(run: RunData, metric: Metric) -> list[tuple[str, str, str, str]]:
-    """List each estimator with its trials, its median and that of its priors; the control has the priors."""
-    trials = tabulate_trials([run], metric, (ESTIMATOR,))
-    told = []
-    for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):
-        known = own[own["value"].notna()]
-        values = known["value"].to_numpy(dtype=np.float64)
-        median = measure(values, known["cluster"].to_numpy(), (MEDIAN,))[0]
-        priors = own["prior"].dropna()
-        before = number(float(priors.median())) if len(priors) else NO_VALUE
-        told.append((str(label), f"{len(known)}/{len(own)}", interval(median), before))
-    return told
 
 
 def _lines(texts: Iterable[str]) -> str:

@@ -10,22 +10,31 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
+from boresight.reports.compare.metrics import Metric, choose_metric
+from boresight.reports.compare.trials import ESTIMATOR, tabulate_trials
 from boresight.reports.figures.provenance import add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
-from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids
+from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids, told_grids
 from boresight.reports.pages.content import read_content
 from boresight.reports.pages.document import Document
 from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
-from boresight.reports.schema.grid import Grid
+from boresight.reports.schema.grid import Grid, number
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import CONTROL
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure
+from boresight.reports.tables import interval
 from boresight.scenarios.errors import BoresightError
 
 LEAD = "typical"
 """Stem of the figure at the top of a page: a trial in the middle of all."""
+_MOST_IN_HEADLINE = 3
+_ROWS_BEFORE_LEAD = 8
+"""Rows of the table before it at most."""
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
@@ -36,7 +45,8 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     content
         Content of the report.
     figures
-        Each with its PNG, which is embedded; one called `LEAD` stands at the top.
+        Each with its PNG, which is embedded. The one called `LEAD`, or else the first, comes after the card and the
+        first table of the kind of trial, if that is short: it is to be seen on the first two screens.
     """
     run, manifest = content.run, content.run.manifest
     card = list(_card(content))
@@ -49,19 +59,22 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     full = [grid for grid in grids if grid not in brief]
     full = [replace(grid, title=f"{grid.title}, in full") if grid.title in short else grid for grid in full]
     shown = list(_noted_once([*brief, *full]))
+    own = brief[: len(brief) - len(told_grids(content))][:1]
+    first = sum(1 for grid in own if len(grid.rows) <= _ROWS_BEFORE_LEAD)
     embedded = embed_figures(figures)
+    lead = next((one for one in embedded if one[0].stem == LEAD), embedded[0] if embedded else None)
     return fill_template(
         "page.html",
         manifest=manifest,
         progress=run.progress(),
         card=card,
-        brief=shown[: len(brief)],
-        lead=next((one for one in embedded if one[0].stem == LEAD), None),
+        brief=shown[:first],
+        lead=lead,
         facts=_facts(content),
         notes=[note for note in content.notes if note not in said],
         js=template_text("page.js"),
-        grids=shown[len(brief) :],
-        figures=[one for one in embedded if one[0].stem != LEAD],
+        grids=shown[first:],
+        figures=[one for one in embedded if one is not lead],
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
@@ -76,11 +89,72 @@ def _card(content: Content) -> Iterator[tuple[str, str]]:
     done, total = run.progress()
     trials = f"{done} of {total}" if done < total else f"{total:,}"
     yield from [("Asked", run.manifest.description)] if run.manifest.description else []
+    yield from [("Result", result)] if (result := headline(run)) else []
     yield from (("On board", line) for line in known_lines(run))
     yield "Trials", trials
     yield from [("Intervals", database_line(run))] if database_line(run) else []
     verdicts = verdict_counts(content)
     yield from [("Published values", verdicts)] if verdicts else []
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorResult:
+    """Result of an estimator over all scenarios of a run, for a line.
+
+    Parameters
+    ----------
+    label
+        Of the estimator.
+    n_ok, n, n_success
+        Trials with a value, all, and those that did not fail.
+    median
+        Of the values.
+    prior
+        Median of the same number of the priors; None where there are none.
+    """
+
+    label: str
+    n_ok: int
+    n: int
+    n_success: int
+    median: Measured
+    prior: float | None
+
+
+def estimator_results(run: RunData) -> tuple[Metric, list[EstimatorResult]]:
+    """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
+
+    Raises
+    ------
+    BoresightError
+        If the trials have no number to go by.
+    """
+    metric, found = choose_metric(None, [run]), []
+    trials = tabulate_trials([run], metric, (ESTIMATOR,))
+    for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):
+        known, priors = own[own["value"].notna()], own["prior"].dropna()
+        median = measure(known["value"].to_numpy(dtype=np.float64), known["cluster"].to_numpy(), (MEDIAN,))[0]
+        prior = float(priors.median()) if len(priors) else None
+        found.append(EstimatorResult(str(label), len(known), len(own), int((~own["failed"]).sum()), median, prior))
+    return metric, found
+
+
+def headline(run: RunData) -> str:
+    """Write the result of each estimator on one line; '' where trials have no number to go by."""
+    try:
+        metric, found = estimator_results(run)
+    except BoresightError:
+        return ""
+    if len(found) > _MOST_IN_HEADLINE:
+        return f"{len(found)} estimators: see the table"
+    unit = f" {metric.unit}" if metric.unit else ""
+    parts = []
+    for one in found:
+        done = f"solved {one.n_ok}/{one.n}" if one.prior is None else f"success {one.n_success}/{one.n}"
+        before = "" if one.prior is None else f", prior {number(one.prior)}{unit}"
+        parts.append(f"{one.label}: {done}, median {metric.label} {interval(one.median)}{unit}{before}")
+    several = len(run.manifest.scenarios)
+    return "; ".join(parts) + (f"; over {several} scenarios" if parts and several > 1 else "")
 
 
 def verdict_counts(content: Content) -> str:
@@ -148,8 +222,6 @@ class ReportFiles:
         ``report.html`` and ``report.md``.
     tables
         ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
-    rows
-        Files that the tables of the page link to.
     figures
         PNG of each figure, and PDF on request.
     content
@@ -160,7 +232,6 @@ class ReportFiles:
     html: Path
     markdown: Path
     tables: tuple[Path, ...]
-    rows: tuple[Path, ...]
     figures: tuple[Path, ...]
     content: Content
 
@@ -200,7 +271,6 @@ def write_report(
         with report_styles(map(str, content.run.manifest.estimators)):
             names = _write_all(content, work, further, ("png", "pdf") if pdf else ("png",))
         for name in names:
-            (folder / name).parent.mkdir(exist_ok=True)
             (work / name).replace(folder / name)
             if name.endswith(".png") and not pdf:  # one of an earlier report would show other numbers
                 (folder / name).with_suffix(".pdf").unlink(missing_ok=True)
@@ -215,8 +285,7 @@ def write_report(
         folder,
         folder / "report.html",
         folder / "report.md",
-        tuple(path for path in paths if path.suffix == ".csv" and path.parent == folder),
-        tuple(path for path in paths if path.parent != folder),
+        tuple(path for path in paths if path.suffix == ".csv"),
         tuple(path for path in paths if path.suffix in (".png", ".pdf")),
         content,
     )

@@ -89,6 +89,9 @@ def test_every_page_fits_its_window_and_wide_tables_keep_their_first_column(page
         for width in (WIDE, NARROW):
             page.set_viewport_size({"width": width, "height": 900})
             assert page.evaluate("document.documentElement.scrollWidth") == width, (path.name, width)
+            if path == report.html:
+                picture = page.locator("figure img").first.bounding_box()
+                assert picture["y"] + picture["height"] < 2 * 900, "the first picture is on the first two screens"
         moves = [table.evaluate(STAYS) for table in page.locator("table").all()]
         assert max(far for far, _ in moves) > 100.0, "some table is wider than a phone"
         assert [moved for far, moved in moves if far and moved] == []

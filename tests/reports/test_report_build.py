@@ -58,7 +58,7 @@ def test_report_holds_every_table_and_figure(report):
         "landmark_counts_itokawa_landmark-harris",
         "cumulative_errors_itokawa",
     }
-    written = {*files.tables, *files.rows, *files.figures, files.html, files.markdown}
+    written = {*files.tables, *files.figures, files.html, files.markdown}
     assert {path for path in files.folder.rglob("*") if path.is_file()} == written
 
 
@@ -117,6 +117,71 @@ def test_page_is_self_contained_and_accessible(report):
     assert not re.search(r"url\(|@import|https?:", css)
     assert page.all("html")[0]["lang"] == "en"
     assert all(th["scope"] == "col" for th in page.all("th"))
+
+
+def card_of(files):
+    (first, *_) = re.findall(r"<dl>(.*?)</dl>", files.html.read_text(encoding="utf-8"), re.S)
+    return dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
+
+
+def test_the_card_has_the_result_of_each_estimator(report, builder):
+    rows = pd.read_parquet(report.folder.parent / "rows").query("estimator == 'landmark-harris'")
+    won = int((rows["position_error_m"] <= rows["prior_position_error_m"]).sum())
+    median, prior = rows["position_error_m"].median(), rows["prior_position_error_m"].median()
+    found = re.fullmatch(
+        r"landmark-harris: success (\d+)/120, median position error ([\d.]+) \[([\d.]+), ([\d.]+)\] m,"
+        r" prior ([\d.]+) m",
+        card_of(report)["Result"],
+    )
+    assert int(found[1]) == won
+    assert [float(found[2]), float(found[5])] == pytest.approx([median, prior], abs=0.06)
+    assert float(found[3]) < median < float(found[4])
+    for label in ("one", "two", "three"):
+        builder.trial(0, ((9.0, 9.0, 9.0), 1.0), ((1.0, 2.0, 3.0), 0.1), estimator=label)
+    assert card_of(write_report(builder.write(estimators=["one", "two", "three"])))["Result"].count("success 1/1") == 3
+    builder.trial(0, ((9.0, 9.0, 9.0), 1.0), None, estimator="four")
+    files = write_report(builder.write(estimators=["one", "two", "three", "four"]))
+    assert card_of(files)["Result"] == "4 estimators: see the table"
+
+
+def test_the_card_counts_solved_trials_where_there_is_no_prior(builder):
+    nothing = {f"{prefix}{name}": np.nan for prefix in ("", "prior_") for name in pose_error(np.zeros(3), 0)}
+    for trial in range(3):
+        key = {"trial": trial, "scenario": SCENARIO, "estimator": "base"}
+        builder.add("rows", **key, **nothing, status="ok" if trial else "failed", reason="", image="", n_landmarks=9)
+        if trial:
+            builder.add("diagnostics", **key, name="landmarks", value=100.0 * trial)
+    files = write_report(builder.write(estimators=["base"], report=None, campaign={"experiment": "landmark-database"}))
+    assert card_of(files)["Result"] == "base: solved 2/3, median landmarks in the data base 150"
+
+
+def titles_and_pictures(files):
+    """List the headings of the page and the stems of its pictures in their order."""
+    text = files.html.read_text(encoding="utf-8")
+    return re.findall(r'<h2[^>]*>(.*?)</h2>|<img src="data:[^"]*" alt="([^"]*)">', text)
+
+
+@pytest.mark.parametrize("typical", [True, False])
+def test_the_first_picture_comes_after_the_first_table(full_run, typical):
+    lead = (
+        [NamedFigure("typical", draw_landmark_counts(np.arange(9.0), "T"), "A trial.", "the lead")] if typical else []
+    )
+    order = titles_and_pictures(write_report(full_run(), extra=lead))
+    headings = [title for title, _ in order]
+    assert headings[0].startswith("Pose error")
+    assert headings[1] == "", "a picture"
+    assert (order[1][1] == "the lead") == typical, "the first figure takes the place of one"
+    assert headings.index("Beside the published values") > 1
+    pictures = [alt for _, alt in order if alt]
+    assert len(pictures) == len(set(pictures)) == 4 + typical
+
+
+def test_a_long_first_table_comes_after_the_first_picture(builder):
+    for estimator in map(str, range(9)):
+        for trial in range(3):
+            builder.trial(trial, ((9.0, 9.0, 9.0), 1.0), ((1.0, 2.0, 3.0), 0.1), estimator=estimator)
+    order = titles_and_pictures(write_report(builder.write(estimators=list(map(str, range(9))), report=None)))
+    assert [bool(alt) for _, alt in order[:2]] == [True, False]
 
 
 def test_page_says_what_was_run_and_escapes_it(full_run):
