@@ -10,7 +10,7 @@ import pandas as pd
 
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.trials import CONDITIONS
-from boresight.reports.figures.scenario_grids import Points
+from boresight.reports.figures.axes import Points
 from boresight.reports.schema.common import BORESIGHT, LATERAL
 from boresight.reports.schema.kinds.crater_detection import DETECTION
 from boresight.reports.schema.kinds.crater_matching import MATCHING

@@ -1,4 +1,7 @@
-"""Figures of reports, drawn from plain tables and arrays."""
+"""Figures of reports, drawn from plain tables and arrays.
+
+In all of them ``title`` is printed above the panels, and ``credit_lines``, the credits of real images, below them.
+"""
 
 from boresight.reports.figures.centroid import draw_centroid_offsets
 from boresight.reports.figures.landmark_database import ClusterView, SurfaceView, draw_clusters, draw_triangulation

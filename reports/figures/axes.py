@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +13,9 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
+from boresight.reports.figures.style import PlotStyle
 from boresight.reports.statistics.intervals import has_quantile
+from boresight.scenarios.arrays import FloatArray
 
 _FEW_DECADES = 300.0
 """Ratio of the limits below which 2 and 5 of each decade are labelled too."""
@@ -41,6 +45,28 @@ def percentile_band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.floa
     enough = groups.count().map(lambda n: has_quantile(n, _BAND[0])).to_numpy()
     low, high = (groups.quantile(share).to_numpy() for share in _BAND)
     return np.where(enough, low, groups.min()), np.where(enough, high, groups.max())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Points of a curve: (n,) abscissae and values, and (n, 2) bounds of their intervals."""
+
+    x: FloatArray
+    y: FloatArray
+    low_high: FloatArray
+
+
+def draw_points(axes: Axes, points: Points, style: PlotStyle, **line: Any) -> None:
+    """Draw points with their intervals, joined by a line in the colour and line style of an estimator."""
+    line = {"marker": "o", "markersize": 3, "capsize": 2, **line}
+    spread = np.abs(points.low_high.T - points.y)
+    axes.errorbar(points.x, points.y, yerr=spread, color=style.colour, linestyle=style.line, **line)
+
+
+def draw_band(axes: Axes, values: pd.Series, over: pd.Series, style: PlotStyle, alpha: float) -> None:
+    """Draw the band of 5 to 95 % of values at each value of a coordinate, see `percentile_band`."""
+    low, high = percentile_band(values, over)
+    axes.fill_between(np.unique(over), low, high, color=style.colour, alpha=alpha, linewidth=0)
 
 
 def band_label(trials: int) -> str:

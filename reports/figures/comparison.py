@@ -12,9 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.special import chdtr
 
-from boresight.reports.figures.axes import mark_decades
-from boresight.reports.figures.scenario_grids import Points
-from boresight.reports.figures.style import GREY, PlotStyle, add_credits, grid_figure, new_figure, styled
+from boresight.reports.figures.axes import Points, draw_points, mark_decades
+from boresight.reports.figures.style import GREY, PlotStyle, finish, grid_figure, new_figure, styled
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.arrays import FloatArray
 
@@ -66,10 +65,6 @@ def draw_summaries(
         Name of the error, with its unit.
     against
         Name of the reference of the differences; '' where there are none.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
     shown = [True, any(one.success for one in summaries), any(one.difference for one in summaries)]
     widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
@@ -85,9 +80,7 @@ def draw_summaries(
     panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
     panels[0].set_ylim(len(summaries) - 0.4, -0.6)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> None:
@@ -101,20 +94,16 @@ def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> 
         counted = one.counted[0].value
         if counted is not None and np.isfinite(counted) and counted != median.value:
             axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
-    _add_legend(axes)
+    # The marks are explained in grey, as the colour is that of the subject.
+    marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
+    for marker, label in marks.items():
+        axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
+    axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
     axes.set_xlabel(axis)
     if axes.dataLim.x0 <= 0.0:  # Zero has no place on a logarithmic axis.
         return
     axes.set_xscale("log")
     mark_decades(axes.xaxis)
-
-
-def _add_legend(axes: Axes) -> None:
-    """Explain the marks in grey, as the colour is that of the subject."""
-    marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
-    for marker, label in marks.items():
-        axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
-    axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
 
 
 def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
@@ -129,7 +118,9 @@ def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> Non
 def _draw_success(axes: Axes, summaries: Sequence[SubjectSummary]) -> None:
     for row, one in enumerate(summaries):
         if one.success is not None:
-            _draw_interval(axes, row, _scaled_interval(one.success, 100.0), one.colour)
+            ends = (one.success.value, one.success.low, one.success.high)
+            percent = Measured(*(None if end is None else 100.0 * end for end in ends))
+            _draw_interval(axes, row, percent, one.colour)
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, 0.0), min(high, 101.0))
     axes.set_xlabel("success, %")
@@ -145,10 +136,6 @@ def _draw_differences(axes: Axes, summaries: Sequence[SubjectSummary], axis: str
     axes.set_xlim(min(low, -edge), max(high, edge))
     unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
     axes.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
-
-
-def _scaled_interval(measured: Measured, scale: float) -> Measured:
-    return Measured(*(None if x is None else scale * x for x in (measured.value, measured.low, measured.high)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,10 +167,6 @@ def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Seq
     ----------
     curves
         The curves. The grey band is the binomial 95 % interval for the fewest independent trials among them.
-    title
-        Printed above the panel.
-    credit_lines
-        Credits of real images.
     """
     # Imported here, as it takes 1 s and few figures need it.
     from scipy.stats import binom
@@ -200,9 +183,7 @@ def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Seq
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))
     axes.set_aspect("equal", adjustable="box")
     figure.legend(loc="outside lower center", ncols=1, fontsize=7.5)
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 @styled
@@ -218,10 +199,6 @@ def draw_binned_errors(
         logarithmic one.
     styles
         Label of each curve to its style, in the order of the legend.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
     errors, conditions = (list(dict.fromkeys(key[i] for key in panels)) for i in (0, 1))
     size = {"width_in": max(4.5, 0.4 + 2.35 * len(conditions)), "height_in": 1.1 + 1.75 * len(errors)}
@@ -229,7 +206,7 @@ def draw_binned_errors(
     for row, error in zip(places, errors, strict=True):
         for axes, condition in zip(row, conditions, strict=True):
             for label, points in panels[error, condition].items():
-                _draw_points(axes, points, styles[label])
+                draw_points(axes, points, styles[label], linewidth=1.2, elinewidth=0.9)
         _share_ordinate(list(row), error)
     for axes, condition in zip(places[-1], conditions, strict=True):
         axes.set_xlabel(condition)
@@ -237,16 +214,7 @@ def draw_binned_errors(
         Line2D([], [], marker="o", markersize=3, color=one.colour, linestyle=one.line) for one in styles.values()
     ]
     figure.legend(handles, list(styles), loc="outside lower center", ncols=min(4, len(styles)))
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
-
-
-def _draw_points(axes: Axes, points: Points, style: PlotStyle) -> None:
-    axes.errorbar(
-        points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=style.colour, linestyle=style.line,
-        marker="o", markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,
-    )  # fmt: skip
+    return finish(figure, title, credit_lines)
 
 
 def _share_ordinate(row: Sequence[Axes], error: str) -> None:

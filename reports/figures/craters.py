@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from boresight.reports.figures.axes import Points, draw_points
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -19,8 +20,10 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     VERMILION,
+    finish,
     grid_figure,
     hide_axes,
+    image_panel,
     new_figure,
     plot_styles,
     show_image,
@@ -46,14 +49,6 @@ def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, d
         )
 
 
-def _show_titled(axes: Axes, image: NDArray[np.float32], title: str) -> None:
-    show_image(axes, image)
-    height, width = image.shape
-    axes.set(xlim=(0, width), ylim=(height, 0))
-    hide_axes(axes)
-    axes.set_title(title)
-
-
 @styled
 def draw_stages(
     image: NDArray[np.float32],
@@ -71,12 +66,12 @@ def draw_stages(
         Grouped edges, each (n, 2) pixels, under ``shaded`` and ``lit``.
     """
     figure, panels = grid_figure(2, 2, width_in=9.0, height_in=7.2)
-    _show_titled(panels[0, 0], image, "a  image")
-    _show_titled(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
-    _show_titled(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
+    image_panel(panels[0, 0], image, "a  image")
+    image_panel(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
+    image_panel(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
     for side, colour in (("shaded", BLUE), ("lit", ORANGE)):
         panels[1, 0].add_collection(LineCollection(list(arcs[side]), colors=colour, linewidths=1.0))
-    _show_titled(panels[1, 1], image, f"d  {len(detected)} detected craters")
+    image_panel(panels[1, 1], image, f"d  {len(detected)} detected craters")
     draw_rims(panels[1, 1], detected, GREEN)
     return figure
 
@@ -87,7 +82,7 @@ def draw_detections(
 ) -> Figure:
     """Draw detected rims over an image, and predicted rims dashed and named (Cheng et al. 2003, figure 3)."""
     figure, (axes,) = new_figure(1, width_in=8.0, height_in=6.4)
-    _show_titled(axes, image, title)
+    image_panel(axes, image, title)
     draw_rims(axes, detected, GREEN)
     draw_rims(axes, predicted, VERMILION, dashed=True)
     for name, centre, radius in zip(names, predicted.centre_px, predicted.radius_px, strict=True):
@@ -107,21 +102,14 @@ def draw_found_and_true(
         (H, W).
     truth, found
         Sets of rims, each with its colour.
-    title
-        Printed above the panels.
     """
     figure, axes = new_figure(3, width_in=11.0, height_in=3.3)
     sets_of: tuple[Sequence[RimSet], ...] = ((), truth, found)
     for place, sets, name in zip(axes, sets_of, ("image", "truth", "detections"), strict=True):
-        show_image(place, image)
+        image_panel(place, image, name)
         for rims, colour in sets:
             draw_rims(place, rims, colour, width=0.8)
-        height, width = image.shape
-        place.set(xlim=(0, width), ylim=(height, 0))
-        hide_axes(place)
-        place.set_title(name)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,8 +129,7 @@ class ConfidenceCurve:
 @styled
 def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) -> Figure:
     """Draw the ROC curve of each detector: share of craters found over share of false alarms."""
-    figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
-    (place,) = axes
+    figure, (place,) = new_figure(1, width_in=5.2, height_in=4.2)
     for (label, curve), drawn in zip(curves.items(), plot_styles(curves).values(), strict=True):
         colour = drawn.colour
         for values, name, style in ((curve.detectable, "detectable", "-"), (curve.clean, "clean", LINE_STYLES[1])):
@@ -159,8 +146,7 @@ def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) ->
     )
     place.set_xlim(left=0.0)
     place.legend(loc="lower right")
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -176,19 +162,16 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
     for place, (what, detectors) in zip(axes, panels.items(), strict=True):
         drawn = plot_styles(detectors)
         for k, (label, bins) in enumerate(detectors.items()):
-            x = np.arange(len(bins)) + 0.12 * (k - 0.5 * (len(detectors) - 1))
-            rate, low, high = (np.array([b[i] for b in bins], dtype=np.float64) for i in (1, 2, 3))
-            spread = np.stack([rate - low, high - rate])
-            place.errorbar(
-                x, rate, np.maximum(spread, 0.0), marker="o", markersize=3.5, color=drawn[label].colour,
-                linestyle=drawn[label].line, label=label,
-            )  # fmt: skip
+            at = np.arange(float(len(bins))) + 0.12 * (k - 0.5 * (len(detectors) - 1))
+            rates = np.array([b[1:] for b in bins], dtype=np.float64).reshape(-1, 3)
+            draw_points(
+                place, Points(at, rates[:, 0], rates[:, 1:]), drawn[label], markersize=3.5, capsize=0, label=label
+            )
             place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))
     axes[0].set_ylabel("detectable craters found, %")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(detectors))
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,18 +194,7 @@ def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
         for k, curve in enumerate(curves):
             at = np.array([places.index(one) for one in curve.labels]) + 0.06 * (k - 0.5 * (len(curves) - 1))
             values = getattr(curve, name)
-            spread = np.abs(values[:, 1:].T - values[:, 0])
-            panel.errorbar(
-                at,
-                values[:, 0],
-                yerr=spread,
-                color=drawn[curve.name].colour,
-                linestyle=drawn[curve.name].line,
-                marker="o",
-                markersize=3,
-                capsize=2,
-                label=curve.name,
-            )
+            draw_points(panel, Points(at, values[:, 0], values[:, 1:]), drawn[curve.name], label=curve.name)
         panel.set_xticks(range(len(places)), [place.replace(" deg", "") for place in places])
         panel.set(xlabel=label, ylabel=title)
         panel.set_ylim(bottom=0.0)
@@ -275,7 +247,9 @@ def draw_matched_pair(
         draw_rims(axes, rims[found.pairs[~found.right, side]], VERMILION, width=1.3, dashed=True)
         for number, (row, colour) in enumerate(zip(found.pairs[found.right, side], colours, strict=False)):
             draw_rims(axes, rims[np.array([row])], colour, width=1.3)
-            _number(axes, rims.centre_px[row], number, colour)
+            axes.annotate(
+                str(number + 1), tuple(rims.centre_px[row]), color=colour, fontsize=6.5, ha="center", va="center"
+            )
         if plain:
             axes.set_aspect("equal")
             axes.autoscale_view()
@@ -285,8 +259,3 @@ def draw_matched_pair(
     right, wrong = int(found.right.sum()), int((~found.right).sum())
     figure.suptitle(f"{title}: {right} right, {wrong} wrong, {len(found.missed)} missed", fontsize=9.5)
     return figure
-
-
-def _number(axes: Axes, centre_px: NDArray[np.float64], number: int, colour: NDArray[np.float64]) -> None:
-    u, v = centre_px
-    axes.annotate(str(number + 1), (float(u), float(v)), color=colour, fontsize=6.5, ha="center", va="center")

@@ -45,8 +45,6 @@ def draw_sensitivity(
         (n, K) values of the keys.
     axis
         Name of the outcome, with its unit.
-    title
-        Printed above the panels.
     """
     width_in, height_in = 3.2 + 2.1 * len(keys), 0.9 + 2.3 * len(rows)
     figure, places = grid_figure(len(rows), 1 + len(keys), width_in=width_in, height_in=height_in)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.style import BLUE, VERMILION, hide_axes, new_figure, show_image, styled
+from boresight.reports.figures.style import BLUE, VERMILION, hide_axes, new_figure, show_image, styled, window_around
 from boresight.scenarios.arrays import FloatArray
 
 # Steps of the golden ratio through the hues, so that consecutive numbers have different colours.
@@ -56,17 +55,15 @@ def draw_triangulation(view: SurfaceView, title: str) -> Figure:
     ----------
     view
         Their projection.
-    title
-        Printed above the panels.
     """
     points = np.concatenate([view.landmarks_px, view.normals_px.reshape(-1, 2)])
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.04 * float((high - low).max())
-    width, height = high - low + 2.0 * margin
-    figure, panels = new_figure(3, width_in=10.5, height_in=0.75 + 3.4 * float(height / width))
-    _draw_edges(panels[0], view)
-    _draw_facets(panels[1], view)
-    _draw_normals(panels[2], view)
+    (left, right), (top, bottom) = window_around(points, 0.04)
+    figure, panels = new_figure(3, width_in=10.5, height_in=0.75 + 3.4 * (bottom - top) / (right - left))
+    panels[0].add_collection(LineCollection(list(view.edges_px), colors=BLUE, linewidths=0.25, alpha=0.35))
+    panels[0].plot(*view.landmarks_px.T, ".", markersize=2.4, color=_EDGE, markeredgewidth=0.0)
+    panels[1].add_collection(_surface(view, 0.35 + 0.65 * view.shades))
+    panels[2].add_collection(_surface(view, np.full_like(view.shades, 0.93)))
+    panels[2].add_collection(LineCollection(list(view.normals_px), colors=VERMILION, linewidths=0.7))
     names = (
         f"(a) Delaunay triangulation ({view.n_tetrahedra} tetrahedra)",
         f"(b) concave hull ({view.n_facets} facets)",
@@ -74,24 +71,10 @@ def draw_triangulation(view: SurfaceView, title: str) -> Figure:
     )
     for axes, name in zip(panels, names, strict=True):
         axes.set_title(name)
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(high[1] + margin, low[1] - margin), aspect="equal")
+        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         hide_axes(axes)
     figure.suptitle(title, fontsize=10)
     return figure
-
-
-def _draw_edges(axes: Axes, view: SurfaceView) -> None:
-    axes.add_collection(LineCollection(list(view.edges_px), colors=BLUE, linewidths=0.25, alpha=0.35))
-    axes.plot(*view.landmarks_px.T, ".", markersize=2.4, color=_EDGE, markeredgewidth=0.0)
-
-
-def _draw_facets(axes: Axes, view: SurfaceView) -> None:
-    axes.add_collection(_surface(view, 0.35 + 0.65 * view.shades))
-
-
-def _draw_normals(axes: Axes, view: SurfaceView) -> None:
-    axes.add_collection(_surface(view, np.full_like(view.shades, 0.93)))
-    axes.add_collection(LineCollection(list(view.normals_px), colors=VERMILION, linewidths=0.7))
 
 
 def _surface(view: SurfaceView, shades: FloatArray) -> PolyCollection:
@@ -128,14 +111,15 @@ def draw_clusters(view: ClusterView, title: str) -> Figure:
     ----------
     view
         Their projection.
-    title
-        Printed above the panels.
     """
-    (left, right), (top, bottom) = _window(view.image)
+    rows, columns = np.nonzero(view.image > 0.0)
+    corners = np.stack([columns, rows], axis=1).astype(np.float64)
+    (left, right), (top, bottom) = window_around(np.concatenate([corners, corners + 1.0]), 0.05)
     height_in = 0.75 + 3.4 * (bottom - top) / (right - left)
     figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=height_in)
-    _scatter(first, view.seed_px, view.seed_of)
-    _scatter(second, view.merged_px, view.merged_of)
+    for axes, points, cluster in ((first, view.seed_px, view.seed_of), (second, view.merged_px, view.merged_of)):
+        u, v = points.T
+        axes.scatter(u, v, s=1.6, c=cluster_colours(cluster), linewidths=0.0, rasterized=True)
     show_image(third, view.image)
     seeds, merged = (len(np.unique(numbers)) for numbers in (view.seed_of, view.merged_of))
     names = (f"(a) seed clusters ({seeds} in view)", f"(b) merged clusters ({merged} in view)", "(c) the body")
@@ -147,23 +131,9 @@ def draw_clusters(view: ClusterView, title: str) -> Figure:
     return figure
 
 
-def _scatter(axes: Axes, points_px: FloatArray, cluster: NDArray[np.intp]) -> None:
-    u, v = points_px.T
-    axes.scatter(u, v, s=1.6, c=cluster_colours(cluster), linewidths=0.0, rasterized=True)
-
-
 def cluster_colours(cluster: NDArray[np.intp]) -> FloatArray:
     """Return a colour (n, 3) for each cluster number; consecutive numbers have different colours."""
     hue = np.mod(cluster * _GOLDEN, 1.0) * 6.0
     value = np.where(np.mod(cluster, 2) == 0, 0.85, 0.6)
     ramps = [np.clip(np.abs(np.mod(hue + shift, 6.0) - 3.0) - 1.0, 0.0, 1.0) for shift in (0.0, 4.0, 2.0)]
     return np.asarray(np.stack(ramps, axis=1) * value[:, None], dtype=np.float64)
-
-
-def _window(image: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return (left, right), (top, bottom) in pixels: the lit body with a margin."""
-    rows, columns = np.nonzero(image > 0.0)
-    left, right = float(columns.min()), float(columns.max()) + 1.0
-    top, bottom = float(rows.min()), float(rows.max()) + 1.0
-    margin = 0.05 * max(right - left, bottom - top)
-    return (left - margin, right + margin), (top - margin, bottom + margin)

@@ -16,8 +16,8 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     SERIES_COLOURS,
     VERMILION,
-    add_credits,
     beyond_text,
+    finish,
     mark_on_axis,
     new_figure,
     raise_top,
@@ -44,10 +44,6 @@ def draw_landmark_errors(
     ----------
     error_m, chi_square
         (n,) and (m,) finite values of all recognised landmarks.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
     figure, (left, right) = new_figure(2)
     _draw_sample(
@@ -59,9 +55,7 @@ def draw_landmark_errors(
     raise_top(right, 1)
     right.plot(x, _chi_square_density(x), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
     right.legend(loc="upper right")
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 def _chi_square_density(x: FloatArray) -> FloatArray:
@@ -90,12 +84,8 @@ def draw_landmark_counts(
     ----------
     counts
         (n,) number of landmarks in each image.
-    title
-        Printed above the panel.
     published_median
         Median that a paper prints, marked by a second line.
-    credit_lines
-        Credits of real images.
     """
     figure, (axes,) = new_figure(1, width_in=5.0, height_in=3.2)
     width = max(1, round((counts.max() - counts.min()) / 40))
@@ -110,9 +100,7 @@ def draw_landmark_counts(
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     raise_top(axes, 2)
     axes.legend(loc="upper right")
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 @styled
@@ -127,10 +115,6 @@ def draw_count_comparison(
         Label of each set to (n,) number of landmarks in each image.
     published
         Medians that the paper prints, by label; marked by triangles on the axis.
-    title
-        Printed above the panel.
-    credit_lines
-        Credits of real images.
     """
     figure, (axes,) = new_figure(1, width_in=6.0, height_in=3.6)
     top = max(float(sample.max()) for sample in counts.values())
@@ -149,6 +133,4 @@ def draw_count_comparison(
     axes.set_xlim(0.0, edges[-1])
     raise_top(axes, len(counts))
     axes.legend(loc="upper right")
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import mark_decades, percentile_band
+from boresight.reports.figures.axes import draw_band, mark_decades
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -18,6 +18,7 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     VERMILION,
+    finish,
     grid_figure,
     mark_on_axis,
     new_figure,
@@ -44,8 +45,6 @@ def draw_count_histogram(
         Labels of the axes.
     published
         Name of each printed quantity to its value.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=5.6, height_in=3.4)
     width = max(1, int(np.ceil((counts.max(initial=0) + 1) / _MOST_BARS)))
@@ -65,8 +64,7 @@ def draw_count_histogram(
     axes.set_xlim(left=-0.5)
     raise_top(axes, 2)
     axes.legend(loc="upper right")
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -79,8 +77,6 @@ def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str
         Columns ``n_detections`` and ``n_numbered``.
     landmarks
         Column ``hits``.
-    title
-        Printed above.
     """
     figure, (left, right) = new_figure(2)
     found, numbered, hits = images["n_detections"], images["n_numbered"], landmarks["hits"]
@@ -106,8 +102,6 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
     ----------
     landmarks
         Columns ``first_days``, ``last_days``, ``hits`` and ``n_other``.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=6.5, height_in=4.2)
     ordered = landmarks.sort_values(["first_days", "last_days"]).reset_index(drop=True)
@@ -133,8 +127,6 @@ def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
     ----------
     residuals
         Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; edited sightings are left out.
-    title
-        Printed above.
     """
     figure, axes = grid_figure(2, 1, width_in=7.0, height_in=4.4)
     used = residuals[residuals["used"].astype(bool)]
@@ -155,27 +147,22 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
     ----------
     errors
         Columns ``estimator``, ``trial``, ``time_days``, ``position_error_m``, ``position_sigma_m`` and ``predicted``.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=6.0)
     drawn = plot_styles(map(str, errors["estimator"].unique()))
     for name, own in errors.groupby("estimator", sort=False):
-        colour = drawn[str(name)].colour
-        over = own.groupby("time_days")
-        median = over["position_error_m"].median()
-        low, high = percentile_band(own["position_error_m"], own["time_days"])
-        axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
-        axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle=":", linewidth=0.9)
+        style, medians = drawn[str(name)], own.groupby("time_days")[["position_error_m", "position_sigma_m"]].median()
+        error, sigma = medians["position_error_m"], medians["position_sigma_m"]
+        axes.plot(medians.index, error, color=style.colour, linestyle=style.line, label=str(name))
+        draw_band(axes, own["position_error_m"], own["time_days"], style, alpha=0.2)
+        axes.plot(medians.index, sigma, color=style.colour, linestyle=":", linewidth=0.9)
     axes.plot([], [], color=GREY, linestyle=":", linewidth=0.9, label="thin, dotted: RMS by the covariance")
     arc = errors[~errors["predicted"].astype(bool)]
     axes.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
     axes.set(xlabel="time after the epoch, days", ylabel="position error, m", yscale="log")
     mark_decades(axes.yaxis)
     axes.legend(loc="upper left")
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -187,8 +174,6 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
     errors
         Columns ``time_days``, ``radial_m``, ``along_m``, ``cross_m``, ``position_error_m``, ``position_sigma_m`` and
         ``predicted``.
-    title
-        Printed above.
     """
     figure, axes = grid_figure(2, 1, width_in=7.0, height_in=5.0)
     (above,), (below,) = axes
@@ -198,20 +183,14 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
     above.axhline(0.0, color=GREY, linewidth=0.7)
     above.set(ylabel="error, m")
     below.plot(errors["time_days"], errors["position_error_m"], color=BLUE, label="position error")
-    below.plot(
-        errors["time_days"],
-        errors["position_sigma_m"],
-        color=GREY,
-        linestyle="--",
-        label="RMS predicted by its covariance",
-    )
+    predicted = "RMS predicted by its covariance"
+    below.plot(errors["time_days"], errors["position_sigma_m"], color=GREY, linestyle="--", label=predicted)
     below.set(xlabel="time after the epoch, days", ylabel="m", ylim=(0.0, None))
     arc = errors[~errors["predicted"].astype(bool)]
     for panel in (above, below):
         panel.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
         panel.legend(loc="upper left", ncols=3)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -222,8 +201,6 @@ def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
     ----------
     residuals
         Columns ``u_px``, ``v_px``, ``used`` and ``wrong``.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=5.2, height_in=4.8)
     used, wrong = residuals["used"].astype(bool), residuals["wrong"].astype(bool)
@@ -239,5 +216,4 @@ def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
         axes.plot(own["u_px"], own["v_px"], marker, color=colour, markersize=4, linestyle="none", label=text)
     axes.set(xlabel="column residual, px", ylabel="row residual, px", xscale="symlog", yscale="symlog")
     figure.legend(loc="outside lower center", ncols=2)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)

@@ -19,8 +19,8 @@ from boresight.reports.figures.style import (
     GREY,
     ORANGE,
     PlotStyle,
-    add_credits,
     beyond_text,
+    finish,
     grid_figure,
     mark_on_axis,
     new_figure,
@@ -48,10 +48,6 @@ _TICKS = 5  # labels of four decimals leave no room for more
 _METHODS_INSIDE = 4
 _LEGEND_TITLE = "median (share beyond the axis)"
 _SHARE_TOLD = 1.0
-_METHOD_PANELS = (
-    ("attitude_error_deg", "attitude error, deg", "frequency per degree"),
-    ("position_error_m", "position error, m", "frequency per metre"),
-)
 
 
 @styled
@@ -65,41 +61,27 @@ def draw_method_errors(
     groups
         Title of each row to its methods: label to errors with columns ``attitude_error_deg`` and
         ``position_error_m``. All rows share their axes, and a label has the same colour in all rows.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
-    figure, rows = grid_figure(
-        len(groups), 2, height_in=0.5 + sum(_row_height_in(len(methods)) for methods in groups.values())
-    )
+    # A long legend stands below its panel.
+    height_in = 0.5 + sum(2.9 + 0.18 * (n if n > _METHODS_INSIDE else 0) for n in map(len, groups.values()))
+    figure, rows = grid_figure(len(groups), 2, height_in=height_in)
     drawn = plot_styles(label for methods in groups.values() for label in methods)
-    for column, (name, label, frequency) in enumerate(_METHOD_PANELS):
+    for column, (name, label, _, frequency) in enumerate(_PANELS):
         samples = {
-            row: {method: np.asarray(errors[name].dropna(), dtype=np.float64) for method, errors in methods.items()}
+            row: {method: _finite(errors[name]) for method, errors in methods.items()}
             for row, methods in groups.items()
         }
-        edges = _common_edges([sample for methods in samples.values() for sample in methods.values()])
+        # Bins for most methods: the errors of one that fails must not flatten the others.
+        every = [sample for methods in samples.values() for sample in methods.values() if len(sample)]
+        middle = 1.2 * float(np.median([np.percentile(sample, 99.0) for sample in every])) if every else None
+        edges = shared_edges([] if middle is None else [np.array([middle])], bins=60)
         for axes, (row, methods) in zip(rows[:, column], samples.items(), strict=True):
             _draw_methods(axes, methods, drawn, edges)
             axes.set(xlabel=label, ylabel=frequency, title=row)
         top = max(axes.get_ylim()[1] for axes in rows[:, column])
         for axes in rows[:, column]:
             axes.set_ylim(0.0, top)
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
-
-
-def _row_height_in(methods: int) -> float:
-    """Return the height of a row, including space below the panels for a long legend."""
-    return 2.9 if methods <= _METHODS_INSIDE else 2.9 + 0.18 * methods
-
-
-def _common_edges(samples: Sequence[FloatArray]) -> FloatArray:
-    """Choose bins for most methods, so that the errors of one that fails do not flatten the others."""
-    ends = [float(np.percentile(sample, 99.0)) for sample in samples if len(sample)]
-    return shared_edges([np.array([1.2 * float(np.median(ends))])] if ends else [], bins=60)
+    return finish(figure, title, credit_lines)
 
 
 def _draw_methods(
@@ -134,18 +116,19 @@ def draw_pose_errors(
     stages
         Label of each stage, in order, to its errors, with columns ``attitude_error_deg`` and ``position_error_m``.
         A stage with the same attitude errors as the first one is left out of the attitude panel.
-    title
-        Printed above the panels.
     published
         Medians that a paper prints, by (stage label, column); marked by triangles on the axis.
-    credit_lines
-        Credits of real images.
     """
     figure, panels = new_figure(2)
     for axes, (column, label, unit, frequency) in zip(panels, _PANELS, strict=True):
         samples = {name: _finite(errors[column]) for name, errors in stages.items()}
+        first = next(iter(samples.values()))
         if column == "attitude_error_deg":
-            samples = _without_repeats(samples)
+            samples = {
+                name: sample
+                for i, (name, sample) in enumerate(samples.items())
+                if i == 0 or len(sample) != len(first) or not np.allclose(sample, first)
+            }
         medians = {name: v for (name, wanted), v in (published or {}).items() if wanted == column and name in samples}
         edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
         beyond = _draw_stage_histograms(axes, samples, list(stages), edges, unit)
@@ -153,23 +136,11 @@ def draw_pose_errors(
             mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
         axes.xaxis.set_major_locator(MaxNLocator(_TICKS))
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 def _finite(values: pd.Series) -> FloatArray:
     return np.asarray(values.dropna(), dtype=np.float64)
-
-
-def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Drop the stages whose errors are the same as those of the first."""
-    first = next(iter(samples.values()))
-    return {
-        name: sample
-        for i, (name, sample) in enumerate(samples.items())
-        if i == 0 or len(sample) != len(first) or not np.allclose(sample, first)
-    }
 
 
 def _line(index: int, count: int) -> dict[str, Any]:
@@ -191,25 +162,14 @@ def _draw_stage_histograms(
         label = f"{name} (n = {len(sample)})"
         if len(sample):
             median = float(np.median(sample))
-            label = f"{name}: median {_short(median)} {unit} (n = {len(sample)})"
+            digits = f"{median:.3g}" if median < 1000.0 else f"{median:.0f}"  # without an exponent
+            label = f"{name}: median {digits} {unit} (n = {len(sample)})"
             axes.axvline(median, ymax=0.8, color=line["color"], linewidth=0.9, linestyle=":")
         beyond += step_histogram(axes, sample, edges, label=label, **line)
     axes.set_xlim(0, edges[-1])
     raise_top(axes, len(samples))
     axes.legend(loc="upper right")
     return beyond_text(beyond, float(edges[-1]), unit)
-
-
-def _short(value: float) -> str:
-    """Print three digits, without an exponent."""
-    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
-
-
-def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return values (m,) of a curve and its shares (m + 1,) of n, thinned to about 2000 points to keep PDFs small."""
-    stride = max(1, len(ascending) // _CURVE_POINTS)
-    kept = ascending[stride - 1 :: stride]
-    return kept, np.append(np.arange(len(kept)) * stride, len(ascending)) / n
 
 
 @styled
@@ -226,10 +186,6 @@ def draw_cumulative_errors(
     ----------
     estimators
         Label of each estimator to its errors where it is ok, and its number of trials.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     panels
         Columns of the errors to the labels of their axes.
     styles
@@ -244,38 +200,29 @@ def draw_cumulative_errors(
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
         limit = float(shared_edges(list(samples.values()))[-1])
         for name, sample in samples.items():
-            n = estimators[name][1]
-            shown, share = _thinned(sample[sample <= limit], n)
+            # Thinned to about 2000 points, to keep PDFs small.
+            n, inside = estimators[name][1], sample[sample <= limit]
+            stride = max(1, len(inside) // _CURVE_POINTS)
+            shown = inside[stride - 1 :: stride]
+            share = np.concatenate([np.arange(len(shown)) * stride, [len(inside)] * 2]) / n
             axes.step(
-                np.concatenate([[0.0], shown, [limit]]),
-                np.append(share, share[-1]),
-                where="post",
-                color=drawn[name].colour,
-                linestyle=drawn[name].line,
-                linewidth=1.6,
-                label=f"{name} ({len(sample)} of {n} ok)",
-            )
+                np.concatenate([[0.0], shown, [limit]]), share, where="post", color=drawn[name].colour,
+                linestyle=drawn[name].line, linewidth=1.6, label=f"{name} ({len(sample)} of {n} ok)",
+            )  # fmt: skip
         axes.set(xlabel=label, ylabel="share of all trials", xlim=(0, limit), ylim=(0, 1.02))
         axes.xaxis.set_major_locator(MaxNLocator(_TICKS))
-        _spread(axes, list(samples.values()), limit)
+        low = min((float(np.quantile(sample, 0.02)) for sample in samples.values() if len(sample)), default=0.0)
+        if _far_apart(list(samples.values())) and low > 0.0:
+            axes.set(xscale="log", xlim=(low, limit))
+            mark_decades(axes.xaxis)
     if below:
         figure.legend(*places[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     else:
         places[-1].legend(loc="lower right")
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 def _far_apart(samples: Sequence[FloatArray]) -> bool:
     """Whether the medians are so far apart that a linear abscissa would squeeze the best curve against the ordinate."""
     medians = [float(np.median(sample)) for sample in samples if len(sample)]
     return bool(medians) and 0.0 < _FAR_APART * min(medians) < max(medians)
-
-
-def _spread(axes: Axes, samples: Sequence[FloatArray], limit: float) -> None:
-    """Make the abscissa logarithmic for curves that are far apart."""
-    low = min((float(np.quantile(sample, 0.02)) for sample in samples if len(sample)), default=0.0)
-    if _far_apart(samples) and low > 0.0:
-        axes.set(xscale="log", xlim=(low, limit))
-        mark_decades(axes.xaxis)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.style import BLUE, GREEN, ORANGE, add_credits, grid_figure, hide_axes, show_image, styled
+from boresight.reports.figures.style import BLUE, GREEN, ORANGE, finish, grid_figure, hide_axes, image_panel, styled
 from boresight.reports.schema.grid import shortest
 from boresight.scenarios.arrays import FloatArray
 
@@ -49,7 +49,9 @@ def draw_pose_renderings(
 
     All residuals share one colour scale. Those within the rounding of the image's float32 are 0.
     """
-    (left, right), (top, bottom) = _body_window(image, renderings)
+    window = _body_window(image, renderings)
+    (left, right), (top, bottom) = window
+    height, width = image.shape
     aspect = min(max((bottom - top) / (right - left), 0.4), 1.6)
     width_in = 3.3 * len(renderings) + 0.7
     figure, panels = grid_figure(2, len(renderings), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
@@ -58,21 +60,18 @@ def draw_pose_renderings(
     limit = max((float(np.percentile(np.abs(one), _SPREAD_PERCENT)) for one in residuals), default=0.0) or 1.0
     for k, (one, residual) in enumerate(zip(renderings, residuals, strict=True)):
         over, below = panels[0, k], panels[1, k]
-        show_image(over, image)
+        image_panel(over, image, window=window)
         outline(over, one.body, POSE_COLOURS[one.name])
         shown = below.imshow(
-            residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
+            residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=(0.0, width, height, 0.0), interpolation="nearest"
         )
         over.set_title(one.heading, color=POSE_COLOURS[one.name])
         rms = float(np.sqrt(np.mean(residual[one.body] ** 2))) if one.body.any() else float("nan")
         below.set_title(f"image less rendering: RMS {shortest(rms)} on the body")
-        for axes in (over, below):
-            axes.set(xlim=(left, right), ylim=(bottom, top))
-            hide_axes(axes)
+        below.set(xlim=(left, right), ylim=(bottom, top))
+        hide_axes(below)
     figure.colorbar(shown, ax=list(panels[1]), shrink=0.8, pad=0.01)
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines)
 
 
 def outline(axes: Axes, body: NDArray[np.bool_], colour: str) -> None:
@@ -81,11 +80,6 @@ def outline(axes: Axes, body: NDArray[np.bool_], colour: str) -> None:
         height, width = body.shape
         columns, rows = np.arange(width) + 0.5, np.arange(height) + 0.5
         axes.contour(columns, rows, body.astype(np.float64), levels=[0.5], colors=[colour], linewidths=1.0)
-
-
-def _extent(image: NDArray[np.floating]) -> tuple[float, float, float, float]:
-    height, width = image.shape
-    return (0.0, float(width), float(height), 0.0)
 
 
 def _body_window(

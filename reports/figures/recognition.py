@@ -18,11 +18,11 @@ from boresight.reports.figures.style import (
     ORANGE,
     SKY,
     VERMILION,
-    add_credits,
-    hide_axes,
+    finish,
+    image_panel,
     new_figure,
-    show_image,
     styled,
+    window_around,
 )
 from boresight.reports.schema.grid import shortest
 from boresight.scenarios.arrays import FloatArray
@@ -61,42 +61,31 @@ def draw_matched_landmarks(
 ) -> Figure:
     """Draw matches with magnified residuals over the image, the residuals alone, and residuals over true errors."""
     figure, (over, spread, errors) = new_figure(3, width_in=10.6, height_in=3.7)
-    show_image(over, image)
-    scale = _magnification(image, found.residual_px)
-    _draw_arrows(over, image, found, scale)
+    _draw_arrows(over, image, found)
     _draw_spread(spread, found.residual_px)
-    _draw_true_errors(errors, found)
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    # A small residual with a large true error is a wrong match.
+    known, length_px = np.isfinite(found.error_m), np.linalg.norm(found.residual_px, axis=1)
+    errors.plot(found.error_m[known], length_px[known], "o", markersize=3.5, color=BLUE)
+    missed = int(np.count_nonzero(~known))
+    errors.set(xlabel="distance of the seen surface point from the landmark, m", ylabel="residual, px")
+    errors.set_title(f"{missed} lines of sight miss the body" if missed else "")
+    errors.set_xlim(left=0.0)
+    errors.set_ylim(bottom=0.0)
+    return finish(figure, title, credit_lines)
 
 
-def _magnification(image: NDArray[np.floating], residual_px: FloatArray) -> float:
-    """Choose a round factor that makes the median residual about a thirtieth of the image."""
-    median = float(np.median(np.linalg.norm(residual_px, axis=1))) if len(residual_px) else 0.0
+def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmarks) -> None:
+    """Draw residuals over the image, by a round factor with which the median is about a thirtieth of the image."""
+    median = float(np.median(np.linalg.norm(found.residual_px, axis=1))) if len(found.residual_px) else 0.0
     wanted = max(image.shape) / 30.0 / max(median, 1e-6)
-    return min((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)), key=lambda step: abs(np.log(step / wanted)))
-
-
-def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmarks, scale: float) -> None:
+    scale = min((1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0), key=lambda step: abs(np.log(step / wanted)))
+    window = window_around(np.concatenate([found.seen_px, found.predicted_px]), 0.15, 10.0, image)
+    image_panel(axes, image, f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}", window)
     axes.plot(*found.predicted_px.T, "o", markersize=4, markerfacecolor="none", markeredgecolor=ORANGE)
     axes.quiver(
         *found.predicted_px.T, *(scale * found.residual_px).T, angles="xy", scale_units="xy", scale=1.0,
         color=VERMILION, width=0.004,
     )  # fmt: skip
-    axes.set(**_landmark_window(image, found))
-    axes.set_title(f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}")
-    hide_axes(axes)
-
-
-def _landmark_window(image: NDArray[np.floating], found: MatchedLandmarks) -> dict[str, tuple[float, float]]:
-    """Return the limits of the axes: the landmarks with a margin, within the image."""
-    height, width = image.shape
-    points = np.concatenate([found.seen_px, found.predicted_px])
-    margin = 0.15 * float(np.ptp(points, axis=0).max()) + 10.0
-    left, top = np.maximum(points.min(axis=0) - margin, 0.0)
-    right, bottom = np.minimum(points.max(axis=0) + margin, (width, height))
-    return {"xlim": (float(left), float(right)), "ylim": (float(bottom), float(top))}
 
 
 def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
@@ -108,18 +97,6 @@ def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="column residual, px", ylabel="row residual, px")
     axes.set_aspect("equal")
     axes.legend(loc="upper right")
-
-
-def _draw_true_errors(axes: Axes, found: MatchedLandmarks) -> None:
-    """Draw residuals over true errors; a small residual with a large true error is a wrong match."""
-    known = np.isfinite(found.error_m)
-    length_px = np.linalg.norm(found.residual_px, axis=1)
-    axes.plot(found.error_m[known], length_px[known], "o", markersize=3.5, color=BLUE)
-    missed = int(np.count_nonzero(~known))
-    axes.set(xlabel="distance of the seen surface point from the landmark, m", ylabel="residual, px")
-    axes.set_title(f"{missed} lines of sight miss the body" if missed else "")
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,15 +154,18 @@ def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()
     ----------
     fit
         The recognition to draw.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of a real image.
     """
     figure, (first, _, third) = _panels(fit, "(c) converged fit")
     _draw_initial(first, fit)
-    _draw_final(third, fit)
-    _add_legend(figure, [*_initial_marks(), *_corner_marks(fit.matched)], credit_lines)
+    _draw_edges(third, fit.after)
+    free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
+    third.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
+    third.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
+    corners = [
+        _dot("D", "none", VERMILION, f"corner, not matched ({len(free)})"),
+        _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({len(matched)})"),
+    ]
+    _add_legend(figure, corners, credit_lines)
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -198,30 +178,26 @@ def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str
     ----------
     fit
         The recognition to draw; ``after`` is the data base with the aligned pose. Corners are not drawn.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of a real image.
     """
     figure, (first, _, third) = _panels(fit, "(c) fit after the alignment of the centroids")
     _draw_initial(first, fit)
     _draw_edges(third, fit.after)
-    _add_legend(figure, _initial_marks(), credit_lines)
+    _add_legend(figure, [], credit_lines)
     figure.suptitle(title, fontsize=10)
     return figure
 
 
 def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
     """Show the image, the mesh and the image again, all three cropped to the body."""
-    (left, right), (top, bottom) = _overlay_window(fit)
+    points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
+    shape = fit.image.shape
+    window = window_around(points, 0.06, 0.0, fit.image) if len(points) else ((0.0, shape[1]), (0.0, shape[0]))
+    (left, right), (top, bottom) = window
     height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
     figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
     names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
     for axes, image, name in zip(panels, (fit.image, fit.mesh_image, fit.image), names, strict=True):
-        show_image(axes, image)
-        axes.set_title(name)
-        axes.set(xlim=(left, right), ylim=(bottom, top))
-        hide_axes(axes)
+        image_panel(axes, image, name, window)
     return figure, panels
 
 
@@ -234,13 +210,6 @@ def _draw_initial(axes: Axes, fit: FitPanels) -> None:
         axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
 
 
-def _draw_final(axes: Axes, fit: FitPanels) -> None:
-    _draw_edges(axes, fit.after)
-    free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
-    axes.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
-    axes.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
-
-
 def _draw_edges(axes: Axes, overlay: Overlay) -> None:
     axes.add_collection(LineCollection(list(overlay.edges_px), colors=ORANGE, linewidths=0.45, alpha=0.75))
 
@@ -251,62 +220,25 @@ def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -
     diameters = 2.0 * MATCH_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     return EllipseCollection(
-        diameters[:, 1],
-        diameters[:, 0],
-        angles,
-        units="xy",
-        offsets=centres_px,
-        transOffset=axes.transData,
-        facecolors="none",
-        edgecolors=SKY,
-        linewidths=0.8,
-    )
+        diameters[:, 1], diameters[:, 0], angles, units="xy", offsets=centres_px, transOffset=axes.transData,
+        facecolors="none", edgecolors=SKY, linewidths=0.8,
+    )  # fmt: skip
 
 
 def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
 
 
-def _line(colour: str, label: str) -> Line2D:
-    return Line2D([], [], color=colour, label=label)
-
-
-def _initial_marks() -> list[Line2D]:
-    return [
+def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
+    """Explain the marks of the initial fit and others, and print the credits below the panels."""
+    marks = [
         _dot("o", "black", "black", "observed centroid"),
         _dot("o", VERMILION, VERMILION, "rendered centroid"),
-        _line(SKY, f"{MATCH_SIGMAS:g}-sigma search"),
-        _line(ORANGE, "mesh"),
+        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
+        Line2D([], [], color=ORANGE, label="mesh"),
+        *handles,
     ]
-
-
-def _corner_marks(matched: NDArray[np.bool_]) -> list[Line2D]:
-    return [
-        _dot("D", "none", VERMILION, f"corner, not matched ({np.count_nonzero(~matched)})"),
-        _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({np.count_nonzero(matched)})"),
-    ]
-
-
-def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
-    """Explain the marks and print the credits below the panels."""
     figure.legend(
-        handles=list(handles),
-        loc="outside lower center",
-        ncols=len(handles),
-        columnspacing=1.2,
-        handlelength=1.4,
-        title="; ".join(credit_lines) or None,
-        title_fontsize=7,
-    )
-
-
-def _overlay_window(fit: FitPanels) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
-    height, width = fit.image.shape
-    points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
-    if len(points) == 0:
-        return (0.0, float(width)), (0.0, float(height))
-    margin = 0.06 * max(np.ptp(points, axis=0).max(), 1.0)
-    low = np.maximum(points.min(axis=0) - margin, 0.0)
-    high = np.minimum(points.max(axis=0) + margin, (width, height))
-    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+        handles=marks, loc="outside lower center", ncols=len(marks), columnspacing=1.2, handlelength=1.4,
+        title="; ".join(credit_lines) or None, title_fontsize=7,
+    )  # fmt: skip

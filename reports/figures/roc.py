@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from boresight.reports.figures.style import GREY, PlotStyle, add_credits, new_figure, plot_styles, styled
+from boresight.reports.figures.style import GREY, finish, new_figure, plot_styles, styled
 from boresight.scenarios.arrays import FloatArray
 
 MOST_CURVES = 5
@@ -33,28 +32,17 @@ def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines:
     ----------
     panels
         Definition of a bad solution to at most `MOST_CURVES` curves.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
     drawn = plot_styles(curve.name for curves in panels.values() for curve in curves)
     for place, (definition, curves) in zip(axes, panels.items(), strict=True):
-        _draw_panel(place, curves, drawn)
+        place.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
+        for curve in curves:  # a score has the same style in all panels
+            label, style = f"{curve.name}: AUC {curve.area:.2f}", drawn[curve.name]
+            x, y = curve.false_positives, curve.true_positives
+            place.plot(x, y, color=style.colour, linestyle=style.line, linewidth=1.4, label=label)
+        place.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
+        place.set_box_aspect(1)
+        place.legend(loc="lower right")
         place.set_title(f"bad: {definition}")
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
-
-
-def _draw_panel(axes: Axes, curves: Sequence[RocCurve], drawn: Mapping[str, PlotStyle]) -> None:
-    """Draw the curves of a panel; a score has the same style in all panels."""
-    axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
-    for curve in curves:
-        label = f"{curve.name}: AUC {curve.area:.2f}"
-        x, y = curve.false_positives, curve.true_positives
-        axes.plot(x, y, color=drawn[curve.name].colour, linestyle=drawn[curve.name].line, linewidth=1.4, label=label)
-    axes.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
-    axes.set_box_aspect(1)
-    axes.legend(loc="lower right")
+    return finish(figure, title, credit_lines)

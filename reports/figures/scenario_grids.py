@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from boresight.reports.figures.axes import mark_decades
-from boresight.reports.figures.style import BLUE, GREY, new_figure, plot_styles, styled
+from boresight.reports.figures.axes import Points, draw_points, mark_decades
+from boresight.reports.figures.style import BLUE, GREY, finish, new_figure, plot_styles, styled
 from boresight.scenarios.arrays import FloatArray
 
 _PANELS_A_ROW = 3
@@ -44,8 +44,7 @@ def draw_heat_maps(matrices: Sequence[HeatMap], rows_label: str, columns_label: 
     for axes in panels[1:]:
         axes.set_yticklabels([])
     panels[0].set_ylabel(rows_label)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 def _draw_heat_map(axes: Axes, matrix: HeatMap) -> None:
@@ -102,23 +101,13 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
         axes.set_xlabel("factor")
     for axes in places[1:]:
         axes.set_yticklabels([])
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 def _factor_limits(effects: Sequence[Effect]) -> tuple[float, float]:
     """Choose limits that contain all factors up to 100, wide enough that small effects look small."""
     known = [x for effect in effects for x in (effect.value, effect.low, effect.high) if np.isfinite(x)]
     return min([0.7, *(x / 1.05 for x in known)]), min(max([1.4, *(x * 1.05 for x in known)]), _MOST)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """Points of a curve: (n,) abscissae and values, and (n, 2) bounds of their intervals."""
-
-    x: FloatArray
-    y: FloatArray
-    low_high: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,28 +134,15 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     handles, labels = places[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     figure.supylabel(ordinate, fontsize=9)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 def _draw_curve_panel(axes: Axes, panel: CurvePanel) -> None:
     drawn = plot_styles(panel.lines)
     for label, points in panel.lines.items():
         order = np.argsort(points.x)
-        x, y, low_high = points.x[order], points.y[order], points.low_high[order]
-        axes.errorbar(
-            x,
-            y,
-            yerr=np.abs(low_high.T - y),
-            color=drawn[label].colour,
-            linestyle=drawn[label].line,
-            marker="o",
-            markersize=3,
-            linewidth=1.3,
-            elinewidth=0.9,
-            capsize=2,
-            label=label,
-        )
+        ascending = Points(points.x[order], points.y[order], points.low_high[order])
+        draw_points(axes, ascending, drawn[label], linewidth=1.3, elinewidth=0.9, label=label)
     axes.set_yscale("log")
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
     _scale_abscissa(axes, ticks)

@@ -10,17 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import mark_revolutions, percentile_band, scale_ordinate
+from boresight.reports.figures.axes import draw_band, mark_revolutions, scale_ordinate
 from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     SERIES_COLOURS,
     PlotStyle,
-    add_credits,
-    hide_axes,
+    finish,
+    image_panel,
     new_figure,
     plot_styles,
-    show_image,
     styled,
 )
 from boresight.reports.statistics.measured import MEAN, measure
@@ -48,8 +47,6 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
         panel without any value is left out.
     abscissa
         Name of the levels.
-    title
-        Printed above the panels.
     """
     every = [table for levels in errors.values() for table in levels.values()]
     shown = [name for name in AFTER_REVOLUTIONS if any(table[name].notna().any() for table in every)]
@@ -66,10 +63,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
         axes.set_xticks(range(len(levels)), levels)
         axes.set(xlabel=abscissa, ylabel=f"position error {AFTER_REVOLUTIONS[name]}, m")
         scale_ordinate(axes, [float(table[name].median()) for table in every])
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title, legend=panels[0])
 
 
 def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, style: PlotStyle) -> None:
@@ -100,17 +94,11 @@ def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title
         (H, W) any linear measure of radiance.
     uv_px
         (n, 2) features to mark, centre of the first pixel at (0.5, 0.5); empty for the image alone.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=5.0, height_in=5.2)
-    show_image(axes, image)
+    image_panel(axes, image, title)
     if len(uv_px):
         axes.scatter(uv_px[:, 0], uv_px[:, 1], s=70, facecolors="none", edgecolors=ORANGE, linewidths=1.2)
-    height, width = image.shape
-    axes.set(xlim=(0, width), ylim=(height, 0))
-    hide_axes(axes)
-    axes.set_title(title)
     return figure
 
 
@@ -122,8 +110,6 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     ----------
     epochs
         Frames of one estimator: columns ``trial``, ``anomaly_deg`` and ``position_error_m``.
-    title
-        Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=5.4)
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
@@ -134,8 +120,7 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), title="start")
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -154,10 +139,6 @@ def draw_traces(
     ----------
     epochs
         Label of each estimator to its frames: columns ``trial``, ``anomaly_deg`` and the errors.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     panels
         Columns of the errors to show.
     """
@@ -170,25 +151,17 @@ def draw_traces(
         mark_revolutions(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
-    handles, labels = places[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines, legend=places[0])
 
 
 def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, style: PlotStyle, *, banded: bool) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
-    over_trials = known.groupby("anomaly_deg")[name]
-    colour = style.colour
-    middle = over_trials.median()
-    anomaly = middle.index.to_numpy(dtype=float)
     if banded:
-        low, high = percentile_band(known[name], known["anomaly_deg"])
-        axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
+        draw_band(axes, known[name], known["anomaly_deg"], style, alpha=0.18)
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):
-            axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
-    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=style.line, label=label)
+            axes.plot(first["anomaly_deg"], first[name], color=style.colour, linewidth=0.5, alpha=0.8)
+    middle = known.groupby("anomaly_deg")[name].median()
+    axes.plot(middle.index, middle, color=style.colour, linestyle=style.line, label=label)

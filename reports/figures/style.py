@@ -42,6 +42,7 @@ LINE_STYLES: tuple[LineStyleType, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1,
 _DPI = 160
 _COMPRESSION = 3  # of PNG: 0.6 times the time of the default, and files 5 % larger
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
+Window = tuple[tuple[float, float], tuple[float, float]]
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, BROWN, VIOLET)
 _PARAMETERS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that files are the same on every machine
@@ -218,10 +219,47 @@ def hide_axes(axes: Axes) -> None:
     axes.set_axis_off()
 
 
+def image_panel(axes: Axes, image: NDArray[np.floating[Any]], title: str = "", window: Window | None = None) -> None:
+    """Show an image without axes, or the window (left, right), (top, bottom) of it."""
+    show_image(axes, image)
+    height, width = image.shape
+    (left, right), (top, bottom) = window or ((0, width), (0, height))
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+    hide_axes(axes)
+    axes.set_title(title)
+
+
+def window_around(
+    points_px: FloatArray, share: float, least_px: float = 0.0, image: NDArray[np.floating[Any]] | None = None
+) -> Window:
+    """Return (left, right), (top, bottom) of points (n, 2) with a margin, within an image if there is one.
+
+    The margin is a share of the larger extent of the points, and ``least_px`` more.
+    """
+    low, high = points_px.min(axis=0), points_px.max(axis=0)
+    margin = share * float((high - low).max()) + least_px
+    low, high = low - margin, high + margin
+    if image is not None:
+        low, high = np.maximum(low, 0.0), np.minimum(high, image.shape[::-1])
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
 def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
     """Print the credit lines of the images below the panels."""
     if credit_lines:
         figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
+
+
+def finish(
+    figure: Figure, title: str, credit_lines: Sequence[str] = (), legend: Axes | None = None, columns: int = 4
+) -> Figure:
+    """Print the title above the panels, and below them the legend of one of them and the credits of real images."""
+    if legend is not None:
+        handles, labels = legend.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns))
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
 
 
 def add_footer(figure: Figure, lines: Sequence[str]) -> None:
@@ -294,17 +332,9 @@ def beyond_text(beyond: int, limit: float, unit: str) -> str:
 def mark_on_axis(axes: Axes, value: float, colour: str) -> None:
     """Mark a published value by an open triangle on the axis."""
     axes.plot(
-        [value],
-        [0.0],
-        marker="^",
-        markersize=7,
-        markerfacecolor="white",
-        markeredgecolor=colour,
-        transform=axes.get_xaxis_transform(),
-        clip_on=False,
-        zorder=5,
-        linestyle="none",
-    )
+        [value], [0.0], marker="^", markersize=7, markerfacecolor="white", markeredgecolor=colour,
+        transform=axes.get_xaxis_transform(), clip_on=False, zorder=5, linestyle="none",
+    )  # fmt: skip
 
 
 def raise_top(axes: Axes, lines: int) -> None:

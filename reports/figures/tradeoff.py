@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from boresight.reports.figures.axes import mark_decades
-from boresight.reports.figures.style import GREY, add_credits, grid_figure, plot_styles, styled
+from boresight.reports.figures.style import GREY, finish, grid_figure, plot_styles, styled
 from boresight.reports.statistics.measured import Measured
 
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
@@ -46,10 +46,6 @@ def draw_trade_off(
         Methods by label.
     prior
         Median errors of the prior, by the names of `TradeOffPoint.errors`.
-    title
-        Printed above the panels.
-    credit_lines
-        Credits of real images.
     """
     figure, places = grid_figure(2, 2, height_in=5.6)
     for row, (name, label) in zip(places, _ERRORS, strict=True):
@@ -61,11 +57,7 @@ def draw_trade_off(
             axes.set(xlabel=abscissa, ylabel=label)
             _use_log_axes(axes)
         row[1].sharey(row[0])
-    handles, labels = places[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
-    figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
-    return figure
+    return finish(figure, title, credit_lines, legend=places[0, 0])
 
 
 def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
@@ -76,16 +68,9 @@ def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str
         known = error.low is not None and error.high is not None
         reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
         axes.errorbar(
-            [costs[label]],
-            [error.value],
-            yerr=reach,
-            color=drawn[label].colour,
-            marker=drawn[label].marker,
-            markersize=6,
-            linestyle="none",
-            capsize=3,
-            label=label,
-        )
+            [costs[label]], [error.value], yerr=reach, color=drawn[label].colour, marker=drawn[label].marker,
+            markersize=6, linestyle="none", capsize=3, label=label,
+        )  # fmt: skip
 
 
 def _use_log_axes(axes: Axes) -> None:

@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from boresight.reports.figures.axes import mark_revolutions
-from boresight.reports.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, grid_figure, new_figure, styled
+from boresight.reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    finish,
+    grid_figure,
+    new_figure,
+    styled,
+)
 from boresight.scenarios.arrays import FloatArray
 
 SIGMAS = 3.0
@@ -90,10 +100,7 @@ def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
     radius_km = 1e-3 * trajectory.body_radius_m
     plane.fill(radius_km * np.cos(angle), radius_km * np.sin(angle), color=GREY, alpha=0.35, label="body")
     plane.set_aspect("equal")
-    handles, labels = plane.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title, legend=plane, columns=5)
 
 
 def _estimate_label(scale: float) -> str:
@@ -128,8 +135,7 @@ def draw_error_bands(trajectory: TrajectoryErrors, title: str) -> Figure:
         mark_revolutions(axes, trajectory.anomaly_deg)
     panels[0, 0].legend(loc="upper left", ncols=2)
     panels[-1, 0].set_xlabel("anomaly, deg")
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 @styled
@@ -159,8 +165,7 @@ def draw_tracks(tracks: TrackLifetimes, title: str) -> Figure:
     below.step(*tracks.per_frame.T, where="mid", color=BLUE)
     below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=_span(tracks.per_frame[:, 0]))
     below.set_ylim(bottom=0.0)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 def _span(anomaly_deg: FloatArray) -> tuple[float, float]:
@@ -193,8 +198,7 @@ def draw_landmark_map(points_m: FloatArray, error_m: FloatArray, new: NDArray[np
     radial = np.einsum("ni,ni->n", error_m, points_m / np.linalg.norm(points_m, axis=1, keepdims=True))
     across = np.sqrt(np.maximum(length**2 - radial**2, 0.0))
     _errors(parts, across, radial, new)
-    figure.suptitle(title, fontsize=9.5)
-    return figure
+    return finish(figure, title)
 
 
 def _errors(axes: Axes, across: FloatArray, radial: FloatArray, new: NDArray[np.bool_]) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from boresight.reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import compared
+from boresight.reports.figures.axes import Points
 from boresight.reports.figures.scenario_grids import (
     CurvePanel,
     Effect,
     HeatMap,
-    Points,
     draw_curves,
     draw_effects,
     draw_heat_maps,
