@@ -6,7 +6,7 @@ bounds were chosen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeVar
@@ -76,25 +76,15 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
         for published in comparison.values:
             if published.scenario not in ("", scenario) or published.estimator not in ("", estimator):
                 continue
-            ours = _ours(records, scenario, estimator, published) or _ours(records, scenario, "", published)
+            key = {"scenario": scenario, "stage": published.stage, "measure": published.measure}
+            key |= {"statistic": published.statistic, "reference": published.against}
+            ours = find(records, **key, estimator=estimator) or find(records, **key, estimator="")
             if ours is None and published.stage == DERIVED:
                 continue
             own = bool(published.estimator) or estimator in comparison.methods
             due = value_verdict(ours, published, own) if comparison.verdicts else "context"
             compared.append(ComparedValue(scenario, estimator, published, ours, due))
     return tuple(compared)
-
-
-def _ours(records: Sequence[Record], scenario: str, estimator: str, published: PublishedValue) -> Record | None:
-    return find(
-        records,
-        scenario=scenario,
-        estimator=estimator,
-        stage=published.stage,
-        measure=published.measure,
-        statistic=published.statistic,
-        reference=published.against,
-    )
 
 
 def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
@@ -205,28 +195,18 @@ def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     if not compared:
         return None
     heads = (
-        "quantity",
-        "stage",
-        "statistic",
-        "paper",
-        "ours [95 %]",
-        "ok",
-        "tolerance",
-        "verdict",
-        "place in the paper",
-    )
-    several = len({(c.scenario, c.estimator) for c in compared}) > 1
-    rows = tuple(_compared_cells(c, several) for c in compared)
+        "quantity", "stage", "statistic", "paper", "ours [95 %]", "ok", "tolerance", "verdict", "place in the paper",
+    )  # fmt: skip
+    rows = tuple(_compared_cells(compared))
     return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
 
 
 def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     """Tabulate the same in few columns, without times; None if the campaign is compared with nothing."""
-    several = len({(c.scenario, c.estimator) for c in compared}) > 1
     rows = []
-    for item in compared:
+    for item, cells in zip(compared, _compared_cells(compared), strict=True):
         if item.published.measure != "seconds":
-            quantity, stage, statistic, paper, ours, _, _, verdict, _ = _compared_cells(item, several)
+            quantity, stage, statistic, paper, ours, _, _, verdict, _ = cells
             rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
     heads = ("quantity", "paper", "ours [95 %]", "verdict")
     # Words of the paper may wrap, or a terminal has no room for the verdicts.
@@ -234,45 +214,37 @@ def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     return Grid("Beside the published values", heads, tuple(rows), frozenset(text)) if rows else None
 
 
-def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
-    published, ours = compared.published, compared.ours
-    quantity = measure_label(published.measure)
-    judged = compared.verdict != "context" and published.tolerance is not None
-    return (
-        f"{compared.scenario}, {compared.estimator}: {quantity}" if several else quantity,
-        stage_label(published.stage, timed=published.measure == "seconds"),
-        published.statistic,
-        published.quoted,
-        (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
-        counts(ours),
-        f"± {published.tolerance:g}" if judged else NO_VALUE,
-        verdict_of(compared.verdict, (ours,)),
-        published.place,
-    )
+def _compared_cells(compared: Sequence[ComparedValue]) -> Iterator[tuple[str, ...]]:
+    several = len({(one.scenario, one.estimator) for one in compared}) > 1
+    for one in compared:
+        published, ours = one.published, one.ours
+        judged = one.verdict != "context" and published.tolerance is not None
+        yield (
+            f"{one.scenario}, {one.estimator}: " * several + measure_label(published.measure),
+            stage_label(published.stage, timed=published.measure == "seconds"),
+            published.statistic,
+            published.quoted,
+            (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
+            counts(ours),
+            f"± {published.tolerance:g}" if judged else NO_VALUE,
+            verdict_of(one.verdict, (ours,)),
+            published.place,
+        )
 
 
 def verdict_of(verdict: Verdict, ours: Sequence[Record | None]) -> str:
     """Print a verdict; where some runs have no value, say that it is of the runs that ended."""
-    left_out = any(record is not None and record.n_ok < record.n and _needs_an_end(record) for record in ours)
+    # A trial must end to have these values; counts of other things need no end.
+    of_ended = [one for one in ours if one is not None and (one.stage in _OF_RUNS or one.measure in POSE_COLUMNS)]
+    left_out = any(one.n_ok < one.n for one in of_ended)
     return f"{verdict}{_WITHOUT_OTHERS}" if left_out and verdict not in _NONE_DUE else verdict
-
-
-def _needs_an_end(record: Record) -> bool:
-    """Whether a trial must end to have this value; counts of other things need no end."""
-    return record.stage in _OF_RUNS or record.measure in POSE_COLUMNS
 
 
 def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
     """Tabulate orders that the paper states in words; None if it states none."""
     heads = ("the paper says", "scenario", "ours [95 %], in that order", "verdict", "place in the paper")
     rows = tuple(
-        (
-            item.claim.text,
-            item.scenario,
-            claim_values(item),
-            verdict_of_claim(item),
-            item.claim.place,
-        )
+        (item.claim.text, item.scenario, claim_values(item), verdict_of_claim(item), item.claim.place)
         for item in claims
     )
     return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3, 4})) if rows else None
@@ -298,13 +270,9 @@ def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
     parts: list[str] = []
     for before, record, name in zip((None, *ours), ours, names, strict=False):
         parts += [_relation(before, record)] if parts else []
-        parts.append(_named(record, name) if record else NO_VALUE)
+        unit = "" if record is None or record.unit == "s" else record.unit  # a time is printed with its own
+        parts.append(f"{name} {value_of(record, interval=True)} {unit}".strip() if record else NO_VALUE)
     return " ".join(parts) or NO_VALUE
-
-
-def _named(record: Record, name: str) -> str:
-    unit = "" if record.unit == "s" else record.unit  # a time is printed with its own
-    return f"{name} {value_of(record, interval=True)} {unit}".strip()
 
 
 def _relation(before: Record | None, after: Record | None) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 from boresight.campaign.kinds.crater_detection.show import detected, stages_of
 from boresight.campaign.kinds.crater_matching.show import matching_example
 from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Draw, Paper, PaperFigure, Runs
+from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.estimators.craters.planning import PLANNER
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.crater_navigation import counts_figure
@@ -24,31 +25,20 @@ _TABLES = ("Detection of craters", "Matching", "Diagnostics", "From images to th
 _TABLES_OF = {"cheng2003-detection": 2}
 
 
-def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["cheng2003-detection"]
-    campaign, label = run.campaign(), run.labels(_DETECTOR)[0]
-    scenario = campaign.scenarios[0].spec.name
+def _figure_2(run: FinishedRun) -> Iterator[NamedFigure]:
+    campaign = run.campaign()
+    scenario, label = campaign.scenarios[0].spec.name, run.labels(_DETECTOR)[0]
     yield from stages_of(campaign, run.folder, run.content.run, scenario, label)
 
 
-def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["cheng2003-detection"]
-    campaign, data = run.campaign(), run.content.run
-    for number, drawn in enumerate(
-        detected(campaign, run.folder, data, campaign.scenarios[0].spec.name, campaign.labels)
-    ):
-        yield replace(drawn, stem=f"_{number + 1}")
+def _figure_3(run: FinishedRun) -> Iterator[NamedFigure]:
+    campaign = run.campaign()
+    scenario = campaign.scenarios[0].spec.name
+    found = detected(campaign, run.folder, run.content.run, scenario, campaign.labels)
+    yield from (replace(drawn, stem=f"_{number}") for number, drawn in enumerate(found, start=1))
 
 
-def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    for run in runs.values():
-        yield from _matched(run)
-
-
-def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
+def _figure_6(run: FinishedRun) -> Iterator[NamedFigure]:
     """Draw one image pair matched by the paper's invariants, and one by the hybrid method."""
     campaign, data = run.campaign(), run.content.run
     scenario = campaign.scenarios[0].spec.name
@@ -58,38 +48,24 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
             yield replace(figure, stem=f"_{campaign.spec.name}_{label}")
 
 
-def _survey(wanted: int) -> Draw:
-    """Return the drawing function of one histogram of an arc of planned images."""
-
-    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-        del jobs
-        run = runs["cheng2003-survey"].content
-        yield list(survey_figures(run.run, run.comparison))[wanted]
-
-    return draw
+def _survey(run: FinishedRun, wanted: int) -> Iterator[NamedFigure]:
+    """Draw one histogram of an arc of planned images."""
+    yield list(survey_figures(run.content.run, run.content.comparison))[wanted]
 
 
-def _figure_9(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    for name, run in runs.items():
-        if name == "cheng2003-survey":
-            yield from _survey(2)(runs, jobs)
-        else:
-            scenario = run.campaign().scenarios[0].spec.name
-            yield counts_figure(run.content.run, scenario, run.labels(_CHAIN)[0])
+def _figure_9(run: FinishedRun) -> Iterator[NamedFigure]:
+    if run.manifest["name"] == "cheng2003-survey":
+        yield from _survey(run, 2)
+    else:
+        yield counts_figure(run.content.run, run.campaign().scenarios[0].spec.name, run.labels(_CHAIN)[0])
 
 
-def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    solved = [
-        (data, scenario, label)
-        for run in runs.values()
-        for data in (run.content.run,)
-        for label in (label for method in (_FILTER, _CHAIN) for label in run.labels(method))
-        for scenario in reference_scenarios(data)
-        if len(select(data.table("residuals"), scenario, label))
-    ]
-    for data, scenario, label in solved:
-        yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}_{label}")
+def _figure_10(run: FinishedRun) -> Iterator[NamedFigure]:
+    data = run.content.run
+    for label in (label for method in (_FILTER, _CHAIN) for label in run.labels(method)):
+        for scenario in reference_scenarios(data):
+            if len(select(data.table("residuals"), scenario, label)):
+                yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}_{label}")
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
@@ -108,8 +84,8 @@ PAPER = Paper(
         PaperFigure("2", ("cheng2003-detection",), _figure_2),
         PaperFigure("3", ("cheng2003-detection",), _figure_3),
         PaperFigure("6", ("cheng2003-matching-images", "cheng2003-matching", "cheng2003-invariants"), _figure_6),
-        PaperFigure("8.1", ("cheng2003-survey",), _survey(0)),
-        PaperFigure("8.2", ("cheng2003-survey",), _survey(1)),
+        PaperFigure("8.1", ("cheng2003-survey",), partial(_survey, wanted=0)),
+        PaperFigure("8.2", ("cheng2003-survey",), partial(_survey, wanted=1)),
         PaperFigure("9", ("cheng2003-survey", "cheng2003-endtoend"), _figure_9),
         PaperFigure("10", ("cheng2003-orbit", "cheng2003-endtoend"), _figure_10),
     ),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Draw, Paper, PaperFigure, Runs
+from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from boresight.reports.kinds.designs.tables import design_grids
 from boresight.reports.kinds.sequence.tables import (
@@ -42,65 +43,41 @@ def first_image(
     return images.image(0, 0), features.uv_px[:count], len(features)
 
 
-def _trace(method: str, panel: str) -> Draw:
-    """Return the drawing function of one panel of the errors of a method over the frames."""
-
-    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-        del jobs
-        for run in runs.values():
-            data, labels = run.content.run, run.labels(method)
-            scenario = next(scenario for scenario, name in data.pairs() if name in labels)
-            yield NamedFigure("", *trace_figure(data, scenario, labels, (panel,)))
-
-    return draw
+def _trace(run: FinishedRun, method: str, panel: str) -> Iterator[NamedFigure]:
+    """Draw one panel of the errors of a method over the frames."""
+    data, labels = run.content.run, run.labels(method)
+    scenario = next(scenario for scenario, name in data.pairs() if name in labels)
+    yield NamedFigure("", *trace_figure(data, scenario, labels, (panel,)))
 
 
-def _series(abscissa: str) -> Draw:
-    """Return the drawing function of the errors after one and two revolutions over a series."""
-
-    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-        del jobs
-        for run in runs.values():
-            data = run.content.run
-            series = revolution_series(data)
-            if not series:
-                raise BoresightError(f"{run.folder.path}: it is no series by {abscissa}, or no trial came round once")
-            yield NamedFigure("", *revolution_figure(data, series, abscissa))
-
-    return draw
+def _series(run: FinishedRun, abscissa: str) -> Iterator[NamedFigure]:
+    """Draw the errors after one and two revolutions over a series."""
+    data = run.content.run
+    series = revolution_series(data)
+    if not series:
+        raise BoresightError(f"{run.folder.path}: it is no series by {abscissa}, or no trial came round once")
+    yield NamedFigure("", *revolution_figure(data, series, abscissa))
 
 
-def _starts(method: str) -> Draw:
-    """Return the drawing function of the errors of a method for all starting images."""
-
-    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-        del jobs
-        for run in runs.values():
-            data, label = run.content.run, run.labels(method)[0]
-            scenario = next(scenario for scenario, name in data.pairs() if name == label)
-            yield NamedFigure("", *start_figure(data, scenario, label))
-
-    return draw
+def _starts(run: FinishedRun, method: str) -> Iterator[NamedFigure]:
+    """Draw the errors of a method for all starting images."""
+    data, label = run.content.run, run.labels(method)[0]
+    scenario = next(scenario for scenario, name in data.pairs() if name == label)
+    yield NamedFigure("", *start_figure(data, scenario, label))
 
 
-def _image(features: int) -> Draw:
-    """Return the drawing function of the first image with its strongest features (0 for none)."""
-
-    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-        del jobs
-        for run in runs.values():
-            campaign = run.campaign()
-            scenario = campaign.scenarios[0]
-            image, uv_px, found = first_image(scenario, campaign.variant, campaign.seed, _STRONGEST)
-            name = scenario.spec.name
-            shown = f"the {len(uv_px)} strongest of {found} features" if features else "the first image"
-            yield NamedFigure(
-                "", draw_sightings(image, uv_px[:features], f"{name}: {shown}"),
-                f"The body as the camera sees it over the terminator, {name}: {shown}.",
-                f"A half-lit textured sphere, {shown}.",
-            )  # fmt: skip
-
-    return draw
+def _image(run: FinishedRun, features: int) -> Iterator[NamedFigure]:
+    """Draw the first image with its strongest features (0 for none)."""
+    campaign = run.campaign()
+    scenario = campaign.scenarios[0]
+    image, uv_px, found = first_image(scenario, campaign.variant, campaign.seed, _STRONGEST)
+    name = scenario.spec.name
+    shown = f"the {len(uv_px)} strongest of {found} features" if features else "the first image"
+    yield NamedFigure(
+        "", draw_sightings(image, uv_px[:features], f"{name}: {shown}"),
+        f"The body as the camera sees it over the terminator, {name}: {shown}.",
+        f"A half-lit textured sphere, {shown}.",
+    )  # fmt: skip
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
@@ -121,16 +98,16 @@ PAPER = Paper(
     campaigns=(*(f"delpech2015-{name}" for name in _ORDER), "trade-slam"),
     methods=("ba-slam", "ekf-slam"),
     figures=(
-        PaperFigure("3.1", ("delpech2015-ba-trace",), _trace("ba-slam", POSITION)),
-        PaperFigure("3.2", ("delpech2015-ba-trace",), _trace("ba-slam", LANDMARKS)),
-        PaperFigure("4.1", ("delpech2015-ba-landmarks",), _series("landmarks a frame")),
-        PaperFigure("4.2", ("delpech2015-ba-views",), _series("views")),
-        PaperFigure("5.1", ("delpech2015-ekf-trace",), _trace("ekf-slam", POSITION)),
-        PaperFigure("5.2", ("delpech2015-ekf-trace",), _trace("ekf-slam", LANDMARKS)),
-        PaperFigure("6.1", ("delpech2015-images",), _image(0)),
-        PaperFigure("6.2", ("delpech2015-images",), _image(_STRONGEST)),
-        PaperFigure("7.1", ("delpech2015-images",), _starts("ba-slam")),
-        PaperFigure("7.2", ("delpech2015-images",), _starts("ekf-slam")),
+        PaperFigure("3.1", ("delpech2015-ba-trace",), partial(_trace, method="ba-slam", panel=POSITION)),
+        PaperFigure("3.2", ("delpech2015-ba-trace",), partial(_trace, method="ba-slam", panel=LANDMARKS)),
+        PaperFigure("4.1", ("delpech2015-ba-landmarks",), partial(_series, abscissa="landmarks a frame")),
+        PaperFigure("4.2", ("delpech2015-ba-views",), partial(_series, abscissa="views")),
+        PaperFigure("5.1", ("delpech2015-ekf-trace",), partial(_trace, method="ekf-slam", panel=POSITION)),
+        PaperFigure("5.2", ("delpech2015-ekf-trace",), partial(_trace, method="ekf-slam", panel=LANDMARKS)),
+        PaperFigure("6.1", ("delpech2015-images",), partial(_image, features=0)),
+        PaperFigure("6.2", ("delpech2015-images",), partial(_image, features=_STRONGEST)),
+        PaperFigure("7.1", ("delpech2015-images",), partial(_starts, method="ba-slam")),
+        PaperFigure("7.2", ("delpech2015-images",), partial(_starts, method="ekf-slam")),
     ),
     grids=_grids,
 )

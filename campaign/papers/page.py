@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from boresight.campaign.papers import PAPERS
 from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
@@ -27,28 +27,31 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
 from boresight.scenarios.spec.body import STAND_INS
 
-Runs = Mapping[str, FinishedRun]
-Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
-"""Draws figures of runs; rebuilds use the given number of workers, None for one for each core or GPU."""
-
 
 @dataclass(frozen=True, slots=True)
 class PaperFigure:
-    """A figure of a paper: its number, the campaigns it can be drawn from, and the drawing function.
+    """A figure of a paper.
 
-    Each run is drawn separately, unless one drawing shows all of them ``together``.
+    Parameters
+    ----------
+    number
+        Its number.
+    campaigns
+        Names of the campaigns that it can be drawn from.
+    draw
+        Draws a finished run; with ``together``, all of them by their campaigns.
+    together
+        Whether one drawing shows the runs of all campaigns.
+    rebuilds
+        Whether ``draw`` is also given the number of workers for what it builds again, None for one for each core or
+        GPU.
     """
 
     number: str
     campaigns: tuple[str, ...]
-    draw: Draw
+    draw: Callable[..., Iterable[NamedFigure]]
     together: bool = False
-
-    def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
-        """Return a figure with the paper's number in file name and caption."""
-        return replace(
-            figure, stem=f"figure_{self.number:0>2}{suffix}", caption=f"Figure {self.number}. {figure.caption}"
-        )
+    rebuilds: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +123,17 @@ def paper_page(
             figures += drawn(figure, found, jobs)
         except BoresightError as error:
             missing.append(f"figure {figure.number}: {error}")
-    reports = _reports(paper)
+    specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
+    reports = {name: spec.report for name, spec in specs.items() if spec.report}
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
-    tables, without = _tables(lines, found)
+    tables, without = list[NamedFigure](), list[str]()
+    for number, own in lines_by_table(lines).items():
+        campaigns = dict.fromkeys(line.campaign for line in own)
+        if shown := [found[name].content.run for name in campaigns if name in found]:
+            tables.append(table_figure(number, own))
+            add_provenance(tables[-1].figure, shown)
+        else:
+            without.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
     comparisons = {name: load_published(report) for name, report in reports.items()}
     sources = {one.source for one in comparisons.values()}
     bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
@@ -163,12 +174,13 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     groups = [runs] if figure.together else [{name: run} for name, run in runs.items()]
     named: list[NamedFigure] = []
     for group in groups:
-        for drawing in figure.draw(group, jobs):
-            shown = [run.content.run for run in group.values()]
+        (first, run), shown = next(iter(group.items())), [run.content.run for run in group.values()]
+        for drawing in figure.draw(group if figure.together else run, *([jobs] if figure.rebuilds else [])):
             add_provenance(drawing.figure, shown)
-            campaign = f"_{next(iter(group))}" if named else ""
-            suffix = drawing.stem if drawing.stem.startswith("_") else campaign
-            named.append(figure.named(with_trial_counts(drawing, shown), suffix))
+            suffix = drawing.stem if drawing.stem.startswith("_") else f"_{first}" if named else ""
+            counted = with_trial_counts(drawing, shown)
+            stem, caption = f"figure_{figure.number:0>2}{suffix}", f"Figure {figure.number}. {counted.caption}"
+            named.append(replace(counted, stem=stem, caption=caption))
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
     return named
@@ -187,27 +199,6 @@ def _command(name: str, runs: Path, *, embedded: bool) -> str:
     return f"boresight fetch {name} && {run}" if absent else run
 
 
-def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
-    """Draw the tables of the paper that have finished runs, and describe what the others need."""
-    tables, missing = [], []
-    for number, own in lines_by_table(lines).items():
-        campaigns = dict.fromkeys(line.campaign for line in own)
-        runs = [found[name].content.run for name in campaigns if name in found]
-        if runs:
-            table = table_figure(number, own)
-            add_provenance(table.figure, runs)
-            tables.append(table)
-        else:
-            missing.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
-    return tables, missing
-
-
-def _reports(paper: Paper) -> dict[str, str]:
-    """Return the key of the published values of each campaign that has one."""
-    specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
-    return {name: spec.report for name, spec in specs.items() if spec.report}
-
-
 def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> list[PaperLine]:
     labels = [label for method in paper.methods for label in run.labels(method)] if run else []
     real = any(need.kind == "images" and not need.found for need in needs(load_campaign(name, CATALOG)))
@@ -216,15 +207,10 @@ def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> lis
 
 
 def _how(run: FinishedRun) -> str:
-    manifest = run.manifest
+    manifest, draft = run.manifest, float(run.manifest.get("draft", 1.0))
+    said = [*([f"a draft of scale {draft:g}"] if draft < 1.0 else []), *manifest.get("embedded", [])]
+    size = count_of(manifest["trials"], "trial") + (f" ({', '.join(said)})" if said else "")
     return (
-        f"{run.folder.path}, {_size(manifest)}, seed {manifest['seed']}, {manifest['finished']},"
+        f"{run.folder.path}, {size}, seed {manifest['seed']}, {manifest['finished']},"
         f" commit {manifest['commit'] or 'unknown'}"
     )
-
-
-def _size(manifest: Mapping[str, Any]) -> str:
-    draft = float(manifest.get("draft", 1.0))
-    said = [f"a draft of scale {draft:g}"] if draft < 1.0 else []
-    said += manifest.get("embedded", [])
-    return count_of(manifest["trials"], "trial") + (f" ({', '.join(said)})" if said else "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,7 +21,7 @@ from boresight.campaign.kinds.single_image.examples import (
     second_look,
 )
 from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Paper, PaperFigure, Runs
+from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from boresight.campaign.products.landmark_database import KIND as DATABASE
 from boresight.campaign.threads import workers
@@ -87,8 +87,8 @@ def _rebuilt(run: FinishedRun, jobs: int | None) -> _Rebuilt:
     return _Rebuilt(world, built, broadside_view(world, typical_range_m(scenario)), scenario.spec.name)
 
 
-def _figure_1(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    made = _rebuilt(runs["rowell2015-database"], jobs)
+def _figure_1(run: FinishedRun, jobs: int | None) -> Iterator[NamedFigure]:
+    made = _rebuilt(run, jobs)
     title = f"Landmarks out of a cloud of {len(made.built.points_m)} candidates, {made.name}"
     yield NamedFigure(
         "",
@@ -100,8 +100,8 @@ def _figure_1(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    made = _rebuilt(runs["rowell2015-database"], jobs)
+def _figure_2(run: FinishedRun, jobs: int | None) -> Iterator[NamedFigure]:
+    made = _rebuilt(run, jobs)
     title = f"Surface through {len(made.built.database)} landmarks, {made.name}"
     yield NamedFigure(
         "",
@@ -112,9 +112,7 @@ def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["rowell2015-simulated"]
+def _figure_3(run: FinishedRun) -> Iterator[NamedFigure]:
     label = run.labels(RECOGNISER)[0]
     rows = run.content.run.rows
     shaded = rows[(rows["phase_deg"] >= _SIGNIFICANT_PHASE_DEG) & (rows["estimator"] == label)]
@@ -133,9 +131,7 @@ def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_4(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["rowell2015-centroid"]
+def _figure_4(run: FinishedRun) -> Iterator[NamedFigure]:
     found = centroid_offsets(run.content.run, run.labels("centroid")[0])
     order = [scenario["name"] for scenario in run.manifest["identity"]["scenarios"]]
     offsets = {name.removeprefix("itokawa-2km-"): found[name] for name in order if name in found}
@@ -149,15 +145,14 @@ def _figure_4(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_5(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["rowell2015-convergence"].content.run
-    scenario = run.pairs()[0][0]
-    have = {label for _, label in run.pairs()}
-    groups: dict[str, dict[str, pd.DataFrame]] = {}
-    for title, labels in _FIGURE_5.items():
-        groups[title] = {name: select(run.rows, scenario, label) for label, name in labels.items() if label in have}
-    n = len(run.rows[["scenario", "trial"]].drop_duplicates())
+def _figure_5(run: FinishedRun) -> Iterator[NamedFigure]:
+    data = run.content.run
+    scenario, have = data.pairs()[0][0], {label for _, label in data.pairs()}
+    groups = {
+        title: {name: select(data.rows, scenario, label) for label, name in labels.items() if label in have}
+        for title, labels in _FIGURE_5.items()
+    }
+    n = len(data.rows[["scenario", "trial"]].drop_duplicates())
     yield NamedFigure(
         "",
         draw_method_errors(
@@ -172,47 +167,28 @@ def _figure_5(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    yield _pose(runs["rowell2015-simulated"])
+def _figure_7(run: FinishedRun) -> Iterator[NamedFigure]:
+    label = run.labels(RECOGNISER)[0]
+    figures = landmark_figures(run.content, _scenario(run, label), label)
+    yield from (figure for figure in figures if figure.stem.startswith("landmark_errors"))
 
 
-def _figure_7(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["rowell2015-simulated"]
-    content, label = run.content, run.labels(RECOGNISER)[0]
-    yield from (
-        figure
-        for figure in landmark_figures(content, _scenario(run, label), label)
-        if figure.stem.startswith("landmark_errors")
+def _figure_8(run: FinishedRun) -> Iterator[NamedFigure]:
+    look, what, credits_ = _look(run, run.labels(RECOGNISER)[0], run.content.run.rows)
+    fit = fit_of(look)
+    if fit is None:
+        raise BoresightError(f"{run.folder.path}: the trial of figure 8 has no fit")
+    yield NamedFigure(
+        "",
+        draw_fit_panels(fit, what, credits_),
+        f"One test of {run.manifest['name']}, {what}, the trial of median position error: (a) the prior pose, with"
+        " the 6-sigma search ellipses and both brightness centroids; (b) the mesh rendered for the first iteration;"
+        " (c) the converged fit with the corners of the image.",
+        "The image with the mesh misplaced, the rendered mesh, and the image with the mesh in place.",
     )
 
 
-def _figure_8(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    for run in runs.values():
-        label = run.labels(RECOGNISER)[0]
-        look, what, credits_ = _look(run, label, run.content.run.rows)
-        fit = fit_of(look)
-        if fit is None:
-            raise BoresightError(f"{run.folder.path}: the trial of figure 8 has no fit")
-        yield NamedFigure(
-            "",
-            draw_fit_panels(fit, what, credits_),
-            f"One test of {run.manifest['name']}, {what}, the trial of median position error: (a) the prior pose, with"
-            " the 6-sigma search ellipses and both brightness centroids; (b) the mesh rendered for the first iteration;"
-            " (c) the converged fit with the corners of the image.",
-            "The image with the mesh misplaced, the rendered mesh, and the image with the mesh in place.",
-        )
-
-
-def _figure_9(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
-    yield from (_pose(run) for run in runs.values())
-
-
-def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
-    del jobs
+def _figure_10(runs: Mapping[str, FinishedRun]) -> Iterator[NamedFigure]:
     counts, published, credits_ = dict[str, NDArray[np.float64]](), dict[str, float](), list[str]()
     for name, run in runs.items():
         label = run.labels(RECOGNISER)[0]
@@ -233,9 +209,10 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     )
 
 
-def _pose(run: FinishedRun) -> NamedFigure:
+def _pose(run: FinishedRun) -> Iterator[NamedFigure]:
+    """Draw the errors of the recogniser after each stage, for figures 6 and 9."""
     label = run.labels(RECOGNISER)[0]
-    return pose_figure(run.content, _scenario(run, label), label)
+    yield pose_figure(run.content, _scenario(run, label), label)
 
 
 def _scenario(run: FinishedRun, label: str) -> str:
@@ -265,15 +242,15 @@ def _grids(run: FinishedRun) -> list[Grid]:
 
 _REAL = ("rowell2015-real", "rowell2015-real-like", "navcam67p-real")
 _FIGURES = (
-    PaperFigure("1", ("rowell2015-database",), _figure_1),
-    PaperFigure("2", ("rowell2015-database",), _figure_2),
+    PaperFigure("1", ("rowell2015-database",), _figure_1, rebuilds=True),
+    PaperFigure("2", ("rowell2015-database",), _figure_2, rebuilds=True),
     PaperFigure("3", ("rowell2015-simulated",), _figure_3),
     PaperFigure("4", ("rowell2015-centroid",), _figure_4),
     PaperFigure("5", ("rowell2015-convergence",), _figure_5),
-    PaperFigure("6", ("rowell2015-simulated",), _figure_6),
+    PaperFigure("6", ("rowell2015-simulated",), _pose),
     PaperFigure("7", ("rowell2015-simulated",), _figure_7),
     PaperFigure("8", _REAL, _figure_8),
-    PaperFigure("9", _REAL, _figure_9),
+    PaperFigure("9", _REAL, _pose),
     PaperFigure("10", ("rowell2015-simulated", *_REAL), _figure_10, together=True),
 )
 _ORDER = ("database", "centroid", "convergence", "simulated", "real", "real-like")

@@ -28,6 +28,12 @@ from boresight.reports.verdicts import (
     verdict_of_claim,
 )
 
+_COLUMNS = [
+    "campaign", "scenario", "estimator", "place", "quantity", "statistic", "published", "ours", "low", "high", "unit",
+    "n_ok", "n", "tolerance", "verdict",
+]  # fmt: skip
+_NONE = (None, None, None, "", 0, 0)
+
 
 @dataclass(frozen=True, slots=True)
 class PaperLine:
@@ -109,9 +115,9 @@ def paper_lines(
         claims = (ComparedClaim("", claim, (), absent) for claim in comparison.claims)
         yield from (_claim_line(campaign, item) for item in claims)
         return
-    # A run made before its campaign named published values is compared with them too.
-    made = content.compared, content.claims
-    compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
+    compared, stated = content.compared, content.claims
+    if content.comparison is None:  # made before its campaign named published values
+        compared, stated = beside_published(content.run, content.records, comparison)
     told = [item for item in compared if item.estimator in labels]
     several = len({item.estimator for item in told}) > 1
     yield from (_value_line(campaign, item, name=several) for item in told)
@@ -154,17 +160,9 @@ def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
     """Lay the lines out as the one table of the paper."""
     heads = (
-        "place in the paper",
-        "quantity",
-        "statistic",
-        "paper",
-        "ours [95 %]",
-        "ok",
-        "tolerance",
-        "verdict",
-        "campaign",
+        "place in the paper", "quantity", "statistic", "paper", "ours [95 %]", "ok", "tolerance", "verdict", "campaign",
         "scenario",
-    )
+    )  # fmt: skip
     rows = tuple(
         (
             line.place,
@@ -186,8 +184,7 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
 def _ours(line: PaperLine) -> str:
     if len(line.ours) == 1:
         return value_of(line.ours[0], interval=True)
-    values = ordered_values(line.ours, line.names)
-    return f"{values}; {line.remark}" if line.remark else values
+    return "; ".join(filter(None, (ordered_values(line.ours, line.names), line.remark)))
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:
@@ -215,26 +212,11 @@ def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
     rows = []
     for line in lines:
         for ours in line.ours or (None,):
-            rows.append(
-                {
-                    "campaign": line.campaign,
-                    "scenario": line.scenario,
-                    "estimator": ours.estimator if ours and ours.estimator else line.estimator,
-                    "place": line.place,
-                    "quantity": line.quantity,
-                    "statistic": line.statistic,
-                    "published": line.printed,
-                    "ours": ours.value if ours else None,
-                    "low": ours.low if ours else None,
-                    "high": ours.high if ours else None,
-                    "unit": ours.unit if ours else "",
-                    "n_ok": ours.n_ok if ours else 0,
-                    "n": ours.n if ours else 0,
-                    "tolerance": line.tolerance,
-                    "verdict": line.verdict,
-                }
-            )
-    return pd.DataFrame(rows)
+            estimator = ours.estimator if ours and ours.estimator else line.estimator
+            number = (ours.value, ours.low, ours.high, ours.unit, ours.n_ok, ours.n) if ours else _NONE
+            known = (line.campaign, line.scenario, estimator, line.place, line.quantity, line.statistic, line.printed)
+            rows.append((*known, *number, line.tolerance, line.verdict))
+    return pd.DataFrame(rows, columns=_COLUMNS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
-from boresight.reports.figures.style import hide_axes, new_figure, styled
+from boresight.reports.figures.style import finish, hide_axes, new_figure, styled
 from boresight.reports.papers.page import PaperLine, paper_grid
 from boresight.reports.schema.grid import NO_VALUE, Grid
 from boresight.reports.schema.named_figure import NamedFigure
@@ -35,40 +34,32 @@ def draw_table(grid: Grid) -> Figure:
     hide_axes(axes)
     left = 0.5 * _GAP_IN
     for number, (column, own) in enumerate(zip(drawn, widths, strict=True)):
-        _place(column, left, own, number in grid.text)
+        for row, cell in enumerate(column):
+            cell.set_position((left if number in grid.text else left + own, row + 0.5))
+            cell.set_horizontalalignment("left" if number in grid.text else "right")
         left += own + _GAP_IN
-    _rule(axes, lines, width)
-    figure.suptitle(grid.title, fontsize=9.5)
-    return figure
-
-
-def _place(column: Sequence[Text], left_in: float, width_in: float, is_text: bool) -> None:
-    for row, cell in enumerate(column):
-        cell.set_position((left_in if is_text else left_in + width_in, row + 0.5))
-        cell.set_horizontalalignment("left" if is_text else "right")
-
-
-def _rule(axes: Axes, lines: int, width_in: float) -> None:
-    """Draw the rules above and below the table and below its headings; its lines are one unit high."""
+    # Rules above and below the table and below its headings; its lines are one unit high.
     for at, thick in ((0.0, 1.2), (1.0, 0.7), (float(lines), 1.2)):
-        axes.hlines(at, 0.0, width_in, color="black", linewidth=thick)
-
-
-def table_number(line: PaperLine) -> str:
-    """Return the number of the paper's table in which a number is printed; '' if it is not in a table."""
-    found = _PLACE.match(line.place)
-    return found[1] if found else ""
+        axes.hlines(at, 0.0, width, color="black", linewidth=thick)
+    return finish(figure, grid.title)
 
 
 def lines_by_table(lines: Sequence[PaperLine]) -> dict[str, list[PaperLine]]:
-    """Gather the lines of each table of the paper, in the order of its numbers."""
-    numbers = sorted({number for number in map(table_number, lines) if number}, key=int)
-    return {number: [line for line in lines if table_number(line) == number] for number in numbers}
+    """Gather the lines whose numbers are printed in each table of the paper, in the order of the tables."""
+    gathered: dict[str, list[PaperLine]] = {}
+    for line in lines:
+        found = _PLACE.match(line.place)
+        if found:
+            gathered.setdefault(found[1], []).append(line)
+    return {number: gathered[number] for number in sorted(gathered, key=int)}
 
 
 def table_figure(number: str, lines: Sequence[PaperLine]) -> NamedFigure:
     """Draw a table of the paper: its numbers, ours with their intervals and counts, and the verdicts."""
-    grid = _narrowed(paper_grid(lines).keep(*_SHOWN), f"Table {number} of the paper, and ours")
+    grid = paper_grid(lines).keep(*_SHOWN)
+    columns = zip(grid.columns, zip(*grid.rows, strict=True), strict=True)
+    with_values = grid.keep(*(name for name, column in columns if set(column) != {NO_VALUE}))
+    grid = replace(with_values, title=f"Table {number} of the paper, and ours")
     campaigns = ", ".join(dict.fromkeys(line.campaign for line in lines))
     return NamedFigure(
         f"table_{number:0>2}",
@@ -77,10 +68,3 @@ def table_figure(number: str, lines: Sequence[PaperLine]) -> NamedFigure:
         f" number, from {campaigns}.",
         f"The {len(lines)} numbers of table {number} beside ours.",
     )
-
-
-def _narrowed(grid: Grid, title: str) -> Grid:
-    """Remove columns without any value."""
-    cells = zip(grid.columns, zip(*grid.rows, strict=True), strict=True)
-    kept = grid.keep(*(name for name, column in cells if set(column) != {NO_VALUE}))
-    return Grid(title, kept.columns, kept.rows, kept.text, kept.note, kept.known)

@@ -302,9 +302,8 @@ def test_footers_name_the_runs_that_a_drawing_shows(runs):
     found = gather(PAPER, runs).found
     two = ("rowell2015-simulated", "rowell2015-centroid")
 
-    def draw(runs, jobs):
-        del jobs
-        yield NamedFigure("", Figure(), " and ".join(runs), "")
+    def draw(run):
+        yield NamedFigure("", Figure(), "Drawn.", "")
 
     for together in (False, True):
         figures = drawn(PaperFigure("11", two, draw, together), found, 1)
