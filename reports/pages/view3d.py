@@ -109,12 +109,44 @@ def write_view3d(look: View3D, path: Path) -> None:
     BoresightError
         If it cannot be written.
     """
-    lifted = [raised_points(look, marks.points_m) for marks in look.marks]
-    traces = [
-        _point_trace(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))
+    # Half-Lambert shading, in which no side is black, is computed here: plotly's lights are fixed to the screen and
+    # leave bodies of some hundred metres dark.
+    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)
+    a, b, c = look.faces.T
+    body = go.Mesh3d(
+        **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, name="body", hoverinfo="skip", showlegend=True,
+        intensity=light.astype(np.float32), intensitymode="cell", cmin=0.0, cmax=1.0, colorscale=_SHADES,
+        showscale=False, lighting={"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
+    )  # fmt: skip
+    marks = [
+        go.Scatter3d(
+            **_coordinates(raised_points(look, one.points_m)), mode="markers", marker=_marker(one), name=one.name,
+            text=list(one.texts), hoverinfo="text", visible=True if k == 0 else "legendonly",
+        )
+        for k, one in enumerate(look.marks)
+    ]  # fmt: skip
+    cameras = [
+        go.Scatter3d(
+            **_coordinates(one.points_m), mode="lines+markers" if one.joined else "markers",
+            marker={"size": 3, "color": one.colour, "symbol": "circle" if one.joined else "diamond"},
+            line={"color": one.colour, "width": 3}, name=f"{one.name} ({len(one.points_m)})", text=list(one.texts),
+            hoverinfo="text",
+        )
+        for one in look.cameras
+    ]  # fmt: skip
+    figure = go.Figure([body, *marks])
+    figure.add_traces(cameras)
+    # Buttons choose which set of landmarks is shown; body and cameras stay.
+    at = list(range(1, 1 + len(look.marks)))
+    buttons = [
+        {
+            "label": one.name,
+            "method": "restyle",
+            "args": [{"visible": [True if k == index else "legendonly" for k in range(len(look.marks))]}, at],
+        }
+        for index, one in enumerate(look.marks)
     ]
-    figure = go.Figure([_body_trace(look), *traces])
-    figure.add_traces([_camera_trace(cameras) for cameras in look.cameras])
+    menu = {"type": "buttons", "direction": "right", "x": 0.01, "y": 1.01, "xanchor": "left", "yanchor": "bottom"}
     note = textwrap.wrap(look.note, _WIDTH) or [""]
     figure.update_layout(
         title={"text": look.title, "subtitle": {"text": "<br>".join(note)}, "y": 0.97, "yanchor": "top"},
@@ -126,14 +158,11 @@ def write_view3d(look: View3D, path: Path) -> None:
         },
         legend={"itemsizing": "constant", "x": _SCENE, "xanchor": "left", "y": 1.0, "yanchor": "top"},
         margin={"l": 0, "r": 10, "b": 0, "t": _TOP_PX + _LINE_PX * len(note)},
-        updatemenus=[_buttons(look)] if len(look.marks) > 1 else [],
+        updatemenus=[menu | {"buttons": buttons}] if len(look.marks) > 1 else [],
     )
     page = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False, "responsive": True})
-    write_text(path, page.replace("<head>", f"<head>\n    <title>{_plain(look.title)}</title>", 1))
-
-
-def _plain(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+    title = look.title.replace("&", "&amp;").replace("<", "&lt;")
+    write_text(path, page.replace("<head>", f"<head>\n    <title>{title}</title>", 1))
 
 
 def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
@@ -157,73 +186,18 @@ def _normals(corners_m: FloatArray) -> FloatArray:
     return np.asarray(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
-def _body_trace(look: View3D) -> go.Mesh3d:
-    """Draw the body with half-Lambert shading, in which no side is black.
-
-    The shading is computed here because Plotly's lights are fixed to the screen and leave bodies of some hundred metres
-    dark.
-    """
-    a, b, c = look.faces.T
-    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)
-    return go.Mesh3d(
-        **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, name="body", hoverinfo="skip", showlegend=True,
-        intensity=light.astype(np.float32), intensitymode="cell", cmin=0.0, cmax=1.0, colorscale=_SHADES,
-        showscale=False, lighting={"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
-    )  # fmt: skip
-
-
-def _point_trace(marks: PointSet, points_m: FloatArray, shown: bool) -> go.Scatter3d:
+def _marker(marks: PointSet) -> dict[str, object]:
+    """Colour points by their number, up to its 95th percentile, with a bar that explains it."""
     known = marks.values[np.isfinite(marks.values)]
     top = float(np.percentile(known, _PERCENT)) if len(known) else 1.0
-    marker = {
+    title = {"text": f"{marks.name}{f', {marks.unit}' if marks.unit else ''}", "font": {"size": 12}}
+    bar = {"title": title, "x": _SCENE, "xanchor": "left", "y": 0.05, "yanchor": "bottom", "len": 0.5, "thickness": 14}
+    return {
         "size": 5,
         "color": np.nan_to_num(marks.values, nan=-1.0),
         "cmin": 0.0,
         "cmax": top or 1.0,
         "colorscale": "Viridis",
-        "colorbar": {
-            "title": {"text": f"{marks.name}{f', {marks.unit}' if marks.unit else ''}", "font": {"size": 12}},
-            "x": _SCENE,
-            "xanchor": "left",
-            "y": 0.05,
-            "yanchor": "bottom",
-            "len": 0.5,
-            "thickness": 14,
-        },
+        "colorbar": bar,
         "line": {"width": 0.5, "color": "white"},
-    }
-    return go.Scatter3d(
-        **_coordinates(points_m), mode="markers", marker=marker, name=marks.name, text=list(marks.texts),
-        hoverinfo="text", visible=True if shown else "legendonly",
-    )  # fmt: skip
-
-
-def _camera_trace(cameras: CameraSet) -> go.Scatter3d:
-    return go.Scatter3d(
-        **_coordinates(cameras.points_m), mode="lines+markers" if cameras.joined else "markers",
-        marker={"size": 3, "color": cameras.colour, "symbol": "circle" if cameras.joined else "diamond"},
-        line={"color": cameras.colour, "width": 3}, name=f"{cameras.name} ({len(cameras.points_m)})",
-        text=list(cameras.texts), hoverinfo="text",
-    )  # fmt: skip
-
-
-def _buttons(look: View3D) -> dict[str, object]:
-    """Choose which set of landmarks is shown; body and cameras stay."""
-    at = range(1, 1 + len(look.marks))
-    buttons = [
-        {
-            "label": marks.name,
-            "method": "restyle",
-            "args": [{"visible": [True if k == index else "legendonly" for k in range(len(look.marks))]}, list(at)],
-        }
-        for index, marks in enumerate(look.marks)
-    ]
-    return {
-        "type": "buttons",
-        "direction": "right",
-        "x": 0.01,
-        "y": 1.01,
-        "xanchor": "left",
-        "yanchor": "bottom",
-        "buttons": buttons,
     }
