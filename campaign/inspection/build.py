@@ -6,9 +6,9 @@ import json
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -64,24 +64,17 @@ def _first_figure(again: Recomputed, show: Show, campaign: ResolvedCampaign) -> 
     return islice(draw_case(again, show, campaign.spec.experiment).figures, 1)
 
 
-def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
+def _keep(again: Recomputed, show: Show | None, folder: Path) -> None:
     """Write the tables of a case as Parquet, its images as TIFF, and the estimate as JSON."""
-    kept = [_table(name, records, folder) for name, records in again.records.items() if records]
+    for name, records in again.records.items():
+        if records:
+            table = pa.Table.from_pylist([dict(record) for record in records], schema=schema(name))
+            write_atomically(folder / "tables" / f"{name}.parquet", partial(pq.write_table, table))
     shown = CaseFiles() if show is None else show.kept(again.shown)
     for name, image in shown.images.items():
-        kept.append(folder / f"{name}.tiff")
-        write_image(kept[-1], image)
+        write_image(folder / f"{name}.tiff", image)
     if shown.estimate is not None:
-        kept.append(folder / "estimate.json")
-        write_text(kept[-1], json.dumps(shown.estimate, indent=1) + "\n")
-    return kept
-
-
-def _table(name: str, records: Sequence[Record], folder: Path) -> Path:
-    path = folder / "tables" / f"{name}.parquet"
-    table = pa.Table.from_pylist([dict(record) for record in records], schema=schema(name))
-    write_atomically(path, lambda temporary: pq.write_table(table, temporary))
-    return path
+        write_text(folder / "estimate.json", json.dumps(shown.estimate, indent=1) + "\n")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,18 +95,26 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
     BoresightError
         If its world cannot be rebuilt, or a file cannot be written.
     """
-    again = recompute(campaign, folder, case)
-    place = out / case.stem
-    show = show_of(campaign.spec.experiment)
-    keep(again, show, place)
+    again, place, show = recompute(campaign, folder, case), out / case.stem, show_of(campaign.spec.experiment)
+    _keep(again, show, place)
     drawn = draw_case(again, show, campaign.spec.experiment)
-    comparison = again.comparison
+    comparison, row, manifest = again.comparison, again.row, folder.read_manifest() or {}
+    facts = (
+        ("Run", str(folder.path)),
+        ("Campaign", campaign.spec.title or campaign.spec.name),
+        ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
+        ("Recomputed", str(comparison)),
+        ("Seed", str(campaign.seed)),
+        ("Commit", str(manifest.get("commit") or "")),
+        ("Image", str(row.get("image") or "")),
+    )
+    named = ["--scenario", case.scenario, "--estimator", case.estimator, "--trial", str(case.trial)]
     page = CasePage(
         title=str(case),
-        facts=_facts(again, comparison, campaign),
+        facts=[(name, value) for name, value in facts if value],
         notes=drawn.notes,
-        grids=[_row_grid(again.row), *_grids(again)],
-        command=_command(folder, case),
+        grids=list(_grids(again)),
+        command=shlex.join(["boresight", "inspect", str(folder.path), *named]),
         traceback=again.traceback,
         said=again.said,
         credits=drawn.credits,
@@ -131,53 +132,25 @@ def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
     return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 
 
-def _facts(again: Recomputed, comparison: StoredComparison, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
-    """Describe a case by names and values."""
-    manifest: dict[str, Any] = again.folder.read_manifest() or {}
-    row = again.row
-    facts = [
-        ("Run", str(again.folder.path)),
-        ("Campaign", campaign.spec.title or campaign.spec.name),
-        ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
-        ("Recomputed", str(comparison)),
-        ("Seed", str(campaign.seed)),
-        ("Commit", str(manifest.get("commit") or "")),
-        ("Image", str(row.get("image") or "")),
-    ]
-    return [(name, value) for name, value in facts if value]
-
-
-def _row_grid(row: Record) -> Grid:
-    """Table of the values of a case's row and their meaning."""
+def _grids(again: Recomputed) -> Iterator[Grid]:
+    """Yield the row of a case with the meaning of its values, and its short tables."""
     meanings = {column.name: column.meaning for column in TABLES["rows"]}
     key = ("trial", "scenario", "estimator", "status", "reason", "image")
-    cells = [
-        (name, _cell(value), meanings[name]) for name, value in row.items() if name not in key and value is not None
-    ]
-    return Grid("Row", ("column", "value", "meaning"), tuple(cells), frozenset({0, 2}))
-
-
-def _grids(again: Recomputed) -> list[Grid]:
-    """Return the short tables of a case for its page."""
-    grids = []
+    known = [(name, value) for name, value in again.row.items() if name not in key and value is not None]
+    cells = tuple((name, _cell(value), meanings[name]) for name, value in known)
+    yield Grid("Row", ("column", "value", "meaning"), cells, frozenset({0, 2}))
     for name in (name for name in _SHORT if again.records.get(name)):
         records = again.records[name]
-        columns = tuple(c for c in records[0] if c not in ("trial", "scenario", "estimator"))
+        columns = tuple(c for c in records[0] if c not in key[:3])
         rows = tuple(tuple(_cell(record.get(column)) for column in columns) for record in records)
         text = frozenset(i for i, column in enumerate(columns) if isinstance(records[0][column], str))
-        grids.append(Grid(as_title(name.replace("_", " ")), columns, rows, text))
-    return grids
+        yield Grid(as_title(name.replace("_", " ")), columns, rows, text)
 
 
 def _cell(value: object) -> str:
     if value is None:
         return NO_VALUE
     return number(value) if isinstance(value, float) else str(value)
-
-
-def _command(folder: RunFolder, case: Case) -> str:
-    named = ["--scenario", case.scenario, "--estimator", case.estimator, "--trial", str(case.trial)]
-    return shlex.join(["boresight", "inspect", str(folder.path), *named])
 
 
 def order_of(cases: Sequence[Case]) -> list[Case]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from boresight.campaign.inspection.case import Case
@@ -102,18 +101,14 @@ def _why(manifest: Mapping[str, Any]) -> str:
 
 def _remake(manifest: Mapping[str, Any]) -> str:
     """Return the command that runs the campaign of a manifest with the present code."""
-    began = _words(manifest.get("command") or "")
+    try:
+        began = shlex.split(manifest.get("command") or "")
+    except ValueError:  # a quotation that has no end
+        began = []
     given = began[:2] == ["boresight", "run"] and len(began) > 2 and not began[2].startswith("-")
     name = began[2] if given else str(manifest.get("name", "NAME"))
     words = ["boresight", "run", name, "--trials", str(manifest.get("trials")), "--seed", str(manifest.get("seed"))]
     return shlex.join([*words, *(part for change in manifest.get("overrides", ()) for part in ("--set", change))])
-
-
-def _words(command: str) -> list[str]:
-    try:
-        return shlex.split(command)
-    except ValueError:  # a quotation that has no end
-        return []
 
 
 def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
@@ -173,22 +168,13 @@ def compare_with_stored(folder: RunFolder, case: Case, records: Records) -> Stor
     return StoredComparison(values, tuple(differences))
 
 
-def _differences(name: str, stored: pa.Table, again: pa.Table) -> Sequence[str]:
-    """Describe the columns that differ, ignoring columns that an earlier version did not store."""
-    found = []
+def _differences(name: str, stored: pa.Table, again: pa.Table) -> Iterator[str]:
+    """Yield the columns that differ, without those that an earlier version did not store.
+
+    Numbers are compared by their bits: NaN equals NaN, and -0 differs from 0.
+    """
     for column in (column for column in again.column_names if column in stored.column_names):
-        rows = np.count_nonzero(_differs(stored[column], again[column]))
+        bits = ([x.hex() if isinstance(x, float) else x for x in one[column].to_pylist()] for one in (stored, again))
+        rows = sum(one != other for one, other in zip(*bits, strict=True))
         if rows:
-            found.append(f"{name}.{column} in {rows} of {stored.num_rows} rows")
-    return found
-
-
-def _differs(one: pa.ChunkedArray, other: pa.ChunkedArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(n,) where two columns differ, numbers by their bits: NaN equals NaN, and -0 differs from 0."""
-    left, right = (_bits(column) for column in (one, other))
-    return np.array([a != b for a, b in zip(left, right, strict=True)], dtype=np.bool_)
-
-
-def _bits(column: pa.ChunkedArray) -> list[object]:
-    values = column.to_pylist()
-    return [value.hex() if isinstance(value, float) else value for value in values]
+            yield f"{name}.{column} in {rows} of {stored.num_rows} rows"
