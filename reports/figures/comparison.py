@@ -1,4 +1,4 @@
-"""Figures of comparisons: errors and success rates, errors against conditions, coverage of covariances."""
+"""Figures that compare methods: errors and success, conditions, coverage of covariances, costs, ROC curves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import chdtr
 
 from boresight.reports.figures.axes import Points, draw_points, mark_decades
-from boresight.reports.figures.style import GREY, PlotStyle, finish, grid_figure, new_figure, styled
+from boresight.reports.figures.style import GREY, PlotStyle, finish, grid_figure, new_figure, plot_styles, styled
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.arrays import FloatArray
 
@@ -24,6 +24,9 @@ _POINTS = np.linspace(0.0, 1.0, 201)
 
 _LINE_IN = 0.32
 _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
+MOST_CURVES = 5
+"""Largest number of curves in a panel that can still be distinguished."""
+_ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,3 +237,105 @@ def _share_ordinate(row: Sequence[Axes], error: str) -> None:
         if axes is not row[0]:
             axes.tick_params(labelleft=False)
     row[0].set_ylabel(error)
+
+
+@dataclass(frozen=True, slots=True)
+class TradeOffPoint:
+    """Accuracy and costs of one method.
+
+    Parameters
+    ----------
+    errors
+        Median errors with their intervals, by ``position_error_m`` and ``attitude_error_deg``.
+    seconds
+        Time per image; None if unknown.
+    size_bytes
+        Size of its data base; None if it has none.
+    """
+
+    errors: Mapping[str, Measured]
+    seconds: float | None
+    size_bytes: int | None
+
+
+@styled
+def draw_trade_off(
+    points: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw position and attitude errors (rows) against time and size (columns), all axes logarithmic.
+
+    Parameters
+    ----------
+    points
+        Methods by label.
+    prior
+        Median errors of the prior, by the names of `TradeOffPoint.errors`.
+    """
+    figure, places = grid_figure(2, 2, height_in=5.6)
+    for row, (name, label) in zip(places, _ERRORS, strict=True):
+        times = {key: 1e3 * point.seconds for key, point in points.items() if point.seconds is not None}
+        sizes = {key: 1e-3 * point.size_bytes for key, point in points.items() if point.size_bytes is not None}
+        for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
+            _draw_methods(axes, {key: point.errors[name] for key, point in points.items()}, costs)
+            axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
+            axes.set(xlabel=abscissa, ylabel=label)
+            _use_log_axes(axes)
+        row[1].sharey(row[0])
+    return finish(figure, title, credit_lines, legend=places[0, 0])
+
+
+def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
+    drawn = plot_styles(errors)
+    for label, error in errors.items():
+        if label not in costs or error.value is None:
+            continue
+        known = error.low is not None and error.high is not None
+        reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
+        axes.errorbar(
+            [costs[label]], [error.value], yerr=reach, color=drawn[label].colour, marker=drawn[label].marker,
+            markersize=6, linestyle="none", capsize=3, label=label,
+        )  # fmt: skip
+
+
+def _use_log_axes(axes: Axes) -> None:
+    """Make both axes logarithmic, labelled with plain numbers."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(0.15)
+    axes.autoscale_view()
+    for axis in (axes.xaxis, axes.yaxis):
+        mark_decades(axis)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RocCurve:
+    """ROC curve of one score: its name, (m,) ascending false and true positive rates, and the area below it (AUC)."""
+
+    name: str
+    false_positives: FloatArray
+    true_positives: FloatArray
+    area: float
+
+
+@styled
+def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw a panel of curves for each definition of a bad solution.
+
+    Parameters
+    ----------
+    panels
+        Definition of a bad solution to at most `MOST_CURVES` curves.
+    """
+    figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
+    drawn = plot_styles(curve.name for curves in panels.values() for curve in curves)
+    for place, (definition, curves) in zip(axes, panels.items(), strict=True):
+        place.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
+        for curve in curves:  # a score has the same style in all panels
+            label, style = f"{curve.name}: AUC {curve.area:.2f}", drawn[curve.name]
+            x, y = curve.false_positives, curve.true_positives
+            place.plot(x, y, color=style.colour, linestyle=style.line, linewidth=1.4, label=label)
+        place.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
+        place.set_box_aspect(1)
+        place.legend(loc="lower right")
+        place.set_title(f"bad: {definition}")
+    return finish(figure, title, credit_lines)

@@ -24,10 +24,9 @@ from boresight.reports.figures import (
     draw_triangulation,
     save_figure,
 )
-from boresight.reports.figures.centroid import one_sigma_ellipse
 from boresight.reports.figures.landmark_database import cluster_colours
-from boresight.reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
-from boresight.reports.figures.recognition import MATCH_SIGMAS
+from boresight.reports.figures.landmarks import one_sigma_ellipse
+from boresight.reports.figures.recognition import MATCH_SIGMAS, PoseRendering, draw_pose_renderings
 from boresight.reports.figures.style import render, shared_edges
 
 CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"

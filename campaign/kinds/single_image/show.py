@@ -38,12 +38,13 @@ from boresight.estimators.landmark.projection import visible_landmarks
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer
 from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.renderers.mitsuba3.rays import body_window
-from boresight.reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
 from boresight.reports.figures.recognition import (
     MatchedLandmarks,
+    PoseRendering,
     draw_alignment_panels,
     draw_fit_panels,
     draw_matched_landmarks,
+    draw_pose_renderings,
 )
 from boresight.reports.pages.view3d import PointSet, View3D
 from boresight.reports.run.data import select
