@@ -21,7 +21,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.images import write_image
 from boresight.campaign.trial.kind import Record
 from boresight.reports.pages.build import LEAD
-from boresight.reports.pages.case import CasePage, write_case
+from boresight.reports.pages.document import CasePage, write_case
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
 from boresight.reports.schema.labels import as_title

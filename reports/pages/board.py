@@ -11,8 +11,8 @@ from urllib.parse import quote
 import cv2
 from markupsafe import Markup
 
-from boresight.reports.pages.build import LEAD, estimator_results, verdict_counts
-from boresight.reports.pages.content import content_of
+from boresight.reports.pages.build import LEAD
+from boresight.reports.pages.content import content_of, estimator_results, verdict_counts
 from boresight.reports.pages.document import Document, write_document
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number

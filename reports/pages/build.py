@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 import json
-import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
-
-from boresight.reports.compare.metrics import Metric, choose_metric
-from boresight.reports.compare.trials import ESTIMATOR, tabulate_trials
 from boresight.reports.figures.provenance import add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids, told_grids
-from boresight.reports.pages.content import read_content
-from boresight.reports.pages.document import Document
-from boresight.reports.pages.templates import embed_figures, fill_template, template_text
+from boresight.reports.pages.content import headline, read_content, verdict_counts
+from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
-from boresight.reports.schema.grid import Grid, number
+from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.schema.records import CONTROL
-from boresight.reports.statistics.measured import MEDIAN, Measured, measure
-from boresight.reports.tables import interval
 from boresight.scenarios.errors import BoresightError
 
 LEAD = "typical"
 """Stem of the figure at the top of a page: a trial in the middle of all."""
-_MOST_IN_HEADLINE = 3
 _ROWS_BEFORE_LEAD = 8
 """Rows of the table before it at most."""
 
@@ -95,72 +84,6 @@ def _card(content: Content) -> Iterator[tuple[str, str]]:
     yield from [("Intervals", database_line(run))] if database_line(run) else []
     verdicts = verdict_counts(content)
     yield from [("Published values", verdicts)] if verdicts else []
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatorResult:
-    """Result of an estimator over all scenarios of a run, for a line.
-
-    Parameters
-    ----------
-    label
-        Of the estimator.
-    n_ok, n, n_success
-        Trials with a value, all, and those that did not fail.
-    median
-        Of the values.
-    prior
-        Median of the same number of the priors; None where there are none.
-    """
-
-    label: str
-    n_ok: int
-    n: int
-    n_success: int
-    median: Measured
-    prior: float | None
-
-
-def estimator_results(run: RunData) -> tuple[Metric, list[EstimatorResult]]:
-    """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
-
-    Raises
-    ------
-    BoresightError
-        If the trials have no number to go by.
-    """
-    metric, found = choose_metric(None, [run]), []
-    trials = tabulate_trials([run], metric, (ESTIMATOR,))
-    for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):
-        known, priors = own[own["value"].notna()], own["prior"].dropna()
-        median = measure(known["value"].to_numpy(dtype=np.float64), known["cluster"].to_numpy(), (MEDIAN,))[0]
-        prior = float(priors.median()) if len(priors) else None
-        found.append(EstimatorResult(str(label), len(known), len(own), int((~own["failed"]).sum()), median, prior))
-    return metric, found
-
-
-def headline(run: RunData) -> str:
-    """Write the result of each estimator on one line; '' where trials have no number to go by."""
-    try:
-        metric, found = estimator_results(run)
-    except BoresightError:
-        return ""
-    if len(found) > _MOST_IN_HEADLINE:
-        return f"{len(found)} estimators: see the table"
-    unit = f" {metric.unit}" if metric.unit else ""
-    parts = []
-    for one in found:
-        done = f"solved {one.n_ok}/{one.n}" if one.prior is None else f"success {one.n_success}/{one.n}"
-        before = "" if one.prior is None else f", prior {number(one.prior)}{unit}"
-        parts.append(f"{one.label}: {done}, median {metric.label} {interval(one.median)}{unit}{before}")
-    several = len(run.manifest.scenarios)
-    return "; ".join(parts) + (f"; over {several} scenarios" if parts and several > 1 else "")
-
-
-def verdict_counts(content: Content) -> str:
-    """Count the verdicts on published values and claims, in words; '' if there are none."""
-    verdicts = Counter([one.verdict for one in content.compared] + [one.verdict for one in content.claims])
-    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
 
 
 def _noted_once(grids: Iterable[Grid]) -> Iterator[Grid]:
@@ -262,24 +185,17 @@ def write_report(
     folder = out or run / "report"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
+        with tempfile.TemporaryDirectory(prefix=".writing-", dir=folder, ignore_cleanup_errors=True) as work:
+            with report_styles(map(str, content.run.manifest.estimators)):
+                names = _write_all(content, Path(work), further, ("png", "pdf") if pdf else ("png",))
+            for name in names:
+                (Path(work) / name).replace(folder / name)
+                if name.endswith(".png") and not pdf:  # one of an earlier report would show other numbers
+                    (folder / name).with_suffix(".pdf").unlink(missing_ok=True)
     except OSError as error:
         raise BoresightError(
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
         ) from error
-    try:
-        with report_styles(map(str, content.run.manifest.estimators)):
-            names = _write_all(content, work, further, ("png", "pdf") if pdf else ("png",))
-        for name in names:
-            (work / name).replace(folder / name)
-            if name.endswith(".png") and not pdf:  # one of an earlier report would show other numbers
-                (folder / name).with_suffix(".pdf").unlink(missing_ok=True)
-    except OSError as error:
-        raise BoresightError(
-            f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
-        ) from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     paths = [folder / name for name in names]
     return ReportFiles(
         folder,
@@ -312,11 +228,7 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
     timed = table["measure"] == "seconds"
     failed = content.run.rows[content.run.rows["status"] != "ok"]
     failures = failed[["trial", "scenario", "estimator", "status", "reason"]]
-    frames: dict[str, pd.DataFrame] = {
-        "table.csv": table[~timed],
-        "timings.csv": table[timed],
-        "failures.csv": failures,
-    }
+    frames = {"table.csv": table[~timed], "timings.csv": table[timed], "failures.csv": failures}
     for name, frame in frames.items():
         frame.to_csv(folder / name, index=False, lineterminator="\n")
     return list(frames)

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
+from boresight.reports.compare.metrics import Metric, choose_metric
+from boresight.reports.compare.trials import ESTIMATOR, tabulate_trials
 from boresight.reports.kinds import Content, report_kind
 from boresight.reports.kinds.sequence.tables import without_pooled
 from boresight.reports.published import Comparison, load_published
 from boresight.reports.run.clusters import image_set
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
+from boresight.reports.schema.grid import number
 from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.records import Record
+from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure
 from boresight.reports.statistics.measures import measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.roc import outlier_records
+from boresight.reports.tables import interval
 from boresight.reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims, on_embedded_body
+from boresight.scenarios.errors import BoresightError
+
+_MOST_IN_HEADLINE = 3
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -141,3 +152,69 @@ def beside_published(
     if run.manifest.embedded:
         return tuple(map(on_embedded_body, compared)), tuple(map(on_embedded_body, claims))
     return compared, claims
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorResult:
+    """Result of an estimator over all scenarios of a run, for a line.
+
+    Parameters
+    ----------
+    label
+        Of the estimator.
+    n_ok, n, n_success
+        Trials with a value, all, and those that did not fail.
+    median
+        Of the values.
+    prior
+        Median of the same number of the priors; None where there are none.
+    """
+
+    label: str
+    n_ok: int
+    n: int
+    n_success: int
+    median: Measured
+    prior: float | None
+
+
+def estimator_results(run: RunData) -> tuple[Metric, list[EstimatorResult]]:
+    """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
+
+    Raises
+    ------
+    BoresightError
+        If the trials have no number to go by.
+    """
+    metric, found = choose_metric(None, [run]), []
+    trials = tabulate_trials([run], metric, (ESTIMATOR,))
+    for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):
+        known, priors = own[own["value"].notna()], own["prior"].dropna()
+        median = measure(known["value"].to_numpy(dtype=np.float64), known["cluster"].to_numpy(), (MEDIAN,))[0]
+        prior = float(priors.median()) if len(priors) else None
+        found.append(EstimatorResult(str(label), len(known), len(own), int((~own["failed"]).sum()), median, prior))
+    return metric, found
+
+
+def headline(run: RunData) -> str:
+    """Write the result of each estimator on one line; '' where trials have no number to go by."""
+    try:
+        metric, found = estimator_results(run)
+    except BoresightError:
+        return ""
+    if len(found) > _MOST_IN_HEADLINE:
+        return f"{len(found)} estimators: see the table"
+    unit = f" {metric.unit}" if metric.unit else ""
+    parts = []
+    for one in found:
+        done = f"solved {one.n_ok}/{one.n}" if one.prior is None else f"success {one.n_success}/{one.n}"
+        before = "" if one.prior is None else f", prior {number(one.prior)}{unit}"
+        parts.append(f"{one.label}: {done}, median {metric.label} {interval(one.median)}{unit}{before}")
+    several = len(run.manifest.scenarios)
+    return "; ".join(parts) + (f"; over {several} scenarios" if parts and several > 1 else "")
+
+
+def verdict_counts(content: Content) -> str:
+    """Count the verdicts on published values and claims, in words; '' if there are none."""
+    verdicts = Counter([one.verdict for one in content.compared] + [one.verdict for one in content.claims])
+    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())

@@ -1,16 +1,20 @@
-"""A page of facts, tables and figures, as HTML and as Markdown: a comparison, a sensitivity analysis, a paper."""
+"""Self-contained pages of facts, tables and figures, some also as Markdown, and of an inspected case."""
 
 from __future__ import annotations
 
+import base64
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import resources
 from pathlib import Path
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from boresight.reports.figures.style import save_figure
-from boresight.reports.pages.templates import embed_figures, fill_template, template_text
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
+from boresight.scenarios.atomic import write_text
 
 ON_BOARD = "On board"
 """Name of the fact that says what was known on board."""
@@ -93,3 +97,71 @@ def write_document(document: Document, folder: Path, page: str, markdown: str = 
 
 def _bullets(lines: Iterable[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CasePage:
+    """Content of the page of an inspected case.
+
+    Parameters
+    ----------
+    title
+        Its heading.
+    facts
+        Names and values above everything else.
+    notes
+        Sentences above the figures.
+    grids
+        Tables below them.
+    command
+        Command line that makes the page again.
+    traceback
+        Traceback of an estimator that raised; '' otherwise.
+    said
+        Stream to the text that the method wrote to it.
+    credits
+        Credit lines of real images.
+    """
+
+    title: str
+    facts: Sequence[tuple[str, str]]
+    notes: Sequence[str]
+    grids: Sequence[Grid]
+    command: str
+    traceback: str = ""
+    said: Mapping[str, str] = field(default_factory=dict)
+    credits: Sequence[str] = ()
+
+
+def write_case(page: CasePage, figures: Iterable[NamedFigure], folder: Path, pdf: bool) -> Path:
+    """Write the figures of a case, as PDF too if asked, and its page into ``folder``; return the page's path.
+
+    Raises
+    ------
+    BoresightError
+        If the page cannot be written.
+    """
+    kinds = ("png", "pdf") if pdf else ("png",)
+    drawn = [(figure, save_figure(figure.figure, folder / figure.stem, kinds)[0].read_bytes()) for figure in figures]
+    path = folder / "index.html"
+    write_text(path, fill_template("case.html", case=page, figures=embed_figures(drawn)))
+    return path
+
+
+def fill_template(template: str, **values: object) -> str:
+    """Fill a template with values and the style sheet."""
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=PackageLoader("boresight.reports.pages", "."),
+    )  # fmt: skip
+    return environment.get_template(template).render(css=template_text("page.css"), **values)
+
+
+def template_text(name: str) -> str:
+    """Read a file of the templates' folder."""
+    return resources.files("boresight.reports.pages").joinpath(name).read_text(encoding="utf-8")
+
+
+def embed_figures(figures: Iterable[tuple[NamedFigure, bytes]]) -> list[tuple[NamedFigure, str]]:
+    """Encode the PNG of each figure for its place in a page."""
+    return [(figure, base64.b64encode(png).decode()) for figure, png in figures]
