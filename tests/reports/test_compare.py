@@ -140,6 +140,19 @@ def test_trials_that_are_not_the_same_are_no_pairs(tmp_path, changes, why):
     assert contrast.p == pytest.approx(mannwhitneyu(samples[1], samples[0]).pvalue)
     assert contrast.median.value == pytest.approx(np.median(samples[1]) - np.median(samples[0]))
     assert contrast.median.low < contrast.median.value < contrast.median.high
+    assert contrast.better.value == pytest.approx(np.mean(samples[1][:, None] < samples[0]))
+
+
+def test_subjects_that_differ_in_two_things_are_no_pair(tmp_path):
+    runs = [
+        store(tmp_path / kind, {"one": [1, 2, 3], "two": [2, 3, 4]}, scenarios={SCENARIO: spec(brdf={"kind": kind})})
+        for kind in ("lambert", "hapke")
+    ]
+    contrasts = compare_runs(runs, factors=["estimator", "brdf"]).contrasts
+    assert sorted((*one.first, *one.second) for one in contrasts) == [
+        ("one", "hapke", "one", "lambert"), ("two", "hapke", "one", "hapke"),
+        ("two", "hapke", "two", "lambert"), ("two", "lambert", "one", "lambert"),
+    ]  # fmt: skip
 
 
 def test_two_runs_of_one_campaign_are_two_lines_with_their_difference(tmp_path):

@@ -531,3 +531,23 @@ def test_an_upper_bound_is_printed_beside_the_words():
 @pytest.mark.parametrize("name", published_names())
 def test_every_paper_says_what_was_known_when_its_bounds_were_chosen(name):
     assert "after runs" in load_published(name).bounds
+
+
+def test_a_value_of_the_scenario_alone_is_that_of_each_of_its_estimators():
+    def measured(estimator, measure, value):
+        return Record("s", estimator, "final", "", measure, "m", "median", value, value, value, 3, 3)
+
+    records = (
+        measured("one", "position_error_m", 5.0),
+        measured("two", "position_error_m", 6.0),
+        measured("", "pixel_scale_m", 1.13),
+    )
+    number = {"stage": "final", "statistic": "median", "place": "p"}
+    values = (
+        PublishedValue(measure="position_error_m", printed="5 m", **number),
+        PublishedValue(measure="pixel_scale_m", printed="1.1 m", **number),
+    )
+    found = compare(records, Comparison(conditions="c", values=values))
+    assert [(one.estimator, one.ours and one.ours.value) for one in found] == [
+        ("one", 5.0), ("one", 1.13), ("two", 6.0), ("two", 1.13),
+    ]  # fmt: skip
