@@ -6,39 +6,101 @@ an estimator sees (image, prior pose, its covariance, the Sun) and of the truth 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
+from functools import cache, reduce
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Union, get_args, get_origin
+from typing import Annotated, Literal, Union, get_args, get_origin
 
 import pytest
-from every_key.changes import CHANGES, NO_RESULT, SAME_TERMS
-from every_key.files import write_files
-from every_key.fingerprints import fingerprint
-from every_key.scenes import RENDERED
+from fingerprints import fingerprint
+from key_scenes import KERNELS, SCENES, write_scenes
+from pydantic.fields import FieldInfo
 
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.distribution import Law, Law3
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
+# Where the first scene that has the key, or a number a quarter larger or smaller, does not do: (scene, value), the
+# scene alone, or the value alone.
+CHANGES: dict[str, tuple[str | None, str | None]] = {
+    "body.shape": (None, "sphere"),
+    "body.unit": ("shape", "km"),
+    "body.longitude": ("grid", "west"),
+    "body.shading": (None, "smooth"),
+    "body.even_facets": ("ball", "2000"),
+    "body.detail.facets": (None, "40000"),
+    "camera.focal_px": (None, "[150, 151]"),
+    "camera.principal_point_px": (None, "[25, 19]"),
+    "detector.full_well_e": (None, "20000"),
+    "detector.bits": (None, "8"),
+    "rendering.samples_per_pixel": (None, "9"),
+    "brdf.kind": (None, "oren-nayar"),
+    "brdf.H_function": (None, "'1981'"),
+    "viewpoint.targets": (None, "[terminator]"),
+    "viewpoint.keep_clear_px": (None, "[[0, 0, 48, 5]]"),
+    "pose_error.position_body_m": (None, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
+    "onboard.brdf": (None, "{kind: oren-nayar}"),
+    "onboard.body": (None, "{shape: sphere}"),
+    "onboard.facets": (None, "20000"),
+    "onboard.relief": (None, "{below_m: 40, seed: 5}"),
+    "onboard.height_error": (None, "{rms_m: 2, max_wavelength_m: 200, min_wavelength_m: 40}"),
+    "onboard.distortion_error": ("lens", "-1"),
+    "onboard.sun_error_deg": (None, "{uniform: [5, 5]}"),
+    "onboard.pole_error_deg": (None, "{uniform: [1, 1]}"),
+    "onboard.rotation_error_deg": (None, "{uniform: [1, 1]}"),
+    "images.folder": (None, "other"),
+    "images.table": (None, "more.csv"),
+    "images.spice.files": (None, "b*.lbl"),
+    "images.spice.kernels": (None, KERNELS.replace("tiny.tf", "tiny.tf, still.tf")),
+    "images.spice.target_frame": (None, "J2000"),
+    "images.keep_clear_px": ("real", "[[0, 39.5, 48, 40]]"),
+    "images.truth": ("real", "third"),
+    "images.also_score": ("real", "[third]"),
+    "images.noise_realisations": ("real", "1"),
+    "crater_pairs.images.most_detections": (None, "1"),
+    "sequence.orbit.normal_body": (None, "[0, 1, 1]"),
+    "sequence.orbit.model": ("sequence", None),
+    "sequence.orbit.forces.gravity": ("egg", None),
+    "sequence.body_motion.kind": ("sequence", None),
+    "sequence.body_motion.axis_body": (None, "[1, 0, 1]"),
+    "sequence.body_motion.inertia": ("tumbling", None),
+    "sequence.vision.field": ("sequence", None),
+    "sequence.vision.min_connection": ("sequence", "28"),
+    "sequence.images.features": (None, "15"),
+    "sequence.images.epipolar_max_px": (None, "0.1"),
+    "sequence.images.growth_max": (None, "1.01"),
+    "sequence.images.spacing_px": (None, "40"),
+    "sequence.knowledge.dynamics": ("sequence", "true"),
+    "orbit.light.sun_dir": (None, "[1, 0.2, 0.3]"),
+    "orbit.light.earth_dir": (None, "[0, 1, 0.1]"),
+    "orbit.imaging.errors.least_radius_px": (None, "1.5"),
+}
+# Said in the terms of the body and its reflectance, whose keys have their own lines.
+SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.relief", "onboard.height_error"}
+# Keys that change no result, each with its reason.
+NO_RESULT = {
+    "name": "names the scenario in tables",
+    "description": "prose",
+    "images.credit": "printed below figures",
+    "images.aligned": "told in reports",
+    "images.spice.instrument": "images of another camera are refused",
+    "images.spice.target": "images of another body are refused",
+    "body.format": "says how to read the file; a wrong one is refused",
+    "body.expected_diameter_m": "a guard: a body outside is refused",
+    "viewpoint.kind": "has one value",
+    "pose_error.attitude.axis": "has one value",
+}
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("keys")
-    write_files(folder)
-    return folder
 
-
-def leaves(model: type[SpecModel], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted name of every key of the schema that holds a value.
-
-    What is known on board is said in the terms of the body and its reflectance, whose keys have their own lines.
-    """
+def leaves(model: type[SpecModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Yield the dotted name of every key of the schema that holds a value, with its field."""
     for name, field in model.model_fields.items():
         models = [] if prefix + name in SAME_TERMS else list(_models(field.annotation))
         if not models:
-            yield prefix + name
+            yield prefix + name, field
         for inner in models:
             yield from leaves(inner, f"{prefix}{name}.")
 
@@ -53,26 +115,76 @@ def _models(annotation: object) -> Iterator[type[SpecModel]]:
             yield from _models(argument)
 
 
-_BASELINES: dict[str, str] = {}
+LEAVES = dict(leaves(ScenarioSpec))
 
 
-def test_every_key_of_the_schema_is_here():
-    found = set(leaves(ScenarioSpec))
-    listed = set(CHANGES) | set(NO_RESULT)
-    assert found == listed, f"not tested: {sorted(found - listed)}; no such key: {sorted(listed - found)}"
+def others(annotation: object, value: object) -> Iterator[object]:
+    """Yield other values: all words that a key takes, the other truth value, numbers a quarter larger and smaller."""
+    if isinstance(value, str):
+        yield from (word for word in get_args(annotation) if get_origin(annotation) is Literal and word != value)
+    else:
+        yield from (not value,) if isinstance(value, bool) else (_scaled(value, 1.25), _scaled(value, 0.8))
 
 
-@pytest.mark.parametrize("key", CHANGES)
+def _scaled(value: object, factor: float) -> object:
+    if isinstance(value, dict):
+        return {key: _scaled(one, factor) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_scaled(one, factor) for one in value]
+    if isinstance(value, int):
+        return round(value * factor) + (-1 if factor < 1.0 else 1)
+    return value * factor if value else 0.1
+
+
+@cache
+def spec_of(file: Path) -> ScenarioSpec:
+    return load_scenario(str(file)).spec
+
+
+@cache
+def before(file: Path) -> str:
+    return fingerprint(file)
+
+
+def changes(key: str, folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield scenes that have a key, and overrides by which it has another value in them."""
+    scene, value = CHANGES.get(key, (None, None))
+    for name in SCENES if scene is None else (scene,):
+        file = folder / f"{name}.yaml"
+        try:
+            now = reduce(getattr, key.split("."), spec_of(file))
+        except AttributeError:
+            continue
+        if value is not None:
+            yield file, f"{key}={value}"
+        elif now is not None:
+            plain = now.model_dump(exclude_unset=True) if isinstance(now, SpecModel) else now
+            yield from ((file, f"{key}={other}") for other in others(LEAVES[key].annotation, plain))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    write_scenes(folder)
+    return folder
+
+
+def test_exceptions_are_keys_of_the_schema():
+    assert set(CHANGES) | set(NO_RESULT) <= set(LEAVES)
+
+
+@pytest.mark.parametrize("key", sorted(set(LEAVES) - set(NO_RESULT)))
 def test_changing_the_key_alone_changes_the_result(key: str, place: Path):
-    text, value = CHANGES[key]
-    file = place / f"base-{hashlib.sha256(text.encode()).hexdigest()[:8]}.yaml"
-    file.write_text(text)
-    if text not in _BASELINES:
-        _BASELINES[text] = fingerprint(file)
-    assert fingerprint(file, (f"{key}={value}",)) != _BASELINES[text]
+    for file, override in changes(key, place):
+        try:
+            load_scenario(str(file), (override,))
+        except BoresightError:
+            continue  # the value does not go with others of the scene
+        assert fingerprint(file, (override,)) != before(file), override
+        return
+    raise AssertionError(f"no scene has another value of {key}")
 
 
 def test_the_fingerprint_itself_stands_still(place: Path):
-    file = place / "still.yaml"
-    file.write_text(RENDERED)
-    assert fingerprint(file) == fingerprint(file)
+    file = place / "rendered.yaml"
+    assert fingerprint(file) == before(file)

@@ -1,0 +1,118 @@
+"""What trials of a scenario show to an estimator, the truth that they are scored against and what is lent, hashed."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
+from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
+from boresight.campaign.kinds.orbit_determination.trial import open_orbit_world
+from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.tracks import ImageTracks
+from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.campaign.products import BuiltAssets
+from boresight.estimators.craters.navigation.rounds import CraterNavigation
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.slam.registry import sequence_estimator_class
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import View, look_at
+from boresight.scenarios.load import LoadedScenario, load_scenario
+from boresight.scenarios.orbits.draw import draw_orbit
+from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.sequences import draw_sequence
+
+
+def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
+    """Hash what some trials show to an estimator, the truth that they are scored against and what is lent."""
+    scenario = load_scenario(str(file), overrides)
+    spec, variant = scenario.spec, choose_variant().name
+    if spec.sequence is not None:
+        shown = _sequences(scenario, variant)
+    elif spec.crater_pairs is not None:
+        shown = _pairs(scenario, variant)
+    elif spec.orbit is None:
+        shown = _images(scenario, variant, file.parent / "products")
+    elif spec.orbit.imaging is not None:
+        shown = _navigation(scenario, variant)
+    else:
+        shown = draw_orbit(open_orbit_world(scenario, 3), 3, 0)
+    return hashlib.sha256(b"|".join(_parts(shown))).hexdigest()
+
+
+def _parts(value: object) -> Iterator[bytes]:
+    """Yield all numbers and texts in a value, but no sizes of errors: an error that is told must be made as well."""
+    if isinstance(value, np.ndarray | np.generic):
+        yield np.ascontiguousarray(value).tobytes()
+    elif value is None or isinstance(value, str | int | float):
+        yield repr(value).encode()
+    elif isinstance(value, Mapping):
+        yield from _parts(list(value.items()))
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _parts(one)
+    elif is_dataclass(value):
+        for field in fields(value):
+            if "sigma" not in field.name and "covariance" not in field.name:
+                yield from _parts(getattr(value, field.name))
+
+
+def _images(scenario: LoadedScenario, variant: str, products: Path) -> object:
+    """Three images, and what estimators borrow: the camera, the shape, and an image of it in the believed BRDF."""
+    assets, world = BuiltAssets(scenario, products, None, variant), open_world(scenario, variant)
+    shape = assets.shape()
+    view = View(assets.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
+    found: list[object] = [assets.camera, shape.vertices_m, assets.mesh_renderer(shape).render(view)]
+    if world.ground is not None:
+        found.append(world.ground.rims.crest_m)
+    for trial in range(3):
+        try:
+            image = world.source.trial_image(3, trial)
+            observation = observe(world, image, 3, trial)
+            found += [
+                image.image,
+                image.view.T_cam_body,
+                image.further,
+                observation,
+                observation.frame.prior_covariance,
+            ]
+        except BoresightError as error:
+            found.append(str(error))
+    return found
+
+
+def _navigation(scenario: LoadedScenario, variant: str) -> object:
+    world = open_orbit_world(scenario, 3)
+    with tempfile.TemporaryDirectory() as folder:
+        stages = StageFiles(Path(folder))
+        taken = NavigationTrial.take(world, open_sights(scenario, imaging_of(world), variant), 3, 0, stages)
+        searched = taken.search(CraterNavigation.from_options({}), taken.task, stages)
+    return taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m, taken.views, list(searched)
+
+
+def _sequences(scenario: LoadedScenario, variant: str) -> object:
+    spec, ground = scenario.spec, ground_of(scenario)
+    if spec.sequence.images is None:
+        drawn = [draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial) for trial in range(2)]
+        return [(truth.points_m, truth.poses, sequence) for truth, sequence in drawn]
+    tracks = ImageTracks(spec.sequence, ground, OrbitImages.open(scenario, variant, 3))
+    watches = [tracks.watch(3, trial) for trial in range(2)]
+    for watch in watches:
+        sequence_estimator_class("ba-slam").from_options({"connectivity": 2}).follow(watch.sequence)
+    seen = [watch.seen() for watch in watches]
+    return [(one.truth.points_m, one.sequence, one.sequence.frames[0].sigma_px) for one in seen]
+
+
+def _pairs(scenario: LoadedScenario, variant: str) -> object:
+    detector = BY_GEOMETRY if scenario.spec.crater_pairs.images is None else "crater-classic"
+    source = open_pairs(scenario, scenario.spec.crater_pairs, variant, [detector])
+    pairs = [source.looks(3, trial).seen_by(detector) for trial in range(2)]
+    return [(one.detections, one.frame, one.view.T_cam_body) for pair in pairs for one in (pair.first, pair.second)]

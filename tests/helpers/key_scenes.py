@@ -1,0 +1,168 @@
+"""Scenarios that are quick to make real, one for each group of keys, and the files that they name."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+from tiny_mission import make_mission
+from tiny_pairs import PAIRS
+
+RENDERED = """
+body:
+  detail:
+    facets: 5000
+    boulders: {count: 60, min_diameter_m: 15, max_diameter_m: 60}
+    craters: {count: 10, min_diameter_m: 40, max_diameter_m: 120}
+    roughness: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 20}
+    albedo: {sigma: 0.2, wavelength_m: 100}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+detector: {full_well_e: 3.0e+5, psf_sigma_px: 0.6}
+lighting: {phase_deg: {uniform: [20, 60]}}
+viewpoint: {range_m: 2000}
+"""
+CRATERS = """
+body: {shape: sphere}
+craters:
+  {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30,
+   roughness: {rms_m: 2, max_wavelength_m: 80, min_wavelength_m: 20}}
+"""
+SEQUENCE = """
+camera: {width_px: 64, height_px: 64, fov_deg: 30}
+sequence:
+  sphere_radius_m: 190
+  orbit: {step_deg: 6, revolutions: 0.2}
+  vision: {landmarks_per_frame: 30}
+"""
+KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
+SCENES = {
+    "rendered": RENDERED,
+    "data-sheet": RENDERED.replace("fov_deg: 18.3}", "optics: {focal_mm: 20.9, pixel_um: 140}}"),
+    "lens": RENDERED.replace("fov_deg: 18.3}", "fov_deg: 18.3, distortion: {k1: 1.5}}"),
+    "oren-nayar": RENDERED + "brdf: {kind: oren-nayar}\n",
+    # At phase angles of an opposition surge.
+    "hapke": RENDERED.replace("uniform: [20, 60]", "uniform: [0, 4]") + "brdf: {kind: hapke, c: 0.4}\n",
+    "mcewen": RENDERED + "brdf: {kind: mcewen}\n",
+    "uniform": RENDERED
+    + "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
+    + " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n",
+    "altimeter": RENDERED + "sensors: {altimeter: {sigma_m: 5}}\n",
+    "ball": RENDERED.replace("body:\n", "body:\n  shape: sphere\n"),
+    "redrawn": RENDERED.replace("    boulders:", "    redrawn: {below_m: 40, seed: 5}\n    boulders:"),
+    "wrong-heights": RENDERED.replace(
+        "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
+    ),
+    # From so far that the egg may be 600 m or 600 km long, in so narrow a field that it is 4 pixels long at least.
+    "shape": RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n")
+    .replace("range_m: 2000", "range_m: 800000")
+    .replace("fov_deg: 18.3", "fov_deg: 0.5"),
+    "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
+    "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
+    "real": """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
+""",
+    "spice": f"""
+body: {{shape: contact-binary}}
+camera: {{width_px: 64, height_px: 64, focal_px: [629.1667, 629.1667], distortion: {{k1: -0.40859392}}}}
+images:
+  folder: mission
+  spice: {{instrument: hayabusa-amica, target: ITOKAWA, target_frame: ITOKAWA_FIXED, kernels: {KERNELS}}}
+""",
+    "pairs": PAIRS,
+    "seen-pairs": CRATERS
+    + """
+camera: {width_px: 192, height_px: 192, fov_deg: 12}
+crater_pairs:
+  range_m: 2000
+  view_deg: {uniform: [0, 10]}
+  sun_deg: {uniform: [0, 10]}
+  aim_sigma_m: 5
+  images: {}
+""",
+    # Forces, rotation, landmarks that are seen again and knowledge of all of it.
+    "dynamics": """
+camera: {width_px: 64, height_px: 64, fov_deg: 30}
+sequence:
+  sphere_radius_m: 190
+  orbit: {model: propagated, forces: {area_to_mass_m2_kg: 0.02, noise_m_s2: 1.0e-7}, step_deg: 6, revolutions: 0.2}
+  body_motion: {kind: spin}
+  vision: {landmarks_per_frame: 30, field: fixed, recognised: 0.6}
+  knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7}
+""",
+    "sequence": SEQUENCE,
+    "tumbling": SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n",
+    "egg": """
+body: {shape: egg.obj, unit: m}
+camera: {width_px: 64, height_px: 64, fov_deg: 30}
+sequence:
+  orbit: {model: propagated, step_deg: 6, revolutions: 0.2}
+""",
+    "images": """
+body: {shape: apophis-sphere, detail: {facets: 20000, albedo: {sigma: 0.35, wavelength_m: 60}}}
+camera: {width_px: 200, height_px: 200, fov_deg: 30}
+sequence:
+  orbit: {step_deg: 5, revolutions: 0.05}
+  images: {starts: 2, tracks: 12}
+""",
+    "orbit": """
+body: {shape: egg.obj}
+camera: {width_px: 512, height_px: 400, fov_deg: 5}
+orbit:
+  arc: {semi_major_axis_m: 3000, days: 1, predicted_days: 0.5}
+  asteroid: {gm_m3_s2: 5, gravity_degree: 3}
+  light: {noise_share: 0.1}
+  sightings: {images: 20, craters: 120, wrong_share: 0.2, merged_share: 0.1}
+  pointing: {focal_error: 0.001}
+  knowledge: {position_m: 100, shape_degree: 4}
+""",
+    "imaged": """
+body: {shape: sphere}
+craters: {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30, roughness: null}
+camera: {width_px: 48, height_px: 40, fov_deg: 12}
+orbit:
+  arc: {semi_major_axis_m: 2000, days: 0.3}
+  asteroid: {gm_m3_s2: 5, gravity_degree: 2}
+  knowledge: {position_m: 10, shape_degree: 4}
+  imaging:
+    epochs: 3
+    detections: drawn
+    craters: {count: 3000, min_diameter_m: 20, max_diameter_m: 100}
+    errors: {least_radius_px: 0.5}
+""",
+}
+
+
+def write_scenes(folder: Path) -> None:
+    """Write the scenes, an egg of 600 m, a grid, two image sets of two images, and a mission of three."""
+    for name, text in SCENES.items():
+        (folder / f"{name}.yaml").write_text(text)
+    trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale([1.5, 1.0, 0.8]).export(folder / "egg.obj")
+    places = [(latitude, longitude) for latitude in range(-90, 91, 15) for longitude in range(0, 361, 15)]
+    lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
+    (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    for number, name in enumerate(("set", "other")):
+        _write_image_set(folder / name, np.random.default_rng(number))
+    mission = make_mission(folder / "mission")
+    for number, name in enumerate(("a", "b", "c")):
+        mission.write_image(name, np.random.default_rng(number).uniform(0, 100, (64, 64)), 600.0 * number)
+    (mission.folder / "still.tf").write_text("KPL/PCK\n\\begindata\nBODY2025143_PM = ( 0.0 0.0 0.0 )\n\\begintext\n")
+
+
+def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
+    folder.mkdir()
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(folder / name), rng.integers(0, 255, (40, 48), dtype=np.uint8))
+    for table, shift in (("poses.csv", 0.0), ("more.csv", 5.0)):
+        with (folder / table).open("w", newline="") as stream:
+            writer = csv.writer(stream)
+            parts = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+            poses = [f"{prefix}_{part}" for prefix in ("ref", "label", "third") for part in parts]
+            writer.writerow(["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z", *poses])
+            for time_s, name in enumerate(("a.png", "b.png")):
+                numbers = [x for k in range(3) for x in (1, 0, 0, 0, k + shift, 80 * time_s, 2000)]
+                writer.writerow([name, time_s, 0, 0, -1, *numbers])
