@@ -1,13 +1,21 @@
-"""What a comparison of speeds comes to."""
+"""Ratios of speeds, the history of earlier commits' ratios, and whether one fell since."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from boresight.scenarios.atomic import write_text
+from boresight.scenarios.errors import BoresightError
 
 Clock = Literal["cpu", "wall"]
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
+HISTORY = Path(__file__).with_name("history.jsonl")
+REGRESSION = 0.30
+_CHANGE = 0.10
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +57,6 @@ class Ratio:
         """Name of the ratio in the history."""
         return f"{self.work} | {self.peer} | {self.clock}"
 
-    def plain(self) -> dict[str, object]:
-        """Return everything in values that JSON can hold."""
-        return {**asdict(self), "ratio": self.value}
-
 
 @dataclass(frozen=True, slots=True)
 class Absent:
@@ -75,4 +79,70 @@ class SpeedTable:
 
     def plain(self) -> dict[str, object]:
         """Return everything in values that JSON can hold."""
-        return {**asdict(self), "ratios": [ratio.plain() for ratio in self.ratios]}
+        return {**asdict(self), "ratios": [{**asdict(ratio), "ratio": ratio.value} for ratio in self.ratios]}
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """A ratio as it was when it was last recorded."""
+
+    ratio: float
+    commit: str
+
+
+def read_history(path: Path = HISTORY) -> Mapping[str, Kept]:
+    """Return the newest record of each ratio; none where there is no file.
+
+    Raises
+    ------
+    BoresightError
+        If a line is not one of a history.
+    """
+    newest: dict[str, Kept] = {}
+    for number, line in enumerate(_lines(path), start=1):
+        try:
+            stored: dict[str, Any] = json.loads(line)
+            commit = str(stored["commit"])
+            newest |= {str(key): Kept(float(ratio), commit) for key, ratio in stored["ratios"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BoresightError(f"{path}: line {number} is no record of ratios ({error})") from error
+    return newest
+
+
+def checked(table: SpeedTable, history: Mapping[str, Kept]) -> tuple[list[str], list[str]]:
+    """Return the ratios of a table that have no record, and what to say of those that fell by more than 30 % since.
+
+    Times on the clock are also of other guests' making: such ratios are shown, those by processor time are checked.
+    """
+    found = [ratio for ratio in table.ratios if ratio.same_run and ratio.clock == "cpu"]
+    fallen = []
+    for ratio in found:
+        kept = history.get(ratio.key)
+        if kept is not None and ratio.value < (1.0 - REGRESSION) * kept.ratio:
+            fell = 1.0 - ratio.value / kept.ratio
+            fallen.append(f"{ratio.key}: {ratio.value:.3g}, {fell:.0%} below the {kept.ratio:.3g} of {kept.commit}")
+    return [ratio.key for ratio in found if ratio.key not in history], fallen
+
+
+def record(table: SpeedTable, path: Path = HISTORY) -> int:
+    """Add a line with the ratios that are new or changed by more than 10 %; return how many there are."""
+    history = read_history(path)
+    changed = {
+        ratio.key: float(f"{ratio.value:.4g}")
+        for ratio in table.ratios
+        if ratio.same_run and (ratio.key not in history or abs(ratio.value / history[ratio.key].ratio - 1.0) > _CHANGE)
+    }
+    if changed:
+        line = {
+            "commit": table.commit, "date": table.date, "ratios": changed,
+            "machine": table.machine, "versions": table.versions,
+        }  # fmt: skip
+        write_text(path, "".join(f"{kept}\n" for kept in [*_lines(path), json.dumps(line, ensure_ascii=False)]))
+    return len(changed)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    except (OSError, UnicodeDecodeError) as error:
+        raise BoresightError(f"{path}: cannot be read ({error})") from error

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.ratio import Absent, Ratio
 from benchmarks.scene import SAMPLES, SpeedScene, speed_scene
-from benchmarks.settings import Settings
-from benchmarks.timing import in_turn, timed
+from benchmarks.timing import Settings, in_turn, timed
 from boresight.renderers.mitsuba3 import choose_variant, limit_threads
 from boresight.renderers.mitsuba3.rays import grid_positions, ray_bundle
 from boresight.renderers.mitsuba3.scene import build_shape

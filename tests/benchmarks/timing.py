@@ -5,6 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How much is done.
+
+    Parameters
+    ----------
+    rounds
+        How often works are done in turn; the least time of each counts.
+    facets
+        At least so many of the body whose images are timed.
+    views
+        Images that are timed.
+    blender
+        The interpreter that has ``bpy``, where it is named.
+    """
+
+    rounds: int = 4
+    facets: int = 3_100_000
+    views: int = 4
+    blender: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,10 +36,6 @@ class Seconds:
 
     cpu: float
     wall: float
-
-    def least(self, other: Seconds) -> Seconds:
-        """Return the lesser of each."""
-        return Seconds(min(self.cpu, other.cpu), min(self.wall, other.wall))
 
 
 Timed = Callable[[], Seconds]
@@ -38,9 +57,5 @@ def in_turn(rounds: int, *works: Timed) -> tuple[Seconds, ...]:
 
     What slows a round slows all of its works, and what slows one alone is seldom there in every round.
     """
-    for work in works:
-        work()
-    least = [work() for work in works]
-    for _ in range(rounds - 1):
-        least = [best.least(work()) for best, work in zip(least, works, strict=True)]
-    return tuple(least)
+    turns = [[work() for work in works] for _ in range(1 + rounds)][1:]
+    return tuple(Seconds(min(s.cpu for s in turn), min(s.wall for s in turn)) for turn in zip(*turns, strict=True))

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 from benchmarks import ceres
-from benchmarks import windows as slam_benchmark
+from benchmarks import sequences as slam_benchmark
 from benchmarks.ratio import Absent, Ratio
-from benchmarks.sequences import adjustment_ratios
-from benchmarks.settings import Settings
-from benchmarks.windows import make_window
+from benchmarks.sequences import adjustment_ratios, make_window, our_cycles, smoother_ratios
+from benchmarks.timing import Settings
 from needs_ceres import skip_without_ceres
 
 from boresight.campaign.cli.main import main
 from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise
+from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.errors import BoresightError
 
 
@@ -79,8 +79,17 @@ def test_a_cost_above_the_minimum_is_not_compared(monkeypatch: pytest.MonkeyPatc
 def test_updates_of_gtsam_are_timed_apart_from_what_feeds_them(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("gtsam", reason="gtsam is not installed")
     monkeypatch.setattr(slam_benchmark, "LANDMARKS", (10,))
-    two, one = slam_benchmark.cycle_ratios(30, 1, print)
-    assert (two.updates, one.updates) == slam_benchmark.UPDATES
-    assert 0.0 < one.update < two.update < two.whole
-    assert two.frames == 31 - 12
-    assert two.apart_sigma < one.apart_sigma < 0.2
+    monkeypatch.setattr(slam_benchmark, "CYCLE_FRAMES", 30)
+    two, fed, one = smoother_ratios(Settings(rounds=1))
+    assert [ratio.peer.partition(",")[0] for ratio in (two, fed, one)] == [
+        "gtsam's update alone", "gtsam", "gtsam's update alone",
+    ]  # fmt: skip
+    assert 0.0 < one.value < two.value < fed.value
+    apart = [float(ratio.agreement.split()[0]) for ratio in (two, one)]
+    assert apart[0] < apart[1] < 0.2
+
+
+def test_frames_are_timed_since_the_window_is_full() -> None:
+    sequence = slam_benchmark._draw(10, 14, 0)[1]
+    cycles = our_cycles(sequence, FixedLagSmoother.from_options({}))
+    assert len(cycles) == len(sequence.frames) - 12

@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import blender as blender_module
-from benchmarks import images, works
+from benchmarks import door, images
 from benchmarks.blender import cycles
-from benchmarks.history import HISTORY, REGRESSION, read_history, record, regressions, unrecorded
-from benchmarks.ratio import Absent, Ratio, SpeedTable
+from benchmarks.ratio import HISTORY, REGRESSION, Absent, Ratio, SpeedTable, checked, read_history, record
 from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
-from benchmarks.settings import Settings
-from benchmarks.timing import Seconds, in_turn, timed
+from benchmarks.timing import Seconds, Settings, in_turn, timed
 
 from boresight.campaign.cli.arguments import PEERS
 from boresight.campaign.cli.main import main
@@ -72,14 +70,14 @@ def test_a_fall_by_more_than_30_percent_is_a_regression(tmp_path, peer_s, fallen
     file = tmp_path / "history.jsonl"
     record(table(FAST, BY_CLOCK), file)
     slow = table(replace(FAST, peer_s=peer_s), replace(BY_CLOCK, peer_s=0.1), replace(FAST, work="another"))
-    found = regressions(slow, read_history(file))
-    assert [str(item) for item in found] == (["image | a peer | cpu: 5.5, 31% below the 8 of abc123"] if fallen else [])
-    assert unrecorded(slow, read_history(file)) == ["another | a peer | cpu"]
+    unrecorded, found = checked(slow, read_history(file))
+    assert found == (["image | a peer | cpu: 5.5, 31% below the 8 of abc123"] if fallen else [])
+    assert unrecorded == ["another | a peer | cpu"]
 
 
 def test_the_command_prints_stores_records_and_checks(monkeypatch, tmp_path, capsys):
     found: list[Ratio | Absent] = [FAST, ELSEWHERE, Absent("rays", "embreex: cannot be imported")]
-    monkeypatch.setattr(works, "WORKS", {"plain": lambda _: iter(found), "kernels": lambda _: iter(())})
+    monkeypatch.setattr(door, "WORKS", {"plain": lambda _: iter(found), "kernels": lambda _: iter(())})
     file = tmp_path / "history.jsonl"
     command = ["bench", "quick", "--history", str(file), "--json", str(tmp_path / "speed.json")]
     assert main([*command, "--record", "--check"]) == 0
@@ -192,5 +190,5 @@ def test_absent_blender_is_said_with_what_to_do(tetrahedron, python, monkeypatch
 
 
 def test_the_command_names_the_works_that_there_are():
-    assert sorted(PEERS) == sorted({*works.GROUPS, *works.WORKS})
+    assert sorted(PEERS) == sorted({*door.GROUPS, *door.WORKS})
     assert REGRESSION == 0.30, "as the help of --check says"
