@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from test_rubbish import install
+from third_party import install_answers
 from tiny_campaign import boresight, files
 from tiny_sequences import SCENE
 
@@ -29,11 +29,7 @@ from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 for stream in (sys.stdout, sys.stderr):
     logging.getLogger("loud").addHandler(logging.StreamHandler(stream))
 
-class Rubbish:
-    version = 1
-    @classmethod
-    def from_options(cls, options):
-        return cls()
+class Method(Base):
     def follow(self, sequence):
         for k in range(1000):
             print("LOUD", k)
@@ -52,15 +48,13 @@ ANSWERS = {
     "loud": None,
     "fails": None,
 }
-for _name in ANSWERS:
-    globals()["made_" + _name] = type(_name, (Rubbish,), {"name": _name})
 """
 
 
 @pytest.fixture
 def loud(tmp_path, monkeypatch):
     """A campaign of two estimators that say much; return its file, with the package in the way of Python."""
-    install(tmp_path, "sequence_estimators", MODULE, monkeypatch)
+    install_answers(tmp_path, "sequence_estimators", MODULE, monkeypatch)
     (tmp_path / "scene.yaml").write_text(SCENE)
     text = "experiment: sequence\nscenarios: [scene]\nestimators: [loud, fails]\ntrials: 6\nseed: 5\n"
     (tmp_path / "loud.yaml").write_text(text)

@@ -13,7 +13,7 @@ import pytest
 from orbit_worlds import orbit_world
 from test_crater_navigation import _trials, _world
 from test_image_tracks import SCENE as IMAGES
-from test_rubbish import install
+from third_party import install_answers
 from tiny_campaign import SCENE, Heard, write_campaign
 
 from boresight.campaign.handles import Handle, own_copy
@@ -349,13 +349,13 @@ def far_prior(self, observation):
     observation.frame.image[:] = 0.0
     return Pose(prior.rotation, prior.translation_m - 1e6)
 
-WAYS = {
+ANSWERS = {
     "from-assets": from_assets,
     "far-prior": far_prior,
     "as-prior": lambda self, observation: observation.frame.prior_T_cam_body,
 }
 
-class Cheat:
+class Method:
     version, trial = 1, -1
     @classmethod
     def from_options(cls, options, assets):
@@ -365,15 +365,12 @@ class Cheat:
     def estimate(self, observation, *, rng):
         self.trial += 1
         light = float(observation.frame.image.sum())
-        return Estimate("ok", pose=WAYS[self.name](self, observation), diagnostics={"light": light})
-
-for _name in WAYS:
-    globals()["made_" + _name.replace("-", "_")] = type(_name, (Cheat,), {"name": _name})
+        return Estimate("ok", pose=ANSWERS[self.name](self, observation), diagnostics={"light": light})
 """
 
 
 def test_an_estimator_can_neither_read_the_truth_nor_change_what_the_next_one_gets(cache, tmp_path, monkeypatch):
-    install(tmp_path, "estimators", CHEATS, monkeypatch)
+    install_answers(tmp_path, "estimators", CHEATS, monkeypatch)
     text = "scenarios: [scene]\nestimators: [far-prior, from-assets, as-prior, prior]\ntrials: 3\nseed: 5\n"
     campaign = resolve(str(write_campaign(tmp_path / "c", text, SCENE)), variant=choose_variant().name)
     run_campaign(campaign, RunRequest(tmp_path / "run", 3, 1), Heard())
@@ -402,29 +399,22 @@ def by_closure(sequence):
 def by_generator(sequence):
     return sequence.front_end.frames(lambda frame: None).gi_frame.f_locals["self"]
 
-WAYS = {
+ANSWERS = {
     "by-closure": by_closure,
     "by-generator": by_generator,
 }
 
-class Peek:
-    version = 1
-    @classmethod
-    def from_options(cls, options):
-        return cls()
+class Method(Base):
     def follow(self, sequence):
         for _ in sequence.front_end.frames(lambda frame: None):
             pass
-        poses = WAYS[self.name](sequence).path.poses
+        poses = ANSWERS[self.name](sequence).path.poses
         return SequenceEstimate("ok", tuple(FrameEstimate(pose.camera_position_m, None, *NONE) for pose in poses))
-
-for _name in WAYS:
-    globals()["made_" + _name.replace("-", "_")] = type(_name, (Peek,), {"name": _name})
 """
 
 
 def test_an_estimator_cannot_read_the_path_off_its_front_end(cache, tmp_path, monkeypatch):
-    names = install(tmp_path, "sequence_estimators", PEEKS, monkeypatch)
+    names = install_answers(tmp_path, "sequence_estimators", PEEKS, monkeypatch)
     file = guided(tmp_path / "c")
     file.write_text(file.read_text().replace("dead-reckoning, ekf-slam", ", ".join(names)))
     run_campaign(resolve(str(file), variant=choose_variant().name), RunRequest(tmp_path / "run", 1, 1), Heard())

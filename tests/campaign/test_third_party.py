@@ -1,4 +1,4 @@
-"""Estimators of third parties, found by their entry points: whatever they do ends in a row and stops no run."""
+"""Methods of third parties, found by their entry points: whatever they do ends in rows and stops no command."""
 
 from __future__ import annotations
 
@@ -7,159 +7,150 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from page_blocks import blocks_of
+from third_party import install, install_answers
 from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_campaign
 
 from boresight.campaign.cli import main
 from boresight.campaign.store import RunFolder
 
 TRIALS = 12
-# One estimator for each way to break the contract; `answer` gets the prior pose and returns what `estimate` returns.
-MODULE = """
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md"
+# name: (what an estimator of images returns, what its row or traceback says)
+IMAGES = {
+    "matrix": ('Estimate("ok", pose=np.eye(4))', "a ndarray is no Pose"),
+    "matrix-failed": ('Estimate("failed", "late", pose=np.eye(4))', "a ndarray is no Pose"),
+    "several": ('Estimate("ok", pose=(prior,))', "a tuple is no Pose"),
+    "no-pose": ('Estimate("ok", covariance=np.eye(6))', "an ok estimate has no pose"),
+    "nan": ('Estimate("ok", pose=Pose(R, [np.nan, 0, 0]))', "translation [nan"),
+    "huge": ('Estimate("ok", pose=Pose(R, [0, 0, 1e200]))', "translation [0.e+000 0.e+000 1.e+200]"),
+    "nan-rotation": ('Estimate("ok", pose=Pose(np.full((3, 3), np.nan), t))', "rotation off by nan"),
+    "mirror": ('Estimate("ok", pose=Pose(-R, t))', "is not rigid"),
+    "unnormalised": ('Estimate("ok", pose=Pose(1.01 * R, t))', "is not rigid: rotation off by 2.0e-02"),
+    "nothing": ("None", "NoneType"),
+    "text": ('"ok"', "a str is no Estimate"),
+    "table": ('{"status": "ok", "pose": prior}', "a dict is no Estimate"),
+    "maybe": ('Estimate("maybe", pose=prior)', "status is 'maybe', not ok or failed"),
+    "silent": ('Estimate("failed")', "gives as its reason ''"),
+    "nan-stage": (
+        'Estimate("failed", "half way", stages=(Stage("half", Pose(R, [0, 0, np.inf])),))',
+        "the pose after half is not rigid",
+    ),
+    "falls": ('Estimate("ok", pose=prior, stages=Falls())', "stages are a Falls, not a tuple"),
+    "endless": ('Estimate("failed", "on and on", stages=endless(prior))', "stages are a generator, not a tuple"),
+    "nan-number": ('Estimate("ok", pose=prior, diagnostics={"chi2": np.nan})', "diagnostics: chi2 is nan"),
+    "keys": ('Estimate("ok", pose=prior, diagnostics={(1, 2): 3.0})', "diagnostics of type dict have no names"),
+    "no-covariance": ('Estimate("ok", pose=prior, covariance=np.eye(3))', "a covariance of shape (3, 3)"),
+    "complex": ('Estimate("ok", pose=prior, covariance=1j * np.eye(6))', "of finite numbers"),
+    "skew": ('Estimate("ok", pose=prior, covariance=np.triu(np.ones((6, 6))))', "not symmetric"),
+    "half-table": (
+        'Estimate("ok", pose=prior, details={"landmarks": {"landmark": np.arange(3), "u_px": np.ones(3)}})',
+        "columns are missing: v_px, x_m",
+    ),
+    "flat-landmark": ('Estimate("ok", pose=prior, details={"landmarks": landmarks(0.0)})', "a covariance is singular"),
+    "objects": (
+        'Estimate("ok", pose=prior, details={"mine": {"a": np.array([object()])}})',
+        "mine: a is no array of numbers or texts",
+    ),
+    "quits": ("quits()", "SystemExit: 0"),
+    "changes": ("observation.frame.image.fill(0)", "read-only"),
+}
+# Those that keep the contract; nothing can be drawn at poses behind the body or in it.
+SOUND = {
+    "good": (
+        'Estimate("ok", pose=prior.perturbed(np.zeros(3), rng.normal(size=3)), diagnostics={"luck": rng.random()})'
+    ),
+    "raises": 'Estimate("ok", pose=prior) if rng.random() < 0.5 else 1 / 0',
+    "behind": 'Estimate("ok", pose=Pose(R, -t), details={"landmarks": landmarks(1.0)})',
+    "inside": 'Estimate("ok", pose=Pose(R, np.zeros(3)), details={"landmarks": landmarks(1.0)})',
+}
+IMAGE_METHODS = """
 import numpy as np
 from boresight.estimators.contract import Estimate, Stage
 from boresight.scenarios.geometry import Pose
 
-class Base:
-    version = 1
-    @classmethod
-    def from_options(cls, options, assets):
-        return cls()
+class Falls:
+    def __len__(self):
+        return 1
+    def __iter__(self):
+        raise SystemExit("fell")
+
+def endless(prior):
+    while True:
+        yield Stage("again", prior)
+
+def quits():
+    raise SystemExit(0)
+
+def landmarks(variance):
+    names = "u_px v_px x_m y_m z_m sxx_m2 sxy_m2 sxz_m2 syy_m2 syz_m2 szz_m2".split()
+    columns = {name: np.full(2, variance * (name[1:3] in ("xx", "yy", "zz"))) for name in names}
+    return {"landmark": np.arange(2), **columns}
+
+class Method(Base):
     def estimate(self, observation, *, rng):
-        return self.answer(observation.frame.prior_T_cam_body, rng)
+        prior = observation.frame.prior_T_cam_body
+        return ANSWERS[self.name](observation, rng, prior, prior.rotation, prior.translation_m)
 
-class Good(Base):
-    name = "good"
-    def answer(self, prior, rng):
-        pose = prior.perturbed(np.zeros(3), rng.normal(size=3))
-        return Estimate("ok", pose=pose, diagnostics={"luck": rng.random()})
-
-class Raises(Base):
-    name = "raises"
-    def answer(self, prior, rng):
-        if rng.random() < 0.5:
-            return Estimate("ok", pose=prior)
-        return 1 / 0
-
-class Nan(Base):
-    name = "nan"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=Pose(prior.rotation, [np.nan, 0, 0]))
-
-class NanRotation(Base):
-    name = "nan-rotation"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=Pose(np.full((3, 3), np.nan), prior.translation_m))
-
-class Mirror(Base):
-    name = "mirror"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=Pose(-prior.rotation, prior.translation_m))
-
-class Unnormalised(Base):
-    name = "unnormalised"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=Pose(1.01 * prior.rotation, prior.translation_m))
-
-class NoPose(Base):
-    name = "no-pose"
-    def answer(self, prior, rng):
-        return Estimate("ok", covariance=np.eye(6))
-
-class Nothing(Base):
-    name = "nothing"
-    def answer(self, prior, rng):
-        return None
-
-class Maybe(Base):
-    name = "maybe"
-    def answer(self, prior, rng):
-        return Estimate("maybe", pose=prior)
-
-class Silent(Base):
-    name = "silent"
-    def answer(self, prior, rng):
-        return Estimate("failed")
-
-class NanStage(Base):
-    name = "nan-stage"
-    def answer(self, prior, rng):
-        stages = (Stage("half", Pose(prior.rotation, [0, 0, np.inf])),)
-        return Estimate("failed", reason="half way", stages=stages)
-
-class NanNumber(Base):
-    name = "nan-number"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=prior, diagnostics={"chi2": np.nan})
-
-class NoCovariance(Base):
-    name = "no-covariance"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=prior, covariance=np.eye(3))
-
-class HalfTable(Base):
-    name = "half-table"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=prior, details={"landmarks": {"landmark": np.arange(3), "u_px": np.ones(3)}})
-
-class FlatLandmark(Base):
-    name = "flat-landmark"
-    def answer(self, prior, rng):
-        names = ("u_px", "v_px", "x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
-        table = {"landmark": np.arange(2), **{name: np.zeros(2) for name in names}}
-        return Estimate("ok", pose=prior, details={"landmarks": table})
-
-class Huge(Base):
-    name = "huge"
-    def answer(self, prior, rng):
-        return Estimate("ok", pose=Pose(prior.rotation, [0, 0, 1e200]))
-
-class Quits(Base):
-    name = "quits"
-    def answer(self, prior, rng):
-        raise SystemExit(0)
-
-class Changes(Base):
-    name = "changes"
-    def estimate(self, observation, *, rng):
-        observation.frame.image[:] = 0
-        return Estimate("failed", reason="dark")
+ANSWERS = {
 """
-RUBBISH = {
-    "nan": "translation [nan",
-    "nan-rotation": "rotation off by nan",
-    "mirror": "is not rigid",
-    "unnormalised": "is not rigid: rotation off by 2.0e-02",
-    "no-pose": "an ok estimate has no pose",
-    "nothing": "NoneType",
-    "maybe": "status is 'maybe', not ok or failed",
-    "silent": "gives as its reason ''",
-    "nan-stage": "the pose after half is not rigid",
-    "nan-number": "diagnostics: chi2 is nan",
-    "no-covariance": "a covariance of shape (3, 3)",
-    "half-table": "columns are missing: v_px, x_m",
-    "flat-landmark": "a covariance is singular",
-    "huge": "translation [0.e+000 0.e+000 1.e+200]",
-    "quits": "SystemExit: 0",
-    "changes": "assignment destination is read-only",
+# What an estimator of sequences of n frames returns.
+SEQUENCES = {
+    "matrix": "ok(n, np.eye(4))",
+    "nothing": "None",
+    "text": '"ok"',
+    "table": '{"frames": []}',
+    "nan": "ok(n, np.full(3, np.nan))",
+    "few": "ok(n - 1)",
+    "many": "ok(n + 1)",
+    "complex": "ok(n, 1j * np.ones(3))",
+    "skew": "ok(n, covariance=np.triu(np.ones((3, 3))))",
+    "huge": "ok(n, np.full(3, 1e200))",
+    "generator": 'SequenceEstimate("failed", (frame for frame in ok(n).frames), "late")',
+    "objects": 'SequenceEstimate("ok", (object(),) * n)',
+    "keys": 'SequenceEstimate("ok", ok(n).frames, diagnostics={(1, 2): 3.0})',
 }
+SEQUENCE_METHODS = """
+import numpy as np
+from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+
+NONE = np.zeros(0, np.int64), np.zeros((0, 3)), 0.1
+
+def ok(n, position=np.ones(3), covariance=None):
+    return SequenceEstimate("ok", (FrameEstimate(position, covariance, *NONE),) * n)
+
+class Method(Base):
+    def follow(self, sequence):
+        return ANSWERS[self.name](len(sequence.frames))
+
+ANSWERS = {
+"""
+ORBITING = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.05}}\n"
+
+
+def lambdas(arguments: str, answers: dict[str, str]) -> str:
+    return "".join(f'    "{name}": lambda {arguments}: {answer},\n' for name, answer in answers.items()) + "}\n"
+
+
+IMAGE_METHODS += lambdas("observation, rng, prior, R, t", {n: a for n, (a, _) in IMAGES.items()} | SOUND)
+SEQUENCE_METHODS += lambdas("n", SEQUENCES)
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install a package with these estimators, as pip would leave it."""
     folder = tmp_path_factory.mktemp("site")
-    (folder / "thirdparty.py").write_text(MODULE)
-    info = folder / "thirdparty-2.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thirdparty\nVersion: 2.0\n")
-    names = {"good": "Good", "raises": "Raises", **{n: n.title().replace("-", "") for n in RUBBISH}}
-    lines = [f"{name} = thirdparty:{attribute}" for name, attribute in names.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[boresight.estimators]", *lines]) + "\n")
+    install_answers(folder, "estimators", IMAGE_METHODS)
+    install_answers(folder, "sequence_estimators", SEQUENCE_METHODS)
     return folder
 
 
-def campaign(folder: Path, *estimators: str) -> Path:
-    text = f"scenarios: [scene]\nestimators: [prior, {', '.join(estimators)}]\ntrials: {TRIALS}\nseed: 5\n"
+@pytest.fixture
+def installed(package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(package))
+
+
+def campaign(folder: Path, *estimators: str, trials: int = TRIALS) -> Path:
+    text = f"scenarios: [scene]\nestimators: [prior, {', '.join(estimators)}]\ntrials: {trials}\nseed: 5\n"
     return write_campaign(folder, text)
 
 
@@ -179,65 +170,148 @@ def test_an_estimator_that_raises_costs_its_own_rows_alone(package, tmp_path):
     pd.testing.assert_frame_equal(
         traces[["trial", "estimator"]], errors[["trial", "estimator"]].reset_index(drop=True), check_dtype=False
     )
-    assert traces["traceback"].str.contains(r"(?s)in answer\n.*return 1 / 0\n.*ZeroDivisionError", regex=True).all()
+    assert traces["traceback"].str.contains(r"(?s)in estimate\n.*else 1 / 0.*ZeroDivisionError", regex=True).all()
 
 
-def test_rows_of_a_raising_estimator_are_as_reproducible_as_any(package, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(package))
+def test_rows_of_a_raising_estimator_are_as_reproducible_as_any(installed, tmp_path):
     file = campaign(tmp_path, "good", "raises")
     for name in ("first", "second"):
         compute(file, tmp_path / name, TRIALS)
     assert files(tmp_path / "first", *RESULTS, "tracebacks") == files(tmp_path / "second", *RESULTS, "tracebacks")
     luck = pd.read_parquet(tmp_path / "first" / "diagnostics")["value"]
     assert len(set(luck)) == TRIALS, "each trial has its own random numbers"
+    assert run(file, tmp_path / "first") == 3, "also where all is stored"
 
 
-def test_rubbish_is_an_error_with_a_traceback_and_the_others_go_on(package, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(package))
+def test_wrong_answers_are_errors_with_a_reason_and_the_others_go_on(installed, tmp_path):
     out = tmp_path / "run"
-    compute(campaign(tmp_path, "good", *RUBBISH), out, TRIALS)
+    assert run(campaign(tmp_path, "good", *IMAGES, trials=2), out) == 3
     rows, traces = (pd.read_parquet(out / name) for name in ("rows", "tracebacks"))
-    assert (rows["estimator"].value_counts() == TRIALS).all()
+    assert (rows["estimator"].value_counts() == 2).all()
     statuses = rows.groupby("estimator")["status"].unique().map(list).to_dict()
-    assert statuses == {"prior": ["ok"], "good": ["ok"], **{name: ["error"] for name in RUBBISH}}
-    for name, message in RUBBISH.items():
+    assert statuses == {"prior": ["ok"], "good": ["ok"], **{name: ["error"] for name in IMAGES}}
+    for name, (_, message) in IMAGES.items():
         said = traces[traces["estimator"] == name]["traceback"]
-        assert len(said) == TRIALS
+        assert len(said) == 2
         assert said.str.contains(message, regex=False).all(), f"{name}: {said.iloc[0]}"
+        what = "raised " if name in ("quits", "changes") else "returned an invalid result: "
         reasons = rows[rows["estimator"] == name]["reason"]
-        assert reasons.str.match("the estimator (raised|returned an invalid result: ).*[a-z]").all(), reasons.iloc[0]
+        assert reasons.str.match(f"the estimator {what}.*[a-z]").all(), reasons.iloc[0]
     numbers = rows.select_dtypes("number")
     assert not np.isinf(numbers).any(axis=None)
     doubtful = [column for column in numbers if column.endswith(("_sigma_m", "_sigma_deg", "_bound_m", "_bound_deg"))]
     given = numbers.drop(columns=["nees", "database", *doubtful])
     # An estimator may have no covariance and no data base.
     assert given[rows["status"] == "ok"].notna().all(axis=None)
-    assert not {"stages", "landmarks"} & {path.name for path in out.iterdir()}, (
-        "nothing of a refused estimate is stored"
+    assert not {"stages", "landmarks"} & {path.name for path in out.iterdir()}, "of a refused estimate"
+
+
+def of_sequences(folder: Path, *estimators: str) -> Path:
+    text = (
+        f"title: R\nexperiment: sequence\nscenarios: [scene]\nestimators: [dead-reckoning, {', '.join(estimators)}]\n"
     )
+    return write_campaign(folder, f"{text}trials: 1\nseed: 5\n", ORBITING)
 
 
-def test_the_exit_code_tells_of_errors_also_where_all_is_stored(package, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(package))
-    file, out = campaign(tmp_path, "raises"), tmp_path / "run"
-    compute(file, out, TRIALS)
-    assert run(file, out) == 3
+def test_so_are_those_of_methods_for_sequences(installed, tmp_path):
+    assert run(of_sequences(tmp_path, *SEQUENCES), tmp_path / "run") == 3
+    rows = pd.read_parquet(tmp_path / "run" / "rows").set_index("estimator")
+    assert rows.loc[list(SEQUENCES), "status"].eq("error").all()
+    assert rows.loc[list(SEQUENCES), "reason"].str.startswith("the estimator returned an invalid result: ").all()
+    assert rows.loc["dead-reckoning", "status"] == "ok"
 
 
-def test_a_third_party_is_in_the_list(package, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(package))
+@pytest.mark.parametrize("worst", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("write", [lambda *names: campaign(*names, trials=1), of_sequences])
+def test_every_command_reads_a_run_of_wrong_answers(installed, tmp_path, capsys, write, worst):
+    """They are rows alone by now, so two are enough; one of them cannot even be looked at without harm."""
+    harmful = "generator" if write is of_sequences else "falls"
+    out = str(tmp_path / "run")
+    assert run(write(tmp_path, "matrix", harmful), out, "--worst", worst) == 3
+    for name in ("matrix", harmful):
+        assert main(["inspect", out, "--trial", "0", "--estimator", name]) == 0
+    assert not list(Path(out, "inspect").glob("*/estimate.json")), "nothing of it is kept as an estimate"
+    assert main(["inspect", out, "--look", "--estimator", "matrix"]) in (0, 2)
+    for command in ("compare", "export --to csv", "export --to latex", "export --to tum", "export --to colmap"):
+        words = command.split()
+        assert main([words[0], out, *words[1:], "--out", str(tmp_path / words[-1])]) in (0, 2)
+    assert main(["status", out]) == 0
+    said = capsys.readouterr()
+    assert "Traceback" not in said.out + said.err
+    assert len(said.err.splitlines()) <= 8, "at most a line for each command"
+
+
+def test_what_keeps_the_contract_and_is_absurd_is_drawn_as_far_as_it_can_be(installed, tmp_path):
+    names, out = ("behind", "inside"), tmp_path / "run"
+    assert run(campaign(tmp_path, *names, trials=1), out) == 0
+    assert main(["inspect", str(out), "--trial", "0"]) == 0
+    drawn = {name: {path.stem for path in (out / "inspect" / f"scene_{name}_0000000").glob("*.png")} for name in names}
+    assert drawn == {"behind": {"poses"}, "inside": {"poses"}}, "landmarks behind the camera have no place in an image"
+    page = (out / "inspect" / "scene_inside_0000000" / "index.html").read_text()
+    assert "Nothing can be rendered at the estimate" in page
+
+
+def test_a_third_party_is_in_the_list(installed, capsys):
     assert main(["list", "--all"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in ("landmark-harris", "prior", "good", "raises"))
 
 
-def test_a_version_of_a_third_party_is_part_of_the_run(package, tmp_path, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(package))
+def test_a_version_of_a_third_party_is_part_of_the_run(installed, tmp_path, monkeypatch, capsys):
     file, out = campaign(tmp_path, "good"), tmp_path / "run"
-    compute(file, out, TRIALS)
-    monkeypatch.setattr("thirdparty.Good.version", 2)
+    compute(file, out, 1)
+    monkeypatch.setattr("methods_of_estimators.made_good.version", 2, raising=False)
     assert run(file, out) == 2
     assert "holds another run" in capsys.readouterr().err
+
+
+def test_the_estimator_of_the_page_runs_next_to_ours_by_file_and_by_entry_point(cache, tmp_path, monkeypatch, capsys):
+    blocks = {block.file: block.body for block in blocks_of(PAGE.read_text(encoding="utf-8")) if block.file}
+    install(tmp_path, "sequence_estimators", "my_slam", blocks["my_slam.py"], {"drift": "Drift"}, monkeypatch)
+    text = blocks["my_orbits.yaml"].replace("my_slam.py:Drift", "my_slam.py:Drift, drift")
+    (tmp_path / "my_orbits.yaml").write_text(text, encoding="utf-8")
+    assert main(["list", "--all"]) == 0
+    assert "drift" in capsys.readouterr().out
+    out = tmp_path / "out"
+    short = ["--set", "sequence.orbit.revolutions=0.2", "--trials", "2", "--jobs", "1", "--worst", "0"]
+    assert main(["run", str(tmp_path / "my_orbits.yaml"), *short, "--out", str(out)]) == 0
+    rows = pd.read_parquet(out / "rows")
+    assert rows.groupby("estimator").size().to_dict() == {"Drift": 2, "drift": 2, "fixed-lag": 2}
+    by_file, by_name = (rows[rows["estimator"] == name] for name in ("Drift", "drift"))
+    assert (by_file["status"] == "ok").all()
+    assert by_file["position_error_m"].gt(10.0).all()
+    assert by_file["position_error_m"].tolist() == by_name["position_error_m"].tolist()
+
+
+MOVES = """
+import os
+from boresight.estimators.contract import Estimate
+
+class Moves:
+    name, version = "moves", 1
+    @classmethod
+    def from_options(cls, options, assets):
+        os.chdir("/")
+        return cls()
+    def estimate(self, observation, *, rng):
+        os.chdir("/proc")
+        return Estimate("ok", pose=observation.frame.prior_T_cam_body)
+"""
+
+
+@pytest.mark.parametrize(("jobs", "out"), [(1, "here"), pytest.param(2, "runs/here", marks=pytest.mark.long)])
+def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, jobs, out):
+    site, here = tmp_path / "site", tmp_path / "campaign"
+    install(site, "estimators", "moving", MOVES, {"moves": "Moves"})
+    write_campaign(here, "scenarios: [scene]\nestimators: [moves, prior]\ntrials: 12\nseed: 5\n", SCENE)
+    asked = ["--jobs", jobs, "--worst", 1, "--out", out]
+    path = f"{site}:{Path(__file__).parents[2]}"
+    done = boresight("run", "tiny.yaml", *asked, cwd=here, PYTHONPATH=path, BORESIGHT_CACHE="cache")
+    assert done.returncode == 0, done.stderr
+    named = next(line.removeprefix("report: ") for line in done.stdout.splitlines() if line.startswith("report: "))
+    assert (here / named).is_file(), named
+    assert {"manifest.json", "rows", "checksums", "report"} <= {path.name for path in (here / out).iterdir()}
+    assert list((here / "cache" / "images").glob("*")), "nor what is written to a cache in a relative folder"
 
 
 @pytest.mark.parametrize("read_noise_e", [0, 60])

@@ -11,6 +11,7 @@ from collections import deque
 
 import pandas as pd
 import pytest
+from third_party import install_answers
 from tiny_campaign import boresight, write_campaign
 
 from boresight.campaign.cli import main
@@ -194,51 +195,35 @@ def test_no_kind_of_trial_starts_a_process_for_every_block(name):
 
 
 MODULE = """
-import itertools, os, signal, time
+import itertools, os, resource, signal, time
 from collections import deque
 from boresight.estimators.contract import Estimate
 
-class Base:
-    version = 1
-    @classmethod
-    def from_options(cls, options, assets):
-        return cls()
+def leaks():
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    with open("/proc/self/statm") as pages:
+        taken = int(pages.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + (1 << 30), limits[1]))
+    kept = []
+    try:
+        while True:
+            kept.append(bytearray(1 << 26))
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+
+ANSWERS = {
+    "sleeps": lambda: time.sleep(1000),
+    "spins": lambda: deque(itertools.repeat(1), maxlen=0),
+    "crashes": lambda: os.kill(os.getpid(), signal.SIGSEGV),
+    "leaks": leaks,
+}
+
+class Method(Base):
     def estimate(self, observation, *, rng):
         if rng.random() < 0.5:
-            self.break_down()
+            ANSWERS[self.name]()
         return Estimate("ok", pose=observation.frame.prior_T_cam_body)
-
-class Sleeps(Base):
-    name = "sleeps"
-    def break_down(self):
-        time.sleep(1000)
-
-class Spins(Base):
-    name = "spins"
-    def break_down(self):
-        deque(itertools.repeat(1), maxlen=0)
-
-class Crashes(Base):
-    name = "crashes"
-    def break_down(self):
-        os.kill(os.getpid(), signal.SIGSEGV)
-
-class Leaks(Base):
-    name = "leaks"
-    def break_down(self):
-        import resource
-        limits = resource.getrlimit(resource.RLIMIT_AS)
-        with open("/proc/self/statm") as pages:
-            taken = int(pages.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (taken + (1 << 30), limits[1]))
-        kept = []
-        try:
-            while True:
-                kept.append(bytearray(1 << 26))
-        finally:
-            resource.setrlimit(resource.RLIMIT_AS, limits)
 """
-BROKEN = ("sleeps", "spins", "crashes", "leaks")
 REASONS = {
     "sleeps": f"the estimator was stopped: {over_time(3.0)}",
     "spins": f"the estimator was stopped: {over_time(3.0)}",
@@ -247,27 +232,16 @@ REASONS = {
 }
 
 
-@pytest.fixture(scope="module")
-def package(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    (folder / "broken.py").write_text(MODULE)
-    info = folder / "broken-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    lines = [f"{name} = broken:{name.title()}" for name in BROKEN]
-    (info / "entry_points.txt").write_text("\n".join(["[boresight.estimators]", *lines]) + "\n")
-    return folder
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("where", [("--jobs", 1), ("--jobs", 2), ("--backend", "dask", "--local", 1)])
-def test_a_run_goes_on_whatever_its_estimators_do(package, tmp_path, where):
+def test_a_run_goes_on_whatever_its_estimators_do(tmp_path, where):
     if "dask" in where:
         pytest.importorskip("distributed", reason="distributed (the extra dask) is not installed")
-    text = f"scenarios: [scene]\nestimators: [prior, {', '.join(BROKEN)}]\ntrials: 6\nseed: 5\n"
+    text = f"scenarios: [scene]\nestimators: [prior, {', '.join(REASONS)}]\ntrials: 6\nseed: 5\n"
+    install_answers(tmp_path / "site", "estimators", MODULE)
     file, out = write_campaign(tmp_path, text), tmp_path / "run"
     done = boresight("run", file, "--trial-limit", 3, *where, "--out", out, PYTHONPATH=os.pathsep.join(
-        [str(package), os.environ.get("PYTHONPATH", "")]))  # fmt: skip
+        [str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))  # fmt: skip
     assert done.returncode == 3, done.stderr
     rows = pd.read_parquet(out / "rows")
     assert len(rows) == 5 * 6

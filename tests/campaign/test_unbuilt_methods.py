@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from orbit_worlds import orbit_world
 from test_crater_detection import SCENE as CRATERS
-from test_rubbish import install
+from third_party import install_answers
 from tiny_campaign import RESULTS, SCENE, assert_same_results, boresight, files, run, write_campaign
 from tiny_pairs import PAIRS
 from tiny_sequences import SCENE as SEQUENCE
@@ -39,8 +39,7 @@ ANSWERS = {
     "refused": refused,
 }
 
-class Method:
-    version = 1
+class Method(Base):
     @classmethod
     def from_options(cls, options, assets=None):
         answer = ANSWERS[cls.name]
@@ -51,9 +50,6 @@ class Method:
     def follow(self, sequence): ...
     def detect(self, frame, camera): ...
     def match(self, first, second, known): ...
-
-for _name in ANSWERS:
-    globals()["made_" + _name] = type(_name, (Method,), {"name": _name})
 """
 RAISED = {
     "value": "ValueError: no such mode",
@@ -76,7 +72,7 @@ def write(folder, estimators, scene=SCENE, kind=""):
 
 
 def test_an_estimator_that_cannot_be_built_costs_its_own_rows_alone(cache, tmp_path, monkeypatch, capsys):
-    install(tmp_path, "estimators", MODULE, monkeypatch)
+    install_answers(tmp_path, "estimators", MODULE, monkeypatch)
     file, out = write(tmp_path, f"prior, value: {{mode: 7}}, {', '.join(list(RAISED)[1:])}"), tmp_path / "run"
     assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
@@ -95,7 +91,7 @@ def test_an_estimator_that_cannot_be_built_costs_its_own_rows_alone(cache, tmp_p
 
 @pytest.mark.long
 def test_workers_store_the_same_of_what_cannot_be_built(cache, tmp_path, monkeypatch):
-    install(tmp_path, "estimators", MODULE, monkeypatch)
+    install_answers(tmp_path, "estimators", MODULE, monkeypatch)
     file, out = write(tmp_path, f"prior, value: {{mode: 7}}, {', '.join(list(RAISED)[1:])}"), tmp_path / "run"
     assert run(file, out) == 3
     done = boresight("run", file, "--jobs", 2, "--out", tmp_path / "two", PYTHONPATH=str(tmp_path))
@@ -106,7 +102,7 @@ def test_workers_store_the_same_of_what_cannot_be_built(cache, tmp_path, monkeyp
 @pytest.mark.parametrize("group", KINDS)
 def test_so_does_a_method_of_another_kind(group, cache, tmp_path, monkeypatch):
     experiment, scene, control, called = KINDS[group]
-    install(tmp_path, group, MODULE, monkeypatch)
+    install_answers(tmp_path, group, MODULE, monkeypatch)
     file, out = write(tmp_path, f"value, closes, {control}", scene, f"experiment: {experiment}\n"), tmp_path / "run"
     assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
@@ -143,7 +139,7 @@ def test_so_does_an_estimator_of_orbits():
 def test_wrong_options_of_the_last_estimator_are_refused_before_anything_is_built(
     wrong, said, cache, tmp_path, monkeypatch, capsys
 ):
-    install(tmp_path, "estimators", MODULE, monkeypatch)
+    install_answers(tmp_path, "estimators", MODULE, monkeypatch)
     scene = SCENE + "sensors: {altimeter: {sigma_m: 5}}\n"
     assert run(write(tmp_path, f"value, lmaps: {{label: first}}, {wrong}", scene), tmp_path / "run") == 2
     told = capsys.readouterr()

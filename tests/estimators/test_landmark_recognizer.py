@@ -1,7 +1,5 @@
 """The whole recogniser on images of a body with relief, and the interface of the estimators."""
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -350,11 +348,6 @@ def test_wrong_options_name_estimator_key_and_value(world):
         LandmarkRecognizer.from_options({"alignment": "sideways"}, world)
 
 
-def test_an_unknown_estimator_is_refused_with_the_known_ones():
-    with pytest.raises(BoresightError, match="'landmark-surf' is unknown; did you mean landmark-sift"):
-        estimator_class("landmark-surf")
-
-
 def test_a_saved_data_base_recognises_the_same(world, tmp_path):
     world.database.save(tmp_path)
     again = LandmarkDatabase.load(tmp_path)
@@ -364,51 +357,6 @@ def test_a_saved_data_base_recognises_the_same(world, tmp_path):
     first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, aligner)
     second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, aligner)
     assert same(estimate(first, frame), estimate(second, frame))
-
-
-def third_party(folder, monkeypatch, code, target="other:Other"):
-    """Install a package of one module that offers an estimator ``other``."""
-    (folder / "other.py").write_text(code)
-    info = folder / "other-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[boresight.estimators]\nother = {target}\nprior = other:Other\n")
-    monkeypatch.syspath_prepend(str(folder))
-    monkeypatch.delitem(sys.modules, "other", raising=False)
-
-
-GOOD = """
-class Other:
-    name = "other"
-    version = 4
-    @classmethod
-    def from_options(cls, options, assets):
-        return cls()
-    def estimate(self, observation, *, rng):
-        raise NotImplementedError
-"""
-
-
-def test_a_third_party_adds_its_estimator_by_an_entry_point(tmp_path, monkeypatch):
-    third_party(tmp_path, monkeypatch, GOOD)
-    assert "other" in estimator_names()
-    assert estimator_class("other").version == 4
-    assert estimator_class("prior").__module__ == "boresight.estimators.prior"
-
-
-@pytest.mark.parametrize(
-    ("code", "target", "message"),
-    [
-        ("import nothing_of_that_name\n", "other:Other", "cannot be imported from other:Other"),
-        (GOOD, "other:Missing", "cannot be imported"),
-        ("class Other:\n    name = 'other'\n", "other:Other", "lacks version, from_options, estimate"),
-    ],
-)
-def test_a_broken_third_party_is_refused_in_one_line(tmp_path, monkeypatch, code, target, message):
-    third_party(tmp_path, monkeypatch, code, target)
-    with pytest.raises(BoresightError, match=message) as caught:
-        estimator_class("other")
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["landmark-harris", "landmark-ransac"])
