@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from boulder_worlds import BoulderWorld, boulder_mesh
 from scipy.ndimage import gaussian_filter, shift
 
 from boresight.estimators.descriptors.database import (
@@ -22,22 +23,16 @@ from boresight.estimators.descriptors.recognizer import (
     near_prediction,
 )
 from boresight.estimators.landmark.pose.posterior import GaussianPose
-from boresight.renderers.mitsuba3 import MitsubaRenderer
-from boresight.scenarios.bodies import load_body
-from boresight.scenarios.draw import draw_lit_view
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, look_at
 from boresight.scenarios.observation import Frame, Observation
-from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
-from boresight.scenarios.spec.brdf import LambertSpec
-from boresight.scenarios.spec.distribution import Uniform
-from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
 TRUE = look_at(np.array([1200.0, -1500.0, 560.0]), 0.7)
 KINDS = ["sift", "orb"]
 OPTIONS = DescriptorNavigatorOptions()
-PRIOR_COVARIANCE = np.diag([0.02] * 3 + [29.0] * 2 + [3.0]) ** 2
+PRIOR_SIGMAS = [0.02] * 3 + [29.0] * 2 + [3.0]
+PRIOR_COVARIANCE = np.diag(PRIOR_SIGMAS) ** 2
 IMAGES = 80
 
 
@@ -180,43 +175,24 @@ def test_the_nearest_views_look_from_there_under_that_sun():
     assert found[1] in (views[0], views[2])
 
 
-class World:
-    """A body with boulders and data bases of its features, as the assets of the estimators."""
-
-    camera = CAMERA
+class World(BoulderWorld):
+    """Lends data bases of features of its images."""
 
     def __init__(self):
-        boulders = BoulderSpec(count=700, min_diameter_m=8.0, max_diameter_m=45.0)
-        spec = BodySpec(shape="contact-binary", detail=DetailSpec(facets=90_000, seed=3, boulders=boulders))
-        self.renderer = MitsubaRenderer(load_body(spec, ()).mesh, LambertSpec())
-        seen = [self.view(np.random.default_rng(1000 + index)) for index in range(IMAGES)]
-        self._databases = {}
-        self.images = [(view, self.renderer.render(view)) for view in seen]
-
-    def view(self, rng):
-        lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, 60.0)))
-        return draw_lit_view(ViewpointSpec(range_m=2000.0), lighting, CAMERA, rng)
+        super().__init__(CAMERA, boulder_mesh(90_000), PRIOR_SIGMAS)
+        self.seen = list(self.images(IMAGES))
+        self.databases = {}
 
     def product(self, kind, options):
         assert kind == PRODUCT
         parsed = DescriptorOptions.model_validate(options)
-        if parsed.kind in self._databases:
-            return self._databases[parsed.kind]
-        views = tuple(
-            view_features(image, view, lambda uv, view=view: self.renderer.surface(view, uv).points_body_m, parsed)
-            for view, image in self.images
-        )
-        self._databases[parsed.kind] = DescriptorDatabase(parsed.kind, views)
-        return self._databases[parsed.kind]
-
-    def frame(self, trial):
-        rng = np.random.default_rng(trial)
-        view = self.view(rng)
-        axis = rng.normal(size=3)
-        angle = np.radians(rng.uniform(-2.0, 2.0)) / np.linalg.norm(axis)
-        prior = view.T_cam_body.perturbed(angle * axis, rng.uniform((-50.0, -50.0, -5.0), (50.0, 50.0, 5.0)))
-        sun = view.T_cam_body.rotate(view.sun_dir_body)
-        return view, Frame(self.renderer.render(view), sun, prior, PRIOR_COVARIANCE)
+        if parsed.kind not in self.databases:
+            views = tuple(
+                view_features(image, view, lambda uv, view=view: self.renderer.surface(view, uv).points_body_m, parsed)
+                for view, image in self.seen
+            )
+            self.databases[parsed.kind] = DescriptorDatabase(parsed.kind, views)
+        return self.databases[parsed.kind]
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +218,7 @@ def test_recognition_improves_on_the_prior(world, navigator):
 
 
 def test_the_points_of_a_view_are_where_its_features_are(world):
-    view, image = world.images[0]
+    view, image = world.seen[0]
     options = DescriptorOptions(kind="sift")
     found = view_features(image, view, lambda uv: world.renderer.surface(view, uv).points_body_m, options)
     features = find_features(image, "sift", options.features)

@@ -1,69 +1,35 @@
 """Maplets from the image to the pose, on images of a body that is finer than the shape on board."""
 
+from copy import copy
+
 import numpy as np
 import pytest
+from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.maplets.build import build_maplets
 from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
 from boresight.estimators.maplets.visibility import body_mask, visible_windows
 from boresight.renderers.mitsuba3 import MitsubaRenderer
-from boresight.scenarios.bodies import load_body
-from boresight.scenarios.draw import draw_lit_view
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Frame, Observation
-from boresight.scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec, RoughnessSpec
+from boresight.scenarios.spec.body import RoughnessSpec
 from boresight.scenarios.spec.brdf import LambertSpec
-from boresight.scenarios.spec.distribution import Uniform
-from boresight.scenarios.spec.world import LightingSpec, ViewpointSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
 OPTIONS = {"maplets": {"spacing_m": 4.0, "side": 21}}
 TRIALS = 8
 
 
-def spec(facets):
-    return BodySpec(
-        shape="contact-binary",
-        detail=DetailSpec(
-            facets=facets, seed=3, boulders=BoulderSpec(count=700, min_diameter_m=8.0, max_diameter_m=45.0),
-            roughness=RoughnessSpec(rms_m=1.0, max_wavelength_m=60.0),
-        ),
-    )  # fmt: skip
-
-
-class World:
-    """A body, its renderer, and maplets of a shape with a quarter of its facets, as the assets of the estimator."""
-
-    camera = CAMERA
-    brdf = LambertSpec()
+class World(BoulderWorld):
+    """Lends maplets of a shape with a quarter of the facets of the body."""
 
     def __init__(self):
-        self.renderer = MitsubaRenderer(load_body(spec(240_000), ()).mesh, self.brdf)
-        self.onboard = load_body(spec(60_000), ()).mesh
+        rough = RoughnessSpec(rms_m=1.0, max_wavelength_m=60.0)
+        super().__init__(CAMERA, boulder_mesh(240_000, rough), [0.02] * 3 + [29.0] * 2 + [3.0])
+        self.onboard = boulder_mesh(60_000, rough)
         self.database = build_maplets(self.onboard, MapletsOptions.model_validate(OPTIONS).maplets)
-        self.asked = []
-
-    def product(self, kind, options):
-        self.asked.append((kind, options))
-        return self.database
-
-    def mesh_renderer(self, mesh, samples_per_pixel=1):
-        return MitsubaRenderer(mesh, self.brdf, samples_per_pixel)
-
-    def frame(self, trial, noise_dn=0.0):
-        rng = np.random.default_rng(trial)
-        lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, 60.0)))
-        view = draw_lit_view(ViewpointSpec(range_m=2000.0), lighting, CAMERA, rng)
-        axis = rng.normal(size=3)
-        angle = np.radians(rng.uniform(-2.0, 2.0)) / np.linalg.norm(axis)
-        prior = view.T_cam_body.perturbed(angle * axis, rng.uniform((-50.0, -50.0, -5.0), (50.0, 50.0, 5.0)))
-        image = self.renderer.render(view)
-        if noise_dn:
-            image = (8000.0 * image + rng.normal(100.0, noise_dn, image.shape)).astype(np.float32)
-        sun = view.T_cam_body.rotate(view.sun_dir_body)
-        return view, Frame(image, sun, prior, np.diag([0.02] * 3 + [29.0] * 2 + [3.0]) ** 2)
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +46,6 @@ def navigator(world):
 
 def estimate(estimator, frame):
     return estimator.estimate(Observation(CAMERA, frame), rng=np.random.default_rng(0))
-
-
-def errors(view, pose):
-    offset = pose.camera_position_m - view.T_cam_body.camera_position_m
-    return np.degrees(pose.angle_to(view.T_cam_body)), np.linalg.norm(offset)
 
 
 @pytest.mark.parametrize("noise_dn", [0.0, 15.0], ids=["clean", "noisy"])
@@ -181,13 +142,10 @@ def test_the_data_base_is_asked_for_by_its_options(world):
 def test_a_stored_data_base_gives_the_same_pose(world, navigator, tmp_path):
     world.database.save(tmp_path)
 
-    class Stored(World):
-        def __init__(self):
-            self.database = MapletDatabase.load(tmp_path)
-            self.asked = []
-
+    stored = copy(world)
+    stored.database = MapletDatabase.load(tmp_path)
     _, frame = world.frame(1)
-    first, second = (estimate(e, frame).pose for e in (navigator, MapletNavigator.from_options(OPTIONS, Stored())))
+    first, second = (estimate(e, frame).pose for e in (navigator, MapletNavigator.from_options(OPTIONS, stored)))
     assert np.degrees(first.angle_to(second)) < 0.03
 
 
