@@ -41,17 +41,26 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
     [
         (None, "a NoneType is no Estimate"),
         ("ok", "a str is no Estimate"),
+        ({"status": "ok", "pose": HERE}, "a dict is no Estimate"),
         (replace(GOOD, status=["ok"]), "not ok or failed"),
+        (replace(GOOD, status="maybe"), "status is 'maybe', not ok or failed"),
+        (Estimate("failed"), "gives as its reason ''"),
         (replace(GOOD, reason=7), "the reason is 7"),
         (Estimate("failed", "x" * 10_000), "the reason is '10000 characters'"),
         (replace(GOOD, reason="all went well"), "an ok estimate gives as its reason 'all went well'"),
         (replace(GOOD, pose=np.eye(4)), "a ndarray is no Pose"),
         (replace(GOOD, pose=None), "an ok estimate has no pose"),
         (replace(GOOD, pose=(HERE,)), "a tuple is no Pose"),
+        (replace(GOOD, pose=Pose(np.eye(3), [np.nan, 0, 0])), r"translation \[nan"),
+        (replace(GOOD, pose=Pose(np.full((3, 3), np.nan), [0, 0, 1e3])), "rotation off by nan"),
+        (replace(GOOD, pose=Pose(-np.eye(3), [0, 0, 1e3])), "is not rigid"),
+        (replace(GOOD, pose=Pose(1.01 * np.eye(3), [0, 0, 1e3])), "is not rigid: rotation off by 2.0e-02"),
         (replace(GOOD, pose=HERE.inverse()), "T_body_cam, not T_cam_body"),
         (replace(GOOD, pose=Pose(np.eye(3), [0, 0, 1e16])), "the pose is not rigid"),
         (replace(GOOD, stages=(Stage("half", Pose(2 * np.eye(3), [0, 0, 1])),)), "after half is not rigid"),
+        (replace(GOOD, stages=(Stage("half", Pose(np.eye(3), [0, 0, np.inf])),)), "the pose after half is not rigid"),
         (replace(GOOD, covariance=np.eye(6).tolist()), "a list, not an array"),
+        (replace(GOOD, covariance=np.eye(3)), r"a covariance of shape \(3, 3\)"),
         (replace(GOOD, covariance=np.full((6, 6), 1e300)), "beyond 1e"),
         (replace(GOOD, bound=1j * np.eye(6)), "of finite numbers"),
         (replace(GOOD, covariance=np.triu(np.ones((6, 6)))), "not symmetric"),
@@ -68,6 +77,7 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
         (Estimate("failed", "late", pose=np.eye(4)), "a ndarray is no Pose"),
         (replace(GOOD, details={"mine": {"a": np.array([None])}}), "mine: a is no array of numbers or texts"),
         (replace(GOOD, diagnostics={(1, 2): 3.0}), "diagnostics of type dict have no names"),
+        (replace(GOOD, diagnostics={"chi2": np.nan}), "diagnostics: chi2 is nan"),
         (replace(GOOD, diagnostics={"chi2": 1j}), "chi2 is complex, not a number"),
         (replace(GOOD, diagnostics={"chi2": np.zeros(3)}), "chi2 is ndarray, not a number"),
         (replace(GOOD, diagnostics={"n_landmarks": "many"}), "n_landmarks is a text"),
@@ -79,12 +89,14 @@ GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TAB
         (replace(GOOD, timings_s={"all": "long"}), "all is str, not a number"),
         (replace(GOOD, timings_s={"all": -1e-9}), "timings_s: all is -1e-09, not a number from 0 to"),
         (replace(GOOD, timings_s={"all": 1e300}), r"all is 1e\+300"),
+        (replace(GOOD, details={"landmarks": {"landmark": np.arange(3), "u_px": np.ones(3)}}), "missing: v_px, x_m"),
+        (replace(GOOD, details={"landmarks": {**TABLE, "sxx_m2": np.zeros(2)}}), "a covariance is singular"),
         (replace(GOOD, details={"landmarks": {**TABLE, "landmark": np.ones(2)}}), "of whole numbers"),
         (replace(GOOD, details={"landmarks": {**TABLE, "u_px": np.full(2, 1e9)}}), "u_px has a number beyond"),
         (replace(GOOD, details={"landmarks": {**TABLE, "v_px": np.ones(3)}}), r"v_px of shape \(3,\)"),
     ],
 )
-def test_rubbish_for_an_estimate(answer, said):
+def test_wrong_estimates(answer, said):
     check(GOOD)
     with pytest.raises(ValueError, match=said):
         check(answer)
@@ -106,6 +118,15 @@ def sequence():
     ("answer", "said"),
     [
         (None, "a NoneType is no SequenceEstimate"),
+        ("ok", "a str is no SequenceEstimate"),
+        ({"frames": []}, "a dict is no SequenceEstimate"),
+        (SequenceEstimate("ok", ()), "0 frames of ok for 1 of the sequence"),
+        (SequenceEstimate("ok", (STEP, STEP)), "2 frames of ok for 1 of the sequence"),
+        (SequenceEstimate("failed", (step for step in (STEP,)), "late"), "frames are a generator, not a tuple"),
+        (SequenceEstimate("ok", (STEP,), diagnostics={(1, 2): 3.0}), "diagnostics of type dict have no names"),
+        (SequenceEstimate("ok", (replace(STEP, position_m=1j * np.ones(3)),)), "of finite numbers"),
+        (SequenceEstimate("ok", (replace(STEP, position_m=np.full(3, np.nan)),)), "of finite numbers"),
+        (SequenceEstimate("ok", (replace(STEP, covariance_m2=np.triu(np.ones((3, 3)))),)), "is not symmetric"),
         (SequenceEstimate("ok", (None,)), "a NoneType is no FrameEstimate"),
         (SequenceEstimate("ok", (replace(STEP, position_m=None),)), "position_m is a NoneType"),
         (SequenceEstimate("ok", (replace(STEP, position_m=np.full(3, 1e200)),)), "position_m has a number beyond"),
@@ -123,13 +144,13 @@ def sequence():
         (SequenceEstimate("ok", (STEP,), diagnostics={"gm_m3_s2": "heavy"}), "gm_m3_s2"),
     ],
 )
-def test_rubbish_for_a_sequence(sequence, answer, said):
+def test_wrong_estimates_of_a_sequence(sequence, answer, said):
     check_sequence(SequenceEstimate("ok", (STEP,)), sequence)
     with pytest.raises(ValueError, match=said):
         check_sequence(answer, sequence)
 
 
-def test_rubbish_for_craters():
+def test_wrong_detections_and_matches():
     rims = circles((10, 10, 5), (30, 30, 5))
     for answer in (None, CraterDetections(None, np.ones(2)), CraterDetections(circles((1e9, 1, 5)), np.ones(1))):
         with pytest.raises(ValueError, match=r"is no|beyond"):

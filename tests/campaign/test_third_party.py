@@ -16,42 +16,19 @@ from boresight.campaign.store import RunFolder
 
 TRIALS = 12
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md"
-# name: (what an estimator of images returns, what its row or traceback says)
+# name: (what an estimator of images returns, what its traceback says). test_faulty_methods has all that is refused;
+# here is what may do harm on its way to a row.
 IMAGES = {
     "matrix": ('Estimate("ok", pose=np.eye(4))', "a ndarray is no Pose"),
-    "matrix-failed": ('Estimate("failed", "late", pose=np.eye(4))', "a ndarray is no Pose"),
-    "several": ('Estimate("ok", pose=(prior,))', "a tuple is no Pose"),
-    "no-pose": ('Estimate("ok", covariance=np.eye(6))', "an ok estimate has no pose"),
     "nan": ('Estimate("ok", pose=Pose(R, [np.nan, 0, 0]))', "translation [nan"),
-    "huge": ('Estimate("ok", pose=Pose(R, [0, 0, 1e200]))', "translation [0.e+000 0.e+000 1.e+200]"),
-    "nan-rotation": ('Estimate("ok", pose=Pose(np.full((3, 3), np.nan), t))', "rotation off by nan"),
-    "mirror": ('Estimate("ok", pose=Pose(-R, t))', "is not rigid"),
-    "unnormalised": ('Estimate("ok", pose=Pose(1.01 * R, t))', "is not rigid: rotation off by 2.0e-02"),
-    "nothing": ("None", "NoneType"),
-    "text": ('"ok"', "a str is no Estimate"),
-    "table": ('{"status": "ok", "pose": prior}', "a dict is no Estimate"),
-    "maybe": ('Estimate("maybe", pose=prior)', "status is 'maybe', not ok or failed"),
-    "silent": ('Estimate("failed")', "gives as its reason ''"),
-    "nan-stage": (
-        'Estimate("failed", "half way", stages=(Stage("half", Pose(R, [0, 0, np.inf])),))',
-        "the pose after half is not rigid",
-    ),
+    "nothing": ("None", "a NoneType is no Estimate"),
     "falls": ('Estimate("ok", pose=prior, stages=Falls())', "stages are a Falls, not a tuple"),
     "endless": ('Estimate("failed", "on and on", stages=endless(prior))', "stages are a generator, not a tuple"),
-    "nan-number": ('Estimate("ok", pose=prior, diagnostics={"chi2": np.nan})', "diagnostics: chi2 is nan"),
-    "keys": ('Estimate("ok", pose=prior, diagnostics={(1, 2): 3.0})', "diagnostics of type dict have no names"),
-    "no-covariance": ('Estimate("ok", pose=prior, covariance=np.eye(3))', "a covariance of shape (3, 3)"),
-    "complex": ('Estimate("ok", pose=prior, covariance=1j * np.eye(6))', "of finite numbers"),
-    "skew": ('Estimate("ok", pose=prior, covariance=np.triu(np.ones((6, 6))))', "not symmetric"),
-    "half-table": (
-        'Estimate("ok", pose=prior, details={"landmarks": {"landmark": np.arange(3), "u_px": np.ones(3)}})',
-        "columns are missing: v_px, x_m",
-    ),
-    "flat-landmark": ('Estimate("ok", pose=prior, details={"landmarks": landmarks(0.0)})', "a covariance is singular"),
     "objects": (
         'Estimate("ok", pose=prior, details={"mine": {"a": np.array([object()])}})',
         "mine: a is no array of numbers or texts",
     ),
+    "keys": ('Estimate("ok", pose=prior, diagnostics={(1, 2): 3.0})', "diagnostics of type dict have no names"),
     "quits": ("quits()", "SystemExit: 0"),
     "changes": ("observation.frame.image.fill(0)", "read-only"),
 }
@@ -61,8 +38,8 @@ SOUND = {
         'Estimate("ok", pose=prior.perturbed(np.zeros(3), rng.normal(size=3)), diagnostics={"luck": rng.random()})'
     ),
     "raises": 'Estimate("ok", pose=prior) if rng.random() < 0.5 else 1 / 0',
-    "behind": 'Estimate("ok", pose=Pose(R, -t), details={"landmarks": landmarks(1.0)})',
-    "inside": 'Estimate("ok", pose=Pose(R, np.zeros(3)), details={"landmarks": landmarks(1.0)})',
+    "behind": 'Estimate("ok", pose=Pose(R, -t), details={"landmarks": LANDMARKS})',
+    "inside": 'Estimate("ok", pose=Pose(R, np.zeros(3)), details={"landmarks": LANDMARKS})',
 }
 IMAGE_METHODS = """
 import numpy as np
@@ -82,10 +59,8 @@ def endless(prior):
 def quits():
     raise SystemExit(0)
 
-def landmarks(variance):
-    names = "u_px v_px x_m y_m z_m sxx_m2 sxy_m2 sxz_m2 syy_m2 syz_m2 szz_m2".split()
-    columns = {name: np.full(2, variance * (name[1:3] in ("xx", "yy", "zz"))) for name in names}
-    return {"landmark": np.arange(2), **columns}
+NAMES = "u_px v_px x_m y_m z_m sxx_m2 sxy_m2 sxz_m2 syy_m2 syz_m2 szz_m2".split()
+LANDMARKS = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}
 
 class Method(Base):
     def estimate(self, observation, *, rng):
@@ -98,14 +73,7 @@ ANSWERS = {
 SEQUENCES = {
     "matrix": "ok(n, np.eye(4))",
     "nothing": "None",
-    "text": '"ok"',
-    "table": '{"frames": []}',
-    "nan": "ok(n, np.full(3, np.nan))",
     "few": "ok(n - 1)",
-    "many": "ok(n + 1)",
-    "complex": "ok(n, 1j * np.ones(3))",
-    "skew": "ok(n, covariance=np.triu(np.ones((3, 3))))",
-    "huge": "ok(n, np.full(3, 1e200))",
     "generator": 'SequenceEstimate("failed", (frame for frame in ok(n).frames), "late")',
     "objects": 'SequenceEstimate("ok", (object(),) * n)',
     "keys": 'SequenceEstimate("ok", ok(n).frames, diagnostics={(1, 2): 3.0})',
@@ -116,8 +84,8 @@ from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 
 NONE = np.zeros(0, np.int64), np.zeros((0, 3)), 0.1
 
-def ok(n, position=np.ones(3), covariance=None):
-    return SequenceEstimate("ok", (FrameEstimate(position, covariance, *NONE),) * n)
+def ok(n, position=np.ones(3)):
+    return SequenceEstimate("ok", (FrameEstimate(position, None, *NONE),) * n)
 
 class Method(Base):
     def follow(self, sequence):
