@@ -10,8 +10,10 @@ import pytest
 from training.crater_network import digest
 from training.ground import STEP_PX, Bowl, Ground, make_ground
 from training.sight import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
+from training.thresholds import lowest_threshold
 
 from boresight.estimators.craters.learned.detector import packaged_network
+from boresight.scenarios.errors import BoresightError
 
 
 def plain(heights):
@@ -101,3 +103,26 @@ def test_younger_craters_cut_older_ones():
 def test_the_weights_are_those_whose_making_is_noted():
     note = json.loads((files("boresight.estimators.craters.learned") / "weights.json").read_text())
     assert note["sha256"] == digest(packaged_network())
+
+
+# --- Thresholds on a detector's confidence, by hand ------------------------------------------------------------------
+
+
+def test_lowest_threshold_lets_the_share_through_and_no_more() -> None:
+    confidence = np.array([0.2, 0.9, 0.8, 0.5, 0.7, 0.6])
+    false = np.array([True, False, False, False, True, False])
+    # From the top: 0, 0, 1/3, 1/4, 1/5, 2/6 are false.
+    assert lowest_threshold(confidence, false, 0.2) == 0.5
+    assert lowest_threshold(confidence, false, 0.19) == 0.8
+    assert lowest_threshold(confidence, false, 0.34) == 0.2
+
+
+def test_equal_confidences_are_let_through_together() -> None:
+    confidence = np.array([0.9, 0.5, 0.5])
+    assert lowest_threshold(confidence, np.array([False, False, True]), 0.1) == 0.9
+    assert lowest_threshold(confidence, np.array([False, False, True]), 0.4) == 0.5
+
+
+def test_no_threshold_is_an_error() -> None:
+    with pytest.raises(BoresightError, match="no threshold"):
+        lowest_threshold(np.array([0.9, 0.5]), np.array([True, False]), 0.1)
