@@ -190,7 +190,9 @@ def test_so_are_those_of_methods_for_sequences(installed, tmp_path):
 
 
 @pytest.mark.parametrize("worst", [0, pytest.param(1, marks=pytest.mark.long)])
-@pytest.mark.parametrize("write", [lambda *names: campaign(*names, trials=1), of_sequences])
+@pytest.mark.parametrize(
+    "write", [lambda *names: campaign(*names, trials=1), of_sequences], ids=["images", "sequences"]
+)
 def test_every_command_reads_a_run_of_wrong_answers(installed, tmp_path, capsys, write, worst):
     """They are rows alone by now, so two are enough; one of them cannot even be looked at without harm."""
     harmful = "generator" if write is of_sequences else "falls"

@@ -13,7 +13,7 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(
-    include=["scenarios", "renderers", "estimators", "reports", "campaign", "yaml", "pvl", "trimesh", "astropy"]
+    include=["boresight", "yaml", "pvl", "trimesh", "astropy"]
 ):
     from fuzz.guard import fed
     from fuzz.mutations import NUMBERS, WORDS
