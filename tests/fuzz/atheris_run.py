@@ -12,9 +12,7 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(
-    include=["boresight", "yaml", "pvl", "trimesh", "astropy"]
-):
+with atheris.instrument_imports(include=["boresight", "yaml", "pvl", "trimesh", "astropy"]):
     from fuzz.guard import fed
     from fuzz.mutations import NUMBERS, WORDS
     from fuzz.readers import READERS, found, valid

@@ -27,20 +27,19 @@ _NO_FORMAT = 0.05
 
 def drawn(seeds: Sequence[bytes], words: Sequence[bytes], inputs: int, seed: int) -> Iterator[bytes]:
     """Draw damaged files, up to five edits of a valid one, and now and then bytes of no format at all."""
-    rng = random.Random(seed)  # noqa: S311  nothing is secret here
+    rng, words = random.Random(seed), (*words, *WORDS)  # noqa: S311  nothing is secret here
     for _ in range(inputs):
         if rng.random() < _NO_FORMAT:
             yield rng.randbytes(rng.randrange(300))
             continue
         content = rng.choice(seeds)
         for _ in range(rng.randint(1, 5)):
-            content = _edited(content, (*words, *WORDS), rng)[:_LARGEST]
+            content = _edited(content, words, rng)[:_LARGEST]
         yield content
 
 
 def _edited(content: bytes, words: Sequence[bytes], rng: random.Random) -> bytes:
-    kind, at, lines = rng.choice(_EDITS), rng.randrange(len(content) + 1), content.splitlines(keepends=True) or [b""]
-    here, there = rng.randrange(len(lines)), rng.randrange(len(lines))
+    kind, at = rng.choice(_EDITS), rng.randrange(len(content) + 1)
     if kind in ("number", "word"):
         pattern, choice = (_NUMBER, NUMBERS) if kind == "number" else (_WORD, (*words, *NUMBERS))
         found = pattern.search(content, at) or pattern.search(content)
@@ -56,6 +55,8 @@ def _edited(content: bytes, words: Sequence[bytes], rng: random.Random) -> bytes
         width = rng.choice((1, 2, 4, 8))
         value = rng.choice(_BINARY) % (1 << 8 * width)
         return content[:at] + value.to_bytes(width, rng.choice(("little", "big"))) + content[at + width :]
+    lines = content.splitlines(keepends=True) or [b""]
+    here, there = rng.randrange(len(lines)), rng.randrange(len(lines))
     if kind == "drop":
         del lines[here]
     elif kind == "repeat":
