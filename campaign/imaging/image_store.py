@@ -242,10 +242,10 @@ def read_chunk(path: Path) -> dict[int, StoredImage]:
         return {}
 
 
-def open_renderer(scenario: LoadedScenario, variant: str) -> BodyRenderer:
-    """Create the renderer of a scenario's true body, including its craters."""
+def open_renderer(scenario: LoadedScenario, variant: str, ground: CrateredSurface | None) -> BodyRenderer:
+    """Create the renderer of a scenario's true body; ``ground`` is its surface if it has craters, see `open_ground`."""
     spec = scenario.spec
-    samples, chosen, ground = spec.rendering.samples_per_pixel, choose_variant(variant), open_ground(scenario)
+    samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
     if ground is not None:
         return TiledRenderer(ground, spec.brdf, samples, chosen)
     mesh = load_body(spec.body, scenario.search_dirs).mesh
@@ -275,7 +275,8 @@ class Imager:
         """Open the camera of a scenario's true body for views drawn from a stream by given distributions."""
         detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
         store = ImageStore.open(scenario, variant, stream, *laws)
-        return cls(open_renderer(scenario, variant), detector, store, open_ground(scenario))
+        ground = open_ground(scenario)  # once: opening it takes a second, and tens of millions of facets their memory
+        return cls(open_renderer(scenario, variant, ground), detector, store, ground)
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
         """Image a view.

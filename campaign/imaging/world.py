@@ -199,18 +199,17 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     spec = scenario.spec
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
-    ground = open_ground(scenario)
     if spec.images is not None:
-        real, renderer = spec.images, open_renderer(scenario, variant)
+        real, ground = spec.images, open_ground(scenario)
+        renderer = open_renderer(scenario, variant, ground)
         source = RealImageSource(open_images(scenario), real.truth, real.also_score, real.noise_realisations)
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    return World(
-        scenario, camera, body, imager.renderer, RenderedImageSource(scenario, camera, body.mesh, imager), ground
-    )
+    drawn = RenderedImageSource(scenario, camera, body.mesh, imager)
+    return World(scenario, camera, body, imager.renderer, drawn, imager.ground)
 
 
 def views_in_words(scenario: LoadedScenario) -> str:

@@ -12,7 +12,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, Trials, Witnessed, add_records
 from boresight.campaign.trial.methods import Unbuilt, build_all, require_built
 from boresight.campaign.trial.work import Work
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError, MachineError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.campaign import EstimatorSpec
 
@@ -37,7 +37,7 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     """Trials in which every method is asked about the same draw: a kind is ``draw``, ``ask``, ``check`` and ``score``.
 
     What a method raises or returns against its contract becomes a row with status ``error``. What the other steps
-    raise is an error of boresight, and ends the run.
+    raise is an error of boresight or of the machine, and ends the run, but for `lost`.
     """
 
     called: ClassVar[str] = "estimator"
@@ -90,6 +90,8 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
         key: Record = {"trial": trial, "scenario": self.scenario}
         try:
             drawn = self.draw(trial)
+        except MachineError:
+            raise
         except self.lost as error:
             reason = f"{self.lost_trial}: {error}"
             failed: Record = {"image": "", "status": "failed", "reason": reason, "n_landmarks": 0}

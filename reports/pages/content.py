@@ -207,7 +207,8 @@ def headline(run: RunData) -> str:
     unit = f" {metric.unit}" if metric.unit else ""
     parts = []
     for one in found:
-        done = f"solved {one.n_ok}/{one.n}" if one.prior is None else f"success {one.n_success}/{one.n}"
+        done = f"solved {one.n_ok}/{one.n}"
+        done += "" if one.prior is None else f", success {one.n_success}/{one.n}"
         before = "" if one.prior is None else f", prior {number(one.prior)}{unit}"
         parts.append(f"{one.label}: {done}, median {metric.label} {interval(one.median)}{unit}{before}")
     several = len(run.manifest.scenarios)

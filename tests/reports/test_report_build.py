@@ -129,7 +129,7 @@ def test_the_card_has_the_result_of_each_estimator(report, builder):
     won = int((rows["position_error_m"] <= rows["prior_position_error_m"]).sum())
     median, prior = rows["position_error_m"].median(), rows["prior_position_error_m"].median()
     found = re.fullmatch(
-        r"landmark-harris: success (\d+)/120, median position error ([\d.]+) \[([\d.]+), ([\d.]+)\] m,"
+        r"landmark-harris: solved 120/120, success (\d+)/120, median position error ([\d.]+) \[([\d.]+), ([\d.]+)\] m,"
         r" prior ([\d.]+) m",
         card_of(report)["Result"],
     )
@@ -138,7 +138,7 @@ def test_the_card_has_the_result_of_each_estimator(report, builder):
     assert float(found[3]) < median < float(found[4])
     for label in ("one", "two", "three"):
         builder.trial(0, ((9.0, 9.0, 9.0), 1.0), ((1.0, 2.0, 3.0), 0.1), estimator=label)
-    assert card_of(write_report(builder.write(estimators=["one", "two", "three"])))["Result"].count("success 1/1") == 3
+    assert card_of(write_report(builder.write(estimators=["one", "two", "three"])))["Result"].count("solved 1/1, success 1/1") == 3
     builder.trial(0, ((9.0, 9.0, 9.0), 1.0), None, estimator="four")
     files = write_report(builder.write(estimators=["one", "two", "three", "four"]))
     assert card_of(files)["Result"] == "4 estimators: see the table"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 from boresight.campaign.draft import drafted
@@ -20,16 +19,16 @@ from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.options import parse_options
-from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.load import LoadedScenario
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseDraw:
-    """Number of a trial, and the candidates (C, 3), m, in each of the images of one way to make a data base."""
+    """Number of a trial and of its images, and the data base of one way to make it, or why there is none."""
 
     trial: int
-    candidates: Sequence[FloatArray] = ()
+    images: int = 0
+    built: LandmarkDatabaseBuild | NoProductError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,29 +94,31 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
         return DatabaseDraw(trial)
 
     def given(self, drawn: DatabaseDraw, label: str) -> DatabaseDraw:
-        """Find the candidates in the images of a trial."""
+        """Make the data base of a trial: a fault in that is ours, and not a method's."""
         options = at_trial(require_built(self.methods[label]), self.seed, drawn.trial)
         # Images of a hundred data bases would drive all others out of the store, and their candidates are kept.
         with store_switched(False):
             candidates = landmark_candidates(self.believed, options, None, self.variant)
-        return DatabaseDraw(drawn.trial, candidates.by_image)
+        try:
+            return replace(drawn, images=options.images, built=build_database(candidates.by_image, options))
+        except NoProductError as error:
+            return replace(drawn, built=error)
 
     def row(self, drawn: DatabaseDraw) -> Record:
         return {"n_landmarks": 0}
 
     def ask(self, method: DatabaseOptions, drawn: DatabaseDraw) -> LandmarkDatabaseBuild:
-        """Make the data base."""
-        try:
-            return build_database(drawn.candidates, at_trial(method, self.seed, drawn.trial))
-        except NoProductError as error:
-            raise GaveUpError(str(error)) from error
+        """Return the data base."""
+        if not isinstance(drawn.built, LandmarkDatabaseBuild):
+            raise GaveUpError(str(drawn.built))
+        return drawn.built
 
     def score(self, answer: LandmarkDatabaseBuild, drawn: DatabaseDraw) -> Records:
         """Count what the data base was made of, and what it is."""
         clusters, database = answer.clusters, answer.database
         numbers = {
             "candidates": len(answer.points_m),
-            "candidates_an_image": len(answer.points_m) / len(drawn.candidates),
+            "candidates_an_image": len(answer.points_m) / drawn.images,
             "seed_clusters": len(clusters.grown),
             "kept_clusters": len(clusters.kept),
             "merged_clusters": len(clusters.refined),
