@@ -13,6 +13,7 @@ from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_
 
 from boresight.campaign.cli import main
 from boresight.campaign.store import RunFolder
+from boresight.estimators.registry import estimator_class
 
 TRIALS = 12
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md"
@@ -230,7 +231,7 @@ def test_a_third_party_is_in_the_list(installed, capsys):
 def test_a_version_of_a_third_party_is_part_of_the_run(installed, tmp_path, monkeypatch, capsys):
     file, out = campaign(tmp_path, "good"), tmp_path / "run"
     compute(file, out, 1)
-    monkeypatch.setattr("methods_of_estimators.made_good.version", 2, raising=False)
+    monkeypatch.setattr(estimator_class("good"), "version", 2)
     assert run(file, out) == 2
     assert "holds another run" in capsys.readouterr().err
 

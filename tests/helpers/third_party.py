@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import sys
 from collections.abc import Mapping
@@ -44,5 +45,7 @@ def install_answers(folder: Path, group: str, text: str, patch: pytest.MonkeyPat
     """Install a method for each of the ``ANSWERS`` in a text, of its class ``Method(Base)``; return their names."""
     names = re.findall(r'^    "([\w-]+)": ', text, flags=re.MULTILINE)
     made = {name: f"made_{name.replace('-', '_')}" for name in names}
-    install(folder, group, f"methods_of_{group}", _BASE + text + _METHODS, made, patch)
+    # A name of its own: a module that another file of tests has imported would be taken in its place.
+    module = f"methods_{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+    install(folder, group, module, _BASE + text + _METHODS, made, patch)
     return names
