@@ -15,7 +15,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.resolve import reload, unlike
 from boresight.campaign.runs.worker import trials_of
 from boresight.campaign.store import TABLES, RunFolder
-from boresight.campaign.trial.kind import Record, Records, Trials, Witnessed, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trials, WorkerContext
 from boresight.reports.schema.tables import schema
 from boresight.scenarios.errors import BoresightError
 
@@ -47,7 +47,7 @@ class Recomputed:
     case: Case
     trials: Trials
     records: Records
-    shown: Witnessed | None
+    shown: InspectedTrial | None
     folder: RunFolder
 
     @property
@@ -126,7 +126,7 @@ def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
     """Run one case again, observed; one whose method was stopped in the stored run is not."""
     context = WorkerContext(folder.path, jobs=1, keep_images=False)
-    shown: list[Witnessed] = []
+    shown: list[InspectedTrial] = []
     watched = trials_of(campaign, case.scenario, context).of(case.trial).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))

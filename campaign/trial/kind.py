@@ -30,7 +30,7 @@ Records = dict[str, list[Record]]
 _KINDS = "boresight.campaign.kinds"
 
 
-class Witnessed(Protocol):
+class InspectedTrial(Protocol):
     """A trial of one method with its truth, observation and estimate. The types are those of the kind of trial."""
 
     @property
@@ -54,7 +54,7 @@ class Witnessed(Protocol):
         ...
 
 
-Witness = Callable[[Witnessed], None]
+Inspector = Callable[[InspectedTrial], None]
 """Called with each trial of one method, for inspection."""
 
 
@@ -87,7 +87,7 @@ class Trials(ABC):
         Label to method (an estimator, a detector); of one that cannot be built, why.
     seed
         Seed of the campaign.
-    witness
+    inspector
         Shown the trials of all methods; or None.
     database
         Number of its data base, by the labels of the methods that have one.
@@ -112,7 +112,7 @@ class Trials(ABC):
     scenario: str
     methods: Mapping[str, object]
     seed: int
-    witness: Witness | None = None
+    inspector: Inspector | None = None
     database: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -167,12 +167,12 @@ class Trials(ABC):
         """Return the number of blocks that a worker process runs before it is replaced."""
         return max(1, cls.process_trials // cls.block_trials)
 
-    def watched(self, label: str, witness: Witness) -> Self:
-        """Return the trials of one method alone, shown to a witness.
+    def watched(self, label: str, inspector: Inspector) -> Self:
+        """Return the trials of one method alone, shown to an inspector.
 
-        The records equal those of a run bit for bit. A kind that has nothing to show never calls the witness.
+        The records equal those of a run bit for bit. A kind that has nothing to show never calls the inspector.
         """
-        return replace(self, methods={label: self.methods[label]}, witness=witness)
+        return replace(self, methods={label: self.methods[label]}, inspector=inspector)
 
     @abstractmethod
     def trial(self, trial: int) -> Records:

@@ -9,7 +9,7 @@ from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, Trials, Witnessed, add_records
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trials, add_records
 from boresight.campaign.trial.methods import Unbuilt, build_all, require_built
 from boresight.campaign.trial.work import Work
 from boresight.scenarios.errors import BoresightError, MachineError
@@ -73,8 +73,8 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     def score(self, answer: Answer, drawn: Drawn) -> Records:
         """Score an answer: the records of each table without their key, of ``rows`` the one that completes `row`."""
 
-    def shown(self, answer: Answer | None, drawn: Drawn) -> Witnessed | None:
-        """Return what a witness is shown of a trial, ``answer`` None without a valid one; None if there is nothing."""
+    def shown(self, answer: Answer | None, drawn: Drawn) -> InspectedTrial | None:
+        """Return what an inspector sees of a trial, ``answer`` None without a valid one; None if there is nothing."""
         return None
 
     def of_draw(self, drawn: Drawn) -> Records:
@@ -118,9 +118,9 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
             return {**scored, "rows": [{**row, **scored["rows"][0]}]}
 
         def show(answer: Answer | None) -> None:
-            seen = None if self.witness is None else self.shown(answer, drawn)
-            if self.witness is not None and seen is not None:
-                self.witness(seen)
+            seen = None if self.inspector is None else self.shown(answer, drawn)
+            if self.inspector is not None and seen is not None:
+                self.inspector(seen)
 
         return Work(call, self.called, row).run(
             lambda: self.ask(require_built(method), drawn), lambda answer: self.check(answer, drawn), score, show

@@ -39,7 +39,7 @@ def test_two_dozen_rendered_images_a_day_come_to_orbits(tmp_path):
     seen = []
     every = CraterNavigation.from_options(EVERY_PAIR)
     chains = {**trials.methods, "every-pair-optical-alone": every}
-    records = replace(trials, methods=chains, witness=seen.append).run(range(DAYS))
+    records = replace(trials, methods=chains, inspector=seen.append).run(range(DAYS))
     assert [row["status"] for row in records["rows"]] == ["ok"] * 4 * DAYS
     navigation, orbits = pd.DataFrame(records["navigation"]), pd.DataFrame(records["orbits"])
     assert (navigation["n_images"] == 24).all()

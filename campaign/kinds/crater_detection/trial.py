@@ -32,7 +32,7 @@ from boresight.scenarios.observation import Observation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedImage:
-    """A trial of one detector as a witness is shown it; ``estimate`` is None where the detector raised or gave up."""
+    """A trial of one detector, for inspection; ``estimate`` is None if the detector raised or gave up."""
 
     trial_image: TrialImage
     observation: Observation

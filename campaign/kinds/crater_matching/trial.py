@@ -46,7 +46,7 @@ from boresight.scenarios.spec.craters import CraterPairsSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPair:
-    """A trial of one matcher as a witness is shown it; ``estimate`` is None where the matcher raised."""
+    """A trial of one matcher, for inspection; ``estimate`` is None where the matcher raised."""
 
     truth: CraterPair
     observation: tuple[CraterImage, CraterImage]

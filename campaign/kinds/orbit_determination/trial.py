@@ -44,7 +44,7 @@ class OrbitDraw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeterminedOrbit:
-    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
 
     world: OrbitWorld
     truth: OrbitTruth

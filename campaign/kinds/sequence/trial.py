@@ -41,7 +41,7 @@ from boresight.scenarios.tracks import TrackSequence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedSequence:
-    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
 
     seen: Seen
     estimate: SequenceEstimate | None

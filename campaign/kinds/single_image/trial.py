@@ -34,7 +34,7 @@ from boresight.scenarios.spec.campaign import EstimatorSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedImage:
-    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
 
     trial_image: TrialImage
     observation: Observation
