@@ -26,7 +26,7 @@ from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
 from boresight.reports.schema.labels import as_title
 from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.schema.tables import TABLES, schema
+from boresight.reports.schema.tables import TABLES, measure_label, schema
 from boresight.scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
@@ -45,15 +45,16 @@ def case_figures(campaign: ResolvedCampaign, folder: RunFolder, worst: int) -> I
     label = next((label for label in campaign.labels if label not in CONTROLS), campaign.labels[0])
     cases, ranked_by = worst_cases(run, len(run.rows), Choice(campaign.scenarios[0].spec.name, label), None)
     for figure in _first_figure(recompute(campaign, folder, cases[len(cases) // 2]), show, campaign):
-        words = f"The trial in the middle of {len(cases)}, from the worst to the best by {ranked_by}. {figure.caption}"
-        yield replace(figure, stem=LEAD, caption=words)
+        rank = f"In the middle of {len(cases)}, from the worst to the best by {measure_label(ranked_by)}"
+        yield replace(figure, stem=LEAD, caption=f"{rank}: {figure.caption}")
     cases, ranked_by = worst_cases(run, worst, Choice(), None)
     for place, case in enumerate(cases, start=1):
         again = recompute(campaign, folder, case)
         for figure in _first_figure(again, show, campaign):
             reason = f" ({again.row['reason']})" if again.row["reason"] else ""
             words = (
-                f"Worst {place} of {len(cases)} by {ORDER} {ranked_by}: {again.row['status']}{reason}. {figure.caption}"
+                f"Worst {place} of {len(cases)} by {ORDER} {measure_label(ranked_by)}: {again.row['status']}{reason};"
+                f" {figure.caption}"
                 f" All of it: boresight inspect {folder.path} --scenario {case.scenario} --estimator {case.estimator}"
                 f" --trial {case.trial}"
             )
