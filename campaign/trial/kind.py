@@ -107,7 +107,7 @@ class Trials(ABC):
     after some thousands of renderings in one process."""
 
     databases: ClassVar[bool] = False
-    """Whether trials may use several data bases or worlds of craters."""
+    """True if trials may use several data bases or worlds of craters."""
 
     scenario: str
     methods: Mapping[str, object]

@@ -155,7 +155,7 @@ def contrast_table(found: RunComparison) -> pd.DataFrame:
 
 
 def _flat(numbers: Mapping[str, object]) -> dict[str, object]:
-    """Lay the ends of intervals beside their values."""
+    """Return values and the ends of their intervals as columns of one row."""
     row: dict[str, object] = {}
     for name, value in numbers.items():
         if isinstance(value, dict):

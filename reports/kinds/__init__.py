@@ -43,7 +43,7 @@ def told_grids(content: Content) -> list[Grid]:
 
 
 def _headed(run: RunData, grids: Tables) -> list[Grid]:
-    """Say in titles what intervals are conditional on, and in the first table what was known on board."""
+    """Add the conditions of intervals to titles, and the a priori knowledge to the first table."""
     found = list(with_single_draws((grid for grid in grids if grid is not None), run))
     if found and not found[0].known:
         found[0] = replace(found[0], known=short_line(run))

@@ -28,7 +28,7 @@ class Grid:
     text
         Numbers of the columns that hold text; the others hold numbers and align right.
     known
-        Of a headline: what on board is identical with the truth; it goes wherever the table goes.
+        A priori knowledge on board, printed with the table wherever it goes; of headlines only.
     """
 
     title: str
@@ -241,7 +241,7 @@ def record_grid(
 ) -> Grid | None:
     """Tabulate records, a line for each of some keys or records; None without lines.
 
-    ``on_board``: what on board is identical with the truth.
+    ``on_board`` is the line on the a priori knowledge.
     """
     index, rows = by_key(records), []
     for line in lines:

@@ -23,7 +23,7 @@ RATIO = "ratio"
 
 
 class Key(NamedTuple):
-    """What a record is of: it stands once in the records of a run."""
+    """Identity of a record, unique among the records of a run."""
 
     scenario: str
     estimator: str
@@ -68,7 +68,7 @@ class Record:
 
     @property
     def key(self) -> Key:
-        """What it is of."""
+        """Its identity."""
         return Key(self.scenario, self.estimator, self.stage, self.reference, self.measure, self.statistic)
 
 

@@ -67,7 +67,7 @@ class MatchingDraw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedMatches:
-    """What a matcher returned, what it was given, and the seconds that it took."""
+    """Result of a matcher, its input, and its time, s."""
 
     pair: CraterPair
     matches: CraterMatches

@@ -83,7 +83,7 @@ def _each_pair(
 def ratio_records(run: RunData) -> Iterator[Record]:
     """Set the mean error of every estimator of sequences over that of every other one, on the same trials.
 
-    Sign tests stand beside it, in which what is independent counts once, by the sign of its median difference.
+    Sign tests accompany it: each independent unit counts once, by the sign of its median difference.
     """
     for sample, name, both in _each_pair(run, run.rows, ERROR_RATIOS) if len(run.table("epochs")) else ():
         if len(both.errors):
