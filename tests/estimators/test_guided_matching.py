@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from slam_sequences import Recipe, make_sequence
 
 from boresight.estimators.slam.adjustment.solver import view_covariance
@@ -10,7 +11,7 @@ from boresight.estimators.slam.association.prediction import joint_covariance
 from boresight.estimators.slam.options import SmootherOptions
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
 from boresight.estimators.slam.vision.features import ImageFeatures
-from boresight.estimators.slam.vision.matching import guided_rows
+from boresight.estimators.slam.vision.matching import _conditioned, guided_rows
 from boresight.scenarios.tracks import Prediction
 
 
@@ -81,3 +82,27 @@ def test_what_is_not_there_is_not_found():
     assert np.mean(rows[10:] == np.arange(15)) > 0.9
     nothing = ImageFeatures(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
     assert (guided_rows(prediction, descriptors, nothing, 0.5) == -1).all()
+
+
+@pytest.mark.parametrize(("off_sigma", "found"), [(2.9, True), (3.1, False)])
+def test_certain_predictions_are_searched_within_the_noise_of_the_features(off_sigma, found):
+    """Without an error of the prediction the ellipses are circles of three sigma of a feature's pixel."""
+    rng = np.random.default_rng(3)
+    expected, descriptors = rng.uniform(200, 800, (8, 2)), rng.standard_normal((8, 64)).astype(np.float32)
+    prediction = Prediction(np.arange(8), expected, 1e-9 * np.eye(16))
+    features = ImageFeatures(expected + 0.5 * off_sigma * np.array([0.6, -0.8]), descriptors, np.ones(8))
+    assert (guided_rows(prediction, descriptors, features, 0.5) == (np.arange(8) if found else -1)).all()
+
+
+def test_conditioned_prediction_is_that_of_the_joint_distribution():
+    """Pixels and noisy features are one Gaussian vector, whose information matrix conditions it."""
+    rng = np.random.default_rng(4)
+    root, where, sigma_px = rng.standard_normal((8, 8)), rng.uniform(0, 100, (4, 2)), 0.7
+    covariance, agree = root @ root.T, np.array([True, False, True, False])
+    seen = where[agree] + rng.standard_normal((2, 2))
+    found, spread = _conditioned(where, covariance + sigma_px**2 * np.eye(8), agree, seen, sigma_px)
+    select = np.eye(8)[np.repeat(agree, 2)]
+    information = np.linalg.inv(covariance) + select.T @ select / sigma_px**2
+    shift = np.linalg.solve(information, select.T @ (seen - where[agree]).ravel() / sigma_px**2)
+    np.testing.assert_allclose(found, where + shift.reshape(4, 2), rtol=1e-9)
+    np.testing.assert_allclose(spread, np.linalg.inv(information), rtol=1e-9, atol=1e-12)

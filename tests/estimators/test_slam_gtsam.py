@@ -129,3 +129,31 @@ def test_track_that_appears_with_a_range_is_mapped(estimator: type[GtsamIsam2], 
     assert found.status == "ok"
     positions = np.array([frame.position_m for frame in found.frames])
     np.testing.assert_allclose(positions, truth.positions_m, atol=0.5)
+
+
+def test_factors_have_our_axes(gtsam) -> None:
+    """A pose projects as our camera does; the error of a motion is that of its covariance in body axes."""
+    sequence, truth = make_sequence(np.random.default_rng(4), Recipe(frames=2, landmarks=10, noise_px=0.0))
+    factors, (first, second) = Factors(sequence.camera), sequence.frames
+    camera = sequence.camera
+    calibration = gtsam.Cal3_S2(camera.fx_px, camera.fy_px, 0.0, camera.cx_px, camera.cy_px)
+    pose = factors.pose(second.R_cam_body, truth.positions_m[1])
+    for track, uv_px in zip(second.tracks.tolist(), second.uv_px, strict=True):
+        seen = gtsam.PinholeCameraCal3_S2(pose, calibration).project(truth.points_m[track])
+        np.testing.assert_allclose(seen, uv_px, atol=1e-6)
+    covariance, off = np.diag([1.0, 4.0, 25.0]), np.array([0.3, -0.8, 2.0])
+    values, attitudes = gtsam.Values(), np.stack([first.R_cam_body, second.R_cam_body])
+    values.insert(factors.view(0), factors.pose(first.R_cam_body, truth.positions_m[0]))
+    values.insert(factors.view(1), factors.pose(second.R_cam_body, truth.positions_m[1] + off))
+    factor = factors.motion((0, 1), attitudes, truth.positions_m[1] - truth.positions_m[0], covariance)
+    assert factor.error(values) == pytest.approx(0.5 * off @ np.linalg.solve(covariance, off))
+
+
+def test_covariance_is_in_body_axes(gtsam) -> None:
+    """At the first frame it is that of the given position: a bearing and a range of one landmark add nothing."""
+    del gtsam
+    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=1, landmarks=10))
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 2.0], [0.0, 2.0, 16.0]])
+    found = GtsamIsam2.from_options({}).follow(replace(sequence, position_covariance_m2=covariance))
+    assert found.status == "ok", found.reason
+    np.testing.assert_allclose(found.frames[0].covariance_m2, covariance, rtol=1e-4, atol=1e-6)
