@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from slam_sequences import Recipe, make_sequence
 
-from boresight.estimators.slam.adjustment.solver import view_covariance
-from boresight.estimators.slam.association.prediction import joint_covariance
+from boresight.estimators.slam.adjustment.solver import kept_covariance, view_covariance
 from boresight.estimators.slam.options import SmootherOptions
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
 from boresight.estimators.slam.vision.features import ImageFeatures
@@ -26,9 +27,12 @@ def smoother_after(frames: int):
 def test_the_joint_covariance_holds_that_of_the_view():
     smoother, _, _ = smoother_after(6)
     problem, state, tracks = smoother.adjusted.problem, smoother.adjusted.state, smoother.adjusted.tracks
-    joint = joint_covariance(problem, state, len(state.positions_m) - 1, np.arange(len(tracks)))
-    assert joint.shape == (3 + 3 * len(tracks),) * 2
-    np.testing.assert_allclose(joint[:3, :3], view_covariance(problem, state, len(state.positions_m) - 1), rtol=1e-6)
+    whole = replace(problem, kept_points=np.ones(len(tracks), dtype=bool))
+    joint, views, points = kept_covariance(whole, state)
+    assert len(joint) == 3 * (np.count_nonzero(views >= 0) + len(tracks))
+    assert sorted([*views[views >= 0], *points]) == list(range(len(joint) // 3))
+    last = slice(3 * views[-1], 3 * views[-1] + 3)
+    np.testing.assert_allclose(joint[last, last], view_covariance(problem, state, len(views) - 1), rtol=1e-6)
     assert np.linalg.eigvalsh(joint)[0] > 0.0
 
 

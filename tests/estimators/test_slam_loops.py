@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 
-from boresight.estimators.slam.adjustment.marginal import Retained, landmark_covariance, marginalise_outside
+from boresight.estimators.slam.adjustment.marginal import Retained, marginalise_outside
 from boresight.estimators.slam.adjustment.problem import Distances, PixelMeasurements, State
-from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise, view_covariance
+from boresight.estimators.slam.adjustment.solver import StoppingRule, kept_covariance, minimise, view_covariance
 from boresight.estimators.slam.smoothing.loop_smoother import GlobalMap, LoopSmoother, compatible_pairs
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
@@ -162,7 +162,9 @@ def test_covariance_of_landmarks_is_that_of_scipy(global_map: GlobalMap) -> None
     chosen = np.array([0, 3, 7])
     rows = (3 * chosen[:, None] + np.arange(3)).ravel()
     scale = np.sqrt(np.diag(whole)[rows])
-    found = landmark_covariance(problem, state, chosen) / np.outer(scale, scale)
+    joint, _, slots = kept_covariance(problem, state)
+    at = (3 * slots[chosen][:, None] + np.arange(3)).ravel()
+    found = joint[np.ix_(at, at)] / np.outer(scale, scale)
     np.testing.assert_allclose(found, whole[np.ix_(rows, rows)] / np.outer(scale, scale), atol=1e-3)
 
 

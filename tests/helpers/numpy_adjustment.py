@@ -70,11 +70,12 @@ def place_view(camera, frame, rows, points_m, before, rule):
 def marginalise_view(problem, state, view, lost):
     """`estimators.slam.adjustment.marginal.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
+    gone = (moved.start == view) | (moved.end == view)
     part = replace(
         problem,
         pixels=seen.subset((seen.view == view) | lost[seen.point]),
         distances=measured.subset((measured.view == view) | lost[measured.point]),
-        motions=moved.subset((moved.start == view) | (moved.end == view)),
+        motions=Motions(moved.start[gone], moved.end[gone], moved.displacement_m[gone], moved.information[gone]),
     )
     prior = np.zeros(0, dtype=np.int64) if problem.prior is None else problem.prior.points
     measured = np.concatenate([part.pixels.point, part.distances.point, prior])

@@ -61,10 +61,6 @@ class Motions:
     displacement_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
-    def subset(self, rows: BoolArray) -> Motions:
-        """Return those marked in ``rows`` (k,)."""
-        return Motions(self.start[rows], self.end[rows], self.displacement_m[rows], self.information[rows])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticPrior:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from boresight.estimators.slam.adjustment.compiled import descent
 from boresight.estimators.slam.adjustment.compiled.envelope import dense
@@ -118,3 +118,21 @@ def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, Float
     if not known:
         raise LinAlgError("a landmark is not determined")
     return dense(values, found.shape), right, found.view_slot, found.point_slot
+
+
+def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """(3n, 3n) joint covariance of the kept variables, m^2, and the slots of views (V,) and landmarks (L,).
+
+    It is marginal over the landmarks that are eliminated. Slots of fixed or eliminated variables are -1.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they are not determined.
+    """
+    matrix, _, views, points = reduced_system(problem, state)
+    if not len(matrix):
+        return matrix, views, points
+    # Cholesky refuses a matrix that is not positive definite; an inverse would be returned with negative variances.
+    inverse = np.asarray(cho_solve(cho_factor(matrix), np.eye(len(matrix))), dtype=np.float64)
+    return 0.5 * (inverse + inverse.T), views, points

@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, State
-from boresight.estimators.slam.adjustment.slam_map import SlamMap
-from boresight.estimators.slam.adjustment.solver import reduced_system
+from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
+from boresight.estimators.slam.adjustment.solver import kept_covariance
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.tracks import Prediction, TrackFrame
 
@@ -22,26 +20,6 @@ DEPTH_SIGMA = 0.3
 """Standard deviation of a guessed distance, relative, for gating."""
 
 _UNKNOWN_DEPTH = 0.15  # standard deviation of the distance of a landmark seen once, relative, for guided matching
-
-
-def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArray[np.int64]) -> FloatArray:
-    """(3 + 3 n, 3 + 3 n) joint covariance of a free view's position and of n landmarks, m^2.
-
-    It is marginal over all other variables.
-
-    Raises
-    ------
-    LinAlgError
-        If the normal matrix is singular.
-    """
-    # All landmarks stay in the reduced system, so that its inverse has their correlations with the view and with each
-    # other.
-    whole = replace(problem, kept_points=np.ones(len(state.points_m), dtype=np.bool_))
-    matrix, _, view_slots, point_slots = reduced_system(whole, state)
-    slots = np.concatenate([[view_slots[view]], point_slots[points]])
-    # Rows of the inverse are marginal: those of all other variables are left out.
-    rows = (3 * slots[:, None] + np.arange(3)).ravel()
-    return np.asarray(np.linalg.inv(matrix)[np.ix_(rows, rows)], dtype=np.float64)
 
 
 def predict_from_window(
@@ -52,48 +30,42 @@ def predict_from_window(
     Landmarks that are not adjusted are at the median depth on their lines of sight; before the first adjustment all
     are, and the position is certain. None if the covariance does not exist.
     """
-    tracks: list[int] = []
-    covariance = np.zeros((3, 3))
+    seen = np.sort(slam_map.frames[view].tracks)
+    here, depth_m = slam_map.positions_m[view], slam_map.median_depth(view)
+    # The landmarks that are not adjusted, relative to the camera that saw them.
+    rays = np.array([slam_map.ray(view, track) for track in seen.tolist()])
+    points_m, known = here + depth_m * rays, np.zeros(len(seen), dtype=np.bool_)
+    # Joint covariance of camera and landmarks, and the derivatives of landmark minus camera by its variables.
+    covariance, by_joint, own_view = np.zeros((3, 3)), np.zeros((len(seen), 3, 3)), slice(0, 3)
     if solved is not None:
-        rows = np.flatnonzero(np.isin(solved.tracks, slam_map.frames[view].tracks))
-        tracks = solved.tracks[rows].tolist()
+        # All landmarks are kept, for their correlations with the view and with each other.
+        whole = replace(solved.problem, kept_points=np.ones(len(solved.tracks), dtype=np.bool_))
         try:
-            covariance = joint_covariance(solved.problem, solved.state, len(solved.views) - 1, rows)
+            covariance, views, slots = kept_covariance(whole, solved.state)
         except np.linalg.LinAlgError:
             return None
-    seen = np.sort(slam_map.frames[view].tracks)
-    depth = slam_map.median_depth(view)
-    place = {track: slot for slot, track in enumerate(tracks)}
-    here = slam_map.positions_m[view]
-    camera = here + frame.motion_m
-    # Derivatives of landmark minus camera by the variables of the covariance, and each landmark's independent error.
-    by_known = np.zeros((len(seen), 3, len(covariance)))
-    own = np.zeros((len(seen), 3, 3))
-    points = np.empty((len(seen), 3))
-    for row, track in enumerate(seen.tolist()):
-        if track in place:
-            points[row] = slam_map.points_m[track]
-            # Line of sight = landmark - camera.
-            by_known[row, :, :3] = -np.eye(3)
-            by_known[row, :, 3 + 3 * place[track] : 6 + 3 * place[track]] = np.eye(3)
-        else:  # placed relative to the camera that saw it
-            ray = slam_map.ray(view, track)
-            points[row] = here + depth * ray
-            # Uncertain along the line of sight; the pixel's error across it is left out.
-            own[row] = (_UNKNOWN_DEPTH * depth) ** 2 * np.outer(ray, ray)
-    by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
-    rows_by_known = (by_line @ by_known).reshape(2 * len(seen), -1)
+        rows = lookup(solved.tracks, seen)
+        known, own_view = rows >= 0, slice(3 * views[-1], 3 * views[-1] + 3)
+        by_joint = np.zeros((len(seen), 3, len(covariance)))
+        for k in np.flatnonzero(known).tolist():
+            points_m[k] = slam_map.points_m[int(seen[k])]
+            by_joint[k, :, own_view] = -np.eye(3)
+            by_joint[k, :, 3 * slots[rows[k]] : 3 * slots[rows[k]] + 3] = np.eye(3)
+    lines_cam_m = (points_m - (here + frame.motion_m)) @ frame.R_cam_body.T
+    by_line = slam_map.camera.jacobian(lines_cam_m) @ frame.R_cam_body
+    rows_by_joint = (by_line @ by_joint).reshape(2 * len(seen), -1)
     # The new camera is the old one plus the motion, so the motion's error has the sign of the camera's.
     by_motion = -by_line.reshape(2 * len(seen), 3)
     # First order: the joint error of camera and landmarks, and that of the motion, which is independent of it.
-    spread = rows_by_known @ covariance @ rows_by_known.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
-    # A pixel depends on the camera's displacement over the distance; the product of both errors is of second order.
-    alone = by_line @ own @ np.swapaxes(by_line, 1, 2)
-    product = by_line @ (covariance[:3, :3] + frame.motion_covariance_m2) @ np.swapaxes(by_line, 1, 2)
-    alone += _UNKNOWN_DEPTH**2 * np.array([track not in place for track in seen.tolist()])[:, None, None] * product
-    for row, block in enumerate(alone):
-        spread[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += block
-    return Prediction(seen, slam_map.camera.project((points - camera) @ frame.R_cam_body.T), spread)
+    spread = rows_by_joint @ covariance @ rows_by_joint.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
+    # A guessed distance is uncertain along the line of sight; the pixel's error across it is left out. A pixel depends
+    # on the camera's displacement over the distance: the product of both errors is of second order.
+    guess = depth_m**2 * rays[:, :, None] * rays[:, None, :]
+    guess += covariance[own_view, own_view] + frame.motion_covariance_m2
+    alone = _UNKNOWN_DEPTH**2 * by_line @ guess @ np.swapaxes(by_line, 1, 2)
+    guessed = np.flatnonzero(~known)
+    spread.reshape(len(seen), 2, len(seen), 2)[guessed, :, guessed] += alone[guessed]
+    return Prediction(seen, slam_map.camera.project(lines_cam_m), spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +131,8 @@ class SharedUncertainty:
         if adjusted is None:
             return cls(motion_covariance_m2.copy(), {}, {})
         # The motion after the adjustment is independent of it: block-diagonal.
-        before, view_slots, point_slots = kept_covariance(*adjusted)
+        # Derivatives at the state, as in `line_information`, so that both describe one linearisation.
+        before, view_slots, point_slots = kept_covariance(replace(adjusted[0], frozen=None), adjusted[1])
         size = len(before)
         covariance = np.zeros((size + 3, size + 3))
         covariance[:size, :size] = before
@@ -222,25 +195,6 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     np.add.at(information, (place[seen.point], seen.view), np.swapaxes(by_pixel, 1, 2) @ by_pixel)
     np.add.at(information, (place[ranged.point], ranged.view), np.swapaxes(by_range, 1, 2) @ by_range)
     return information
-
-
-def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """(3 n, 3 n) covariance of the free views and the prior's landmarks, m^2, and the slots of views and landmarks.
-
-    Slots are -1 for fixed and eliminated variables.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If they are not determined.
-    """
-    # Derivatives at the state, as in `line_information`, so that both describe one linearisation.
-    matrix, _, views, points = reduced_system(replace(problem, frozen=None), state)
-    if not len(matrix):
-        return matrix, views, points
-    # Cholesky refuses a matrix that is not positive definite; an inverse would be returned with negative variances.
-    inverse = np.asarray(cho_solve(cho_factor(matrix), np.eye(len(matrix))), dtype=np.float64)
-    return 0.5 * (inverse + inverse.T), views, points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import gammaincinv
 
-from boresight.estimators.slam.adjustment.marginal import Retained, landmark_covariance, marginalise_outside
+from boresight.estimators.slam.adjustment.marginal import Retained, marginalise_outside
 from boresight.estimators.slam.adjustment.problem import (
     AdjustedWindow,
     Adjustment,
@@ -20,7 +20,7 @@ from boresight.estimators.slam.adjustment.problem import (
     State,
 )
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
-from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.adjustment.solver import StoppingRule, kept_covariance
 from boresight.estimators.slam.association.gating import diagonal_blocks
 from boresight.estimators.slam.association.outliers import without_tracks
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -286,10 +286,10 @@ class _LoopClosingWindow(WindowSmoother):
         problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
         first, second = (lookup(tracks, np.array(side, dtype=np.int64)) for side in zip(*pairs, strict=True))
         differences = state.points_m[first] - state.points_m[second]
-        joint = landmark_covariance(problem, state, np.concatenate([first, second]))
-        half = len(joint) // 2
+        joint, _, slots = kept_covariance(problem, state)
+        a, b = ((3 * slots[side][:, None] + np.arange(3)).ravel() for side in (first, second))
         # Of the difference a - b: P_aa + P_bb - P_ab - P_ba.
-        covariance = joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
+        covariance = joint[np.ix_(a, a)] + joint[np.ix_(b, b)] - joint[np.ix_(a, b)] - joint[np.ix_(b, a)]
         good = compatible_pairs(differences, covariance, self.loops.recognition)
         # A few pairs may agree by chance.
         if len(good) < self.loops.closure_pairs:

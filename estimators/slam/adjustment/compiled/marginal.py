@@ -25,7 +25,7 @@ def marginalise(
     """
     # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
     # landmarks that an old prior couples.
-    determined, values, right, ordering = reduced_at(_removed(problem, stays), positions, points)
+    determined, values, right, ordering = reduced_at(removed(problem, stays), positions, points)
     views, landmarks = np.flatnonzero(ordering.view_slot >= 0), np.flatnonzero(ordering.point_slot >= 0)
     # Slots are in the order of the numbers, views first. The right-hand side is minus the gradient. At x0, the state,
     # this is g of the prior g' (x - x0).
@@ -47,13 +47,17 @@ def marginalise(
 
 
 @kernel
-def _removed(problem: FlatProblem, stays: tuple[BoolArray, BoolArray, BoolArray, BoolArray]) -> FlatProblem:
-    """Return what is removed: measurements that do not stay, and the prior; the landmarks that stay are kept."""
+def removed(problem: FlatProblem, stays: tuple[BoolArray, BoolArray, BoolArray, BoolArray]) -> FlatProblem:
+    """Return what is removed: measurements that do not stay, and the prior; the landmarks that stay are kept.
+
+    Landmarks that the problem keeps are kept for the dense elimination even if they go. Only removed measurements
+    enter the new prior: each measurement is then either in it or in the window, never in both.
+    """
     seen, ranged = ~stays[2], ~stays[3]
     # A motion goes with the first of its two views: the prior then couples the remaining one.
     moved = ~(stays[0][problem.motion_start] & stays[0][problem.motion_end])
     # Landmarks that no removed measurement sees would be eliminated as zero blocks, which have no inverse.
-    constrained = np.zeros(len(stays[1]), np.bool_)
+    constrained = problem.kept_points.copy()
     for points in (problem.seen_point[seen], problem.ranged_point[ranged], problem.prior_points):
         for j in points:
             constrained[j] = True
@@ -81,5 +85,5 @@ def _removed(problem: FlatProblem, stays: tuple[BoolArray, BoolArray, BoolArray,
         problem.frozen_points_m,
         problem.free_views,
         problem.free_points & constrained,
-        problem.free_points & stays[1],
+        problem.free_points & (stays[1] | problem.kept_points),
     )

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from boresight.estimators.slam.adjustment.compiled.descent import reduced, step_landmarks
-from boresight.estimators.slam.adjustment.compiled.envelope import dense
+from boresight.estimators.slam.adjustment.compiled.envelope import dense, without
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
-from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, floats, make_ordering
-from boresight.estimators.slam.adjustment.marginal import Retained, eliminate_rows, removed_part
+from boresight.estimators.slam.adjustment.compiled.marginal import removed
+from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, FlatProblem, floats, make_ordering
+from boresight.estimators.slam.adjustment.marginal import Retained
 from boresight.estimators.slam.adjustment.problem import State
 from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
@@ -29,8 +30,8 @@ class DynamicOrdering:
 
     Parameters
     ----------
-    ordering
-        Of the vision part.
+    flat, ordering
+        The vision part, and the order of its variables.
     position, velocity
         (V, 3) each.
     parameters
@@ -41,6 +42,7 @@ class DynamicOrdering:
         Number of rows.
     """
 
+    flat: FlatProblem
     ordering: FlatOrdering
     position: IndexArray
     velocity: IndexArray
@@ -49,9 +51,10 @@ class DynamicOrdering:
     count: int
 
     @classmethod
-    def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
-        """Assign rows to the unknowns of ``problem``."""
-        ordering = make_ordering(problem.vision.flat)
+    def of(cls, problem: DynamicAdjustment, part: FlatProblem | None = None) -> DynamicOrdering:
+        """Assign rows to the unknowns of ``problem``, or of only a ``part`` of its pixels and distances."""
+        flat = problem.vision.flat if part is None else part
+        ordering = make_ordering(flat)
         # Kept views and landmarks first, in the order of the vision part, so that its reduced matrix can be added as
         # one block.
         after = 3 * len(ordering.shape.reach)
@@ -59,7 +62,8 @@ class DynamicOrdering:
         after += 3 * int(np.count_nonzero(problem.free_velocities))
         parameters = _numbered(problem.free_parameters, after)
         count = after + int(np.count_nonzero(problem.free_parameters))
-        return cls(ordering, _threes(ordering.view_slot), velocity, parameters, _threes(ordering.point_slot), count)
+        position, point = _threes(ordering.view_slot), _threes(ordering.point_slot)
+        return cls(flat, ordering, position, velocity, parameters, point, count)
 
     def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
         """(6 a + 2 + 3 b,) rows in the order of a prior."""
@@ -135,7 +139,7 @@ def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Dyn
     np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
     np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, residuals))
     place = floats(state.vision.positions_m), floats(state.vision.points_m)
-    half, vision = linearise(problem.vision.flat, rows.ordering, *place)
+    half, vision = linearise(rows.flat, rows.ordering, *place)
     half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
     prior = problem.prior
     if prior is not None:
@@ -231,19 +235,20 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
-    joined = np.zeros(0, dtype=np.int64) if problem.prior is None else problem.prior.points
-    vision = removed_part(problem.vision, Retained.without_view(problem.vision, view, lost), joined)
-    part = replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
-    rows = DynamicOrdering.of(part)
+    part = replace(problem, arcs=problem.arcs.of_view(view))
+    stays = Retained.without_view(problem.vision, view, lost)
+    rows = DynamicOrdering.of(part, removed(problem.vision.flat, (*stays,)))
     matrix, right, _ = dynamic_equations(part, state, rows).reduced()
     views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
-    points = np.flatnonzero(part.vision.free_points & ~lost)
+    points = np.flatnonzero(rows.flat.free_points & ~lost)
     kept = rows.of_prior(views, points)
     remaining = np.zeros(rows.count, dtype=np.bool_)
     remaining[kept[kept >= 0]] = True
     # All arcs of the view go with it, so that the prior couples position and velocity of the next view and the
     # parameters.
-    information, gradient = eliminate_rows(matrix, -right, ~remaining)
+    known, information, gradient = without(matrix, -right, ~remaining)
+    if not known:
+        raise LinAlgError("the eliminated variables are not determined")
     place = np.append(np.cumsum(remaining) - 1, -1)[kept]  # fixed variables have rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
     padded[:-1, :-1] = information
