@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, JsonValue
@@ -21,16 +21,6 @@ from boresight.scenarios.spec.base import SpecModel
 
 _ROUNDS = 10
 _SETTLED_M = 1e-3
-
-
-@runtime_checkable
-class HasLandmarkDatabase(Protocol):
-    """An estimator on a landmark data base, whose mesh predicts the range."""
-
-    @property
-    def database(self) -> LandmarkDatabase:
-        """The data base whose landmarks are recognised."""
-        ...
 
 
 class AltimeterOptions(SpecModel):
@@ -104,57 +94,44 @@ def fuse_range(
     The update, or None where the boresight at the prior pose misses the mesh.
     """
     start, covariance = prior
-    first = _linearised(start, reading, ground, height_sigma_m)
+    first = boresight_range(ground, start)
     if first is None:
         return None
+
+    def variance_m2(at: MeshRange) -> float:
+        # An error of height along the normal changes the range by its size over cos i.
+        return reading.sigma_m**2 + (height_sigma_m / at.cos_incidence) ** 2
+
+    def gain(at: MeshRange, covariance: FloatArray) -> FloatArray:
+        carried: FloatArray = covariance @ at.gradient
+        return carried / (float(at.gradient @ carried) + variance_m2(at))  # P H^T / (H P H^T + R)
+
+    innovation_m = reading.range_m - first.range_m
     projected_m2 = float(first.gradient @ covariance @ first.gradient)  # H P H^T
     # Inflation k at which nu^2 equals its expectation k H P H^T + R.
-    excess = (first.innovation_m**2 - first.variance_m2) / projected_m2
+    excess = (innovation_m**2 - variance_m2(first)) / projected_m2
     inflation = max(1.0, excess) if adaptive else 1.0
     grown = inflation * covariance
     step, pose, at = np.zeros(6), start, first
     for _ in range(_ROUNDS):
         # The prediction is linearised at the pose of the previous step, the prior stays at the start.
-        previous, step = step, at.gain(grown) * (at.innovation_m + float(at.gradient @ step))
+        previous, step = step, gain(at, grown) * (reading.range_m - at.range_m + float(at.gradient @ step))
         pose = start.perturbed(step[:3], step[3:])
-        there = _linearised(pose, reading, ground, height_sigma_m)
+        there = boresight_range(ground, pose)
         if there is None or np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
             break
         at = there
     # (I - K H) P at the last point of linearisation.
-    updated = grown - np.outer(at.gain(grown), at.gradient @ grown)
+    updated = grown - np.outer(gain(at, grown), at.gradient @ grown)
     return RangeUpdate(
         T_cam_body=pose,
         covariance=0.5 * (updated + updated.T),
-        information=np.outer(at.gradient, at.gradient) / at.variance_m2,
-        innovation_m=first.innovation_m,
-        sigma_m=float(np.sqrt(first.variance_m2)),
+        information=np.outer(at.gradient, at.gradient) / variance_m2(at),
+        innovation_m=innovation_m,
+        sigma_m=float(np.sqrt(variance_m2(first))),
         inflation=inflation,
-        normalised_innovation=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
+        normalised_innovation=abs(innovation_m) / float(np.sqrt(projected_m2 + variance_m2(first))),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Linearised:
-    """A range linearised at a pose: gradient (6,) of the prediction, innovation, and variance R of the measurement."""
-
-    gradient: FloatArray
-    innovation_m: float
-    variance_m2: float
-
-    def gain(self, covariance: FloatArray) -> FloatArray:
-        """Kalman gain (6,) P H^T / (H P H^T + R) for a pose of this covariance."""
-        carried: FloatArray = covariance @ self.gradient
-        return carried / (float(self.gradient @ carried) + self.variance_m2)
-
-
-def _linearised(pose: Pose, reading: RangeReading, ground: MeshGround, height_sigma_m: float) -> _Linearised | None:
-    predicted = boresight_range(ground, pose)
-    if predicted is None:
-        return None
-    # An error of height along the normal changes the range by its size over cos i.
-    variance_m2 = reading.sigma_m**2 + (height_sigma_m / predicted.cos_incidence) ** 2
-    return _Linearised(predicted.gradient, reading.range_m - predicted.range_m, variance_m2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,12 +250,13 @@ class AltimeterEstimator:
         except OptionsError as error:
             error.section = "options"
             raise
-        if not isinstance(base, HasLandmarkDatabase):
+        database = getattr(base, "database", None)
+        if not isinstance(database, LandmarkDatabase):
             raise BoresightError(
                 f"estimator {cls.name}: base: {parsed.base} has no landmark data base to measure a range against:"
                 " choose an estimator on landmarks"
             )
-        return cls(base, base.database, parsed)
+        return cls(base, database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate with the base, then update with the range where there is one."""
