@@ -148,6 +148,16 @@ def test_mapped_landmarks_correct_the_camera_before_the_others_are_gated() -> No
     np.testing.assert_array_equal(gate_frame(CAMERA, frame, seen, FALSE_ALARM, LIMIT), np.arange(8) < 7)
 
 
+@pytest.mark.parametrize(("share", "passes"), AROUND)
+def test_limit_of_a_guessed_distance_is_that_of_its_pixel_alone(share: float, passes: bool) -> None:
+    """With a certain camera only the noise of the pixel is left."""
+    points = np.array([[x, y, 400.0] for x in (-60.0, 60.0) for y in (-60.0, 60.0)] + [[30.0, 10.0, 420.0]])
+    frame = frame_of(points, np.zeros(3))
+    frame.uv_px[4] += 0.5 * np.sqrt(share * LIMIT) * np.array([0.8, -0.6])
+    seen = lines_to(points, 1e-12 * np.eye(3), np.arange(5) < 4, 1e-12)
+    np.testing.assert_array_equal(gate_frame(CAMERA, frame, seen, FALSE_ALARM, LIMIT), [True] * 4 + [passes])
+
+
 def adjusted_window(points_m: np.ndarray) -> tuple[OutlierGate, AdjustedWindow]:
     """A gate and an adjusted window of one view at the origin, whose residuals are zero."""
     slam_map = SlamMap(CAMERA)
@@ -161,7 +171,7 @@ def adjusted_window(points_m: np.ndarray) -> tuple[OutlierGate, AdjustedWindow]:
 
 @pytest.mark.parametrize(("ratio", "plausible"), [(2.97, True), (3.03, False), (1 / 2.97, True), (1 / 3.03, False)])
 def test_distance_unlike_the_median_refuses_the_newest_pixel(ratio: float, plausible: bool) -> None:
-    """Two wrong pixels of a landmark may fit each other: its distance is at most three times, or a third of, others'."""
+    """Two wrong pixels of a landmark may fit each other: only its distance, against the median one, shows it."""
     rays = CAMERA.unproject(np.random.default_rng(0).uniform(200.0, 800.0, (7, 2)))
     points = 400.0 * rays
     points[2] *= ratio
