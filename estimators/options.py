@@ -49,14 +49,14 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
 
 
 class Configured(Generic[Model]):
-    """Base of methods with options alone; a subclass names itself and the model of its options."""
+    """Base of methods with options alone, by default those of the model; a subclass names itself and that model."""
 
     name: ClassVar[str]
     version: ClassVar[int]
     options_model: ClassVar[type[SpecModel]]
 
-    def __init__(self, options: Model) -> None:
-        self.options = options
+    def __init__(self, options: Model | None = None) -> None:
+        self.options = cast("Model", self.options_model()) if options is None else options
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch
+from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
 from boresight.estimators.craters.contract import CraterDetector, GroundModel
 from boresight.estimators.craters.database.files import CraterDatabase
 from boresight.estimators.craters.database.landmarks import Landmarks
@@ -34,7 +34,6 @@ from boresight.scenarios.spec.base import SpecModel
 
 _PASSES = 4  # linearisations
 _CONVERGED_M = 0.1
-
 
 PRODUCT = "crater-database"
 
@@ -109,9 +108,7 @@ class CraterPose:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its database."""
         parsed = parse_options(CraterPoseOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
-        if not isinstance(database, CraterDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = typed_product(assets, PRODUCT, parsed.database, CraterDatabase, cls.name)
         detector = crater_detector_class(parsed.database.detector).from_options({})
         return cls(database, assets.shape(), detector, parsed)
 

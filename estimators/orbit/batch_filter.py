@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.estimators.orbit.arc import BatchState, DataArc
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
 from boresight.estimators.orbit.model import (
@@ -25,7 +23,6 @@ from boresight.estimators.orbit.solve import GaussNewtonResult, HuberLoss, Stopp
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.orbits.data import OrbitData
-from boresight.scenarios.spec.base import SpecModel
 
 _DAY_S = 86_400.0
 _MIN_SQUARES = HuberLoss(np.inf, 1.0)
@@ -61,8 +58,7 @@ class _Fit:
         return 2.0 * linear.cost / max(free, 1)
 
 
-@dataclass(frozen=True)
-class BatchFilter:
+class BatchFilter(Configured[OrbitOptions]):
     """Orbit determination by weighted least squares over a whole arc, from sightings of craters, ranges and Doppler.
 
     The unknowns are the state, forces, camera mounting, attitudes and all craters. The arc grows step by step; numbers
@@ -90,16 +86,9 @@ class BatchFilter:
     Cheng et al. (2003), batch filter; radiometric data, splitting and accelerations are ours.
     """
 
-    options: OrbitOptions = field(default_factory=OrbitOptions)
-
     name: ClassVar[str] = "batch-filter"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = OrbitOptions
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> BatchFilter:
-        """Build from a campaign's options."""
-        return cls(parse_options(OrbitOptions, options, cls.name))
+    options_model = OrbitOptions
 
     def determine(self, data: OrbitData) -> OrbitEstimate:
         """Determine the orbit; a rejected solution is the start of a second attempt, whose arc grows more slowly."""
@@ -148,8 +137,11 @@ class BatchFilter:
         solution, adjusted, taken = self._fit_robustly(arc, solution)
         steps += taken
         for _ in range(_MAX_EDITS):
-            # All sightings are tested, so that edited ones can come back.
-            kept = self._within_edit_limit(data, layout, solution)
+            # All sightings are tested, so that edited ones can come back; those of landmarks without a position have
+            # no residual.
+            residuals, sigma = _residuals(data, layout, solution)
+            lengths = np.linalg.norm(residuals, axis=1) / sigma
+            kept = np.asarray(np.nan_to_num(lengths, nan=np.inf) <= self.options.edit_sigma)
             changed = int((kept != solution.kept).sum())
             solution = replace(solution, kept=kept)
             arc = DataArc.until(data, layout, self.options, solution, end)
@@ -173,11 +165,6 @@ class BatchFilter:
                 break
             scale = found
         return solution, adjusted, steps
-
-    def _within_edit_limit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState) -> NDArray[np.bool_]:
-        """Return (K,) which sightings of landmarks with a position have residuals within the editing limit."""
-        lengths = _lengths(data, layout, solution)
-        return np.asarray(np.nan_to_num(lengths, nan=np.inf) <= self.options.edit_sigma)
 
     def _rejection_reason(self, fit: _Fit) -> str:
         """Return why a solution is rejected; '' if it is accepted."""
@@ -227,12 +214,6 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
     residuals[rows] = np.where(found.in_front[:, None], found.residuals, np.nan)
     sigma[rows] = measured.sigma_px
     return residuals, sigma
-
-
-def _lengths(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> FloatArray:
-    """Return the lengths (K,) of all residuals in units of their sigmas."""
-    residuals, sigma = _residuals(data, layout, solution)
-    return np.asarray(np.linalg.norm(residuals, axis=1) / sigma)
 
 
 def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:

@@ -156,7 +156,7 @@ def gauss_newton_step(
     factors, pulls, links = whiten_landmarks(measured.begin, by_point, by_image, residuals, held)
     if np.any(prior.information):
         toward = (prior.information[:, None] * (prior.points - unknowns.points))[..., None]
-        pulls = pulls + _solve(factors, toward)[..., 0]
+        pulls = pulls + np.linalg.solve(factors, toward)[..., 0]
 
     # The chain rule: derivatives by the camera (7) times derivatives of the camera by the shared unknowns.
     shared = model.shared(unknowns, here.flown)
@@ -215,15 +215,11 @@ def gauss_newton_step(
     by_common = np.einsum("ldp,p->ld", common, x)
     np.add.at(by_common, measured.point, np.einsum("krd,kr->kd", links[:, 3:5], tilts[measured.image]))
     whitened_points = pulls - by_common
-    points = _solve(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
+    points = np.linalg.solve(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
     # Half of b^T N^-1 b: the decrease of the quadratic model, from the reduced system and from the eliminated
     # landmarks.
     promised = 0.5 * float(right @ moved + np.sum(pulls**2))
     return GaussNewtonStep(x, tilts, points, promised, factor)
-
-
-def _solve(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.solve(matrices, right))
 
 
 def adjust(
@@ -241,7 +237,10 @@ def adjust(
     for count in range(1, limits.steps + 1):
         little = step.promised < limits.tolerance + limits.share * here.cost
         moved = Unknowns(start.x + step.x, start.tilts + step.tilts, start.points + step.points)
-        there = _linearise_or_none(model, prior, moved, robust)
+        try:
+            there: Linearisation | None = linearise(model, prior, moved, robust)
+        except OrbitLostError:
+            there = None
         # The tolerance lets rounding of a large cost pass.
         if there is None or there.cost > here.cost * (1.0 + 1e-9):
             if little:
@@ -259,13 +258,3 @@ def adjust(
                 return GaussNewtonResult(here, step, True, count)
         step = gauss_newton_step(model, prior, here, robust, damping)
     return GaussNewtonResult(here, step, False, limits.steps)
-
-
-def _linearise_or_none(
-    model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss
-) -> Linearisation | None:
-    """Return the linearisation, or None if the orbit hits the body."""
-    try:
-        return linearise(model, prior, unknowns, robust)
-    except OrbitLostError:
-        return None

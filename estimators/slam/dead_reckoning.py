@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.estimators.slam.following import frames_of
 from boresight.scenarios.spec.base import SpecModel
@@ -20,8 +18,7 @@ class DeadReckoningOptions(SpecModel):
     """Options of ``dead-reckoning``: none."""
 
 
-@dataclass(frozen=True, slots=True)
-class DeadReckoning:
+class DeadReckoning(Configured[DeadReckoningOptions]):
     """The control of sequences: sums the predicted displacements and their covariances, without any track.
 
     Use it when
@@ -43,13 +40,7 @@ class DeadReckoning:
 
     name: ClassVar[str] = "dead-reckoning"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = DeadReckoningOptions
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Refuse any option."""
-        parse_options(DeadReckoningOptions, options, cls.name)
-        return cls()
+    options_model = DeadReckoningOptions
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Add up the predicted displacements."""

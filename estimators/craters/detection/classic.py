@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,7 +21,7 @@ from boresight.estimators.craters.detection.refinement import (
     refine,
     suppress_duplicates,
 )
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.spec.base import SpecModel
@@ -96,8 +95,7 @@ class DetectionStages:
     detections: CraterDetections
 
 
-@dataclass(frozen=True, slots=True)
-class CraterClassic:
+class CraterClassic(Configured[ClassicOptions]):
     """Finds craters by pairs of lit and shaded rim edges, an ellipse fit and its refinement, after Cheng et al. (2003).
 
     Two Canny passes with a small and a large kernel find edges. Edges that are convex towards or away from the Sun are
@@ -125,14 +123,7 @@ class CraterClassic:
 
     name: ClassVar[str] = "crater-classic"
     version: ClassVar[int] = 3
-    options_model: ClassVar[type[SpecModel]] = ClassicOptions
-
-    options: ClassicOptions
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError if one is invalid."""
-        return cls(parse_options(ClassicOptions, options, cls.name))
+    options_model = ClassicOptions
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
         """Find rims, the most confident first.

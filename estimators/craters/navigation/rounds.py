@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
 from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
 from boresight.estimators.craters.registry import crater_detector_class, crater_matcher_class
-from boresight.estimators.options import parse_options
+from boresight.estimators.options import Configured
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.parameters import OrbitOptions
@@ -91,24 +91,18 @@ class NavigationResult:
     seconds: Mapping[str, float]
 
 
-class CraterNavigation:
+class CraterNavigation(Configured[NavigationOptions]):
     """Determines an orbit from images by craters, as Cheng et al. (2003) do."""
 
     name: ClassVar[str] = "crater-navigation"
     version: ClassVar[int] = 1
-    options_model: ClassVar[type[SpecModel]] = NavigationOptions
+    options_model = NavigationOptions
 
     def __init__(self, options: NavigationOptions) -> None:
-        self.options = options
+        super().__init__(options)
+        crater_matcher_class(options.matcher)  # refuse an unknown name before the first trial
         self.detector: CraterDetector = crater_detector_class(options.detector).from_options({})
         self._filter = BatchFilter(options.orbit)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options."""
-        chosen = parse_options(NavigationOptions, options, cls.name)
-        crater_matcher_class(chosen.matcher)
-        return cls(chosen)
 
     def detect(self, frame: Frame, task: NavigationTask) -> tuple[CraterDetections, str]:
         """Find the most confident craters of an image; none if the image is unusable, with the reason."""
