@@ -94,8 +94,6 @@ class GlobalMap:
         Tracks of each landmark with more than one.
     seen
         Frames of each landmark.
-    track_in_frame
-        For each frame, the track of each landmark.
     """
 
     def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
@@ -106,16 +104,15 @@ class GlobalMap:
         self.landmark: dict[int, int] = {}
         self.members: dict[int, set[int]] = {}
         self.seen: dict[int, set[int]] = {}
-        self.track_in_frame: dict[int, dict[int, int]] = {}
 
     def add(self, number: int, frame: TrackFrame) -> None:
         """Add a frame, or replace it if its pixels have changed."""
         # A gate may have refused pixels since the frame was added.
-        for landmark in self.track_in_frame.pop(number, {}):
-            self.seen[landmark].discard(number)
+        if number in self.slam_map.frames:
+            for landmark in self.slam_map.frames[number].tracks.tolist():
+                self.seen[landmark].discard(number)
         self.slam_map.frames[number] = self._renamed(frame)
-        self.track_in_frame[number] = {self.of(track): track for track in frame.tracks.tolist()}
-        for landmark in self.track_in_frame[number]:
+        for landmark in self.slam_map.frames[number].tracks.tolist():
             self.seen.setdefault(landmark, set()).add(number)
 
     def of(self, track: int) -> int:
@@ -134,7 +131,6 @@ class GlobalMap:
         numbers = self.seen.pop(new)
         self.seen[old] |= numbers
         for number in numbers:
-            self.track_in_frame[number][old] = self.track_in_frame[number].pop(new)
             self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
 
     def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
@@ -330,14 +326,7 @@ class _LoopClosingWindow(WindowSmoother):
             """(k,) which measurements of a remaining landmark the window has, under its track there."""
             at = zip(views[rows.view].tolist(), rows.point.tolist(), strict=True)
             return np.array(
-                [
-                    view in held
-                    and bool(stays[j])
-                    and known.track_in_frame[view][tracks[j]] == numbers[j]
-                    and int(numbers[j]) in held[view]
-                    for view, j in at
-                ],
-                dtype=np.bool_,
+                [view in held and bool(stays[j]) and int(numbers[j]) in held[view] for view, j in at], dtype=np.bool_
             )
 
         retained = Retained(np.isin(views, self.views), stays, remain(problem.pixels), remain(problem.distances))
