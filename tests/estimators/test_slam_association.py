@@ -25,8 +25,15 @@ from boresight.estimators.slam.association.outliers import OutlierGate, all_with
 from boresight.estimators.slam.association.prediction import SharedUncertainty, predict_lines
 from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
-from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
-from boresight.scenarios.tracks import TrackSequence
+from boresight.estimators.slam.options import SmootherOptions
+from boresight.estimators.slam.smoothing.smoother import (
+    _WEAK_RATIO,
+    BatchAdjustment,
+    FixedLagSmoother,
+    WindowSmoother,
+    _with_weak_lines,
+)
+from boresight.scenarios.tracks import TrackRange, TrackSequence
 
 SHARE = 0.05
 
@@ -215,3 +222,48 @@ def test_bundle_waits_a_frame_where_the_gauge_is_refused() -> None:
     assert errors(gated, truth)[2:].max() < 2.0 * errors(clean, truth).max() + 0.3
     believing = BundleSlam.from_options({}).follow(spoilt)
     assert errors(believing, truth)[1] > 5.0 * errors(gated, truth)[1]
+
+
+@pytest.mark.parametrize(("wrong", "reliable"), [(3, True), (5, False)])
+def test_prediction_that_most_pixels_contradict_refuses_none(wrong: int, reliable: bool) -> None:
+    """The camera stays where it was, and all distances are measured: some of eight pixels move."""
+    rng = np.random.default_rng(6)
+    sequence, _ = make_sequence(rng, Recipe(frames=1, landmarks=30, noise_px=0.0))
+    frame = sequence.frames[0]
+    rows = np.arange(len(frame.tracks)) < 8
+    first = replace(frame, tracks=frame.tracks[rows], uv_px=frame.uv_px[rows])
+    first = replace(first, ranges=tuple(TrackRange(track, 600.0, 0.01) for track in first.tracks.tolist()))
+    uv_px = first.uv_px.copy()
+    uv_px[:wrong] += rng.choice([-50.0, 50.0], (wrong, 2))
+    moved = {"motion_m": np.zeros(3), "motion_covariance_m2": 1e-6 * np.eye(3)}
+    second = replace(first, time_s=1.0, uv_px=uv_px, sigma_px=0.5, ranges=(), **moved)
+    slam_map = SlamMap(sequence.camera)
+    gate = OutlierGate(slam_map, 0.001)
+    gate.add_frame(0, replace(first, sigma_px=0.5))
+    slam_map.positions_m[0] = sequence.position_m.copy()
+    slam_map.first_estimate(np.zeros((3, 3)))
+    gate.add_frame(1, second)
+    gate.place(1, None, StoppingRule(1e-6), 600.0)
+    assert gate.refused.get(1, set()) == (set(first.tracks[:wrong].tolist()) if reliable else set())
+
+
+def test_weak_lines_hold_differences_from_the_first_view_alone() -> None:
+    """A landmark alone gains its squared displacement over ten depths; a common translation gains nothing."""
+    root = np.random.default_rng(2).standard_normal((12, 12))
+    prior = QuadraticPrior(np.array([0, 1]), np.array([4, 5]), np.zeros((4, 3)), root @ root.T, np.zeros(12))
+    added = _with_weak_lines(prior, np.array([False, True]), 50.0).information - prior.information
+    along = np.array([0.0, 3.0, 4.0])
+    common, alone = np.tile(along, 4), np.concatenate([np.zeros(9), along])
+    assert common @ added @ common == pytest.approx(0.0, abs=1e-12)
+    assert alone @ added @ alone == pytest.approx((5.0 / (_WEAK_RATIO * 50.0)) ** 2)
+    np.testing.assert_array_equal(added, added.T)
+    assert not added[3:9].any()
+
+
+def test_noise_of_the_attitude_adds_to_that_of_the_pixels() -> None:
+    """Independent errors: variances add, a small angle times the focal length."""
+    sequence, _ = make_sequence(np.random.default_rng(1), Recipe(frames=1))
+    frame = replace(sequence.frames[0], sigma_px=0.6, attitude_sigma_rad=0.8 / sequence.camera.fx_px)
+    known, noisy = (WindowSmoother(sequence, SmootherOptions(attitude=name)) for name in ("known", "noisy"))
+    assert known.weighted(frame).sigma_px == 0.6
+    assert noisy.weighted(frame).sigma_px == pytest.approx(1.0)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
+from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_sequence
 
+from boresight.estimators.slam.filters.ekf import EkfSlam
 from boresight.estimators.slam.filters.ekf_state import FilterState, landmark_jacobians, landmark_points
 from boresight.estimators.slam.filters.ekf_update import (
     FrameMeasurements,
@@ -181,3 +182,27 @@ def test_prediction_adds_the_whole_covariance_of_the_motion(state: FilterState) 
     np.testing.assert_allclose(state.covariance[:3, :3], 4.01 * np.eye(3))
     np.testing.assert_allclose(moved.covariance[:3, :3], 4.01 * np.eye(3) + uneven)
     np.testing.assert_array_equal(moved.covariance[3:], state.covariance[3:])
+
+
+def test_product_of_both_errors_widens_the_innovation(state: FilterState) -> None:
+    """A pixel moves with the camera's error times one plus the relative error of the inverse distance."""
+    points, rotation = state.points(CAMERA), look_down(_second())
+    found = measured(state, [0, 2], np.zeros((1, 2))).second_order(state)
+    assert not found[:2, 2:].any()
+    for block, row in ((found[:2, :2], 0), (found[2:, 2:], 2)):
+        by_camera = differences(
+            lambda x, row=row: CAMERA.project((points[row] - x)[None] @ rotation.T)[0], state.position_m, np.ones(3)
+        )
+        relative = np.sqrt(state.covariance[5 + 6 * row, 5 + 6 * row]) / state.landmarks[row, 2]
+        np.testing.assert_allclose(block, relative**2 * by_camera @ state.covariance[:3, :3] @ by_camera.T, rtol=1e-4)
+
+
+def test_new_landmarks_have_the_relative_sigma_of_the_option_or_of_their_range() -> None:
+    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=1, landmarks=10))
+    follower = EkfSlam.from_options({"depth_sigma": 0.2}).follower(sequence)
+    follower.advance(sequence.frames[0])
+    measured_range = sequence.frames[0].ranges[0]
+    ranged = follower.state.tracks == measured_range.track
+    assert np.count_nonzero(~ranged) > 3
+    np.testing.assert_allclose(follower.state.inverse_sigmas[~ranged], 0.2)
+    np.testing.assert_allclose(follower.state.inverse_sigmas[ranged], measured_range.sigma_m / measured_range.range_m)

@@ -200,6 +200,31 @@ def last_errors(estimator, wrong: float, trials: int) -> tuple[np.ndarray, float
     return np.array(errors), square, united
 
 
+def test_a_merged_landmark_goes_on_under_its_track_in_view_or_else_its_newest() -> None:
+    """Its other tracks are absorbed, and so are all where only the prior holds it."""
+    sequence, _, _ = loop(5)
+    options = {"lag": 20, "closure_frames": 3, "closure_pairs": 1, "associations": "all"}
+    window = LoopSmoother.from_options(options).follower(sequence)
+    counts = {"in view": 0, "newest": 0, "none": 0}
+    for frame in sequence.frames[:40]:
+        closures = window.closures
+        window.advance(frame)
+        if window.closures == closures:
+            continue
+        for landmark, members in window.global_map.members.items():
+            seen, kept = members & set(frame.tracks.tolist()), members - window.absorbed
+            if seen:
+                assert kept == seen
+                counts["in view"] += 1
+            elif kept:
+                assert kept == {max(members)}
+                assert min(window.global_map.seen[landmark]) >= window.views[0]
+                counts["newest"] += 1
+            else:
+                counts["none"] += 1
+    assert min(counts.values()) > 5
+
+
 def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -> None:
     """The sum of squared normalised errors is chi-square; its bounds are left by chance once in 10000."""
     trials = 4
