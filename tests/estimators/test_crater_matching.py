@@ -8,12 +8,18 @@ import cv2
 import numpy as np
 import pytest
 from crater_looks import CAMERA, counts, ellipsoid, look, pair, population, turned
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
+from scipy.stats import multivariate_normal, norm
 
 from boresight.estimators.craters.contract import CraterDetections, CraterImage
 from boresight.estimators.craters.matching.association import (
+    Association,
     CraterAssociationOptions,
     ExpectedCraters,
+    _Likelihoods,
+    _log_ratios,
+    _shape_ratios,
+    adjust_robustly,
     associate,
     centre_noise,
 )
@@ -28,6 +34,7 @@ from boresight.estimators.craters.matching.invariants import conic_invariants, u
 from boresight.estimators.craters.matching.preliminary import preliminary_pairs
 from boresight.estimators.craters.matching.transfer import (
     LocatedCraters,
+    joint_covariance,
     locate_craters,
     map_ellipses,
     occluded,
@@ -155,7 +162,7 @@ def test_pseudo_normalised_correlation_is_that_of_numpys_covariances() -> None:
 def test_a_rectified_template_samples_the_first_image_where_the_homography_says() -> None:
     rng = np.random.default_rng(5)
     v, u = np.mgrid[0:412, 0:537] + 0.5
-    image = (0.3 * u - 0.2 * v).astype(np.float32)  # bilinear interpolation is exact on it
+    image = (0.3 * u + 0.2 * v).astype(np.float32)  # bilinear interpolation is exact on it
     homography = _homography(rng)
     rim = Ellipses(np.array([[230.3, 190.8]]), np.array([[8.0, 6.0]]), np.zeros(1))
     template = rectify_template(image, homography, rim, CorrelationOptions())
@@ -163,9 +170,9 @@ def test_a_rectified_template_samples_the_first_image_where_the_homography_says(
     rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
     places = np.stack([230.3 + columns, 190.8 + rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(homography).T
     places = places[..., :2] / places[..., 2:]
-    np.testing.assert_allclose(template, 0.3 * places[..., 0] - 0.2 * places[..., 1], atol=0.05)
+    np.testing.assert_allclose(template, 0.3 * places[..., 0] + 0.2 * places[..., 1], atol=0.05)
     np.testing.assert_allclose(
-        template[half, half], 0.3 * places[half, half, 0] - 0.2 * places[half, half, 1], atol=2e-2
+        template[half, half], 0.3 * places[half, half, 0] + 0.2 * places[half, half, 1], atol=2e-2
     )
 
 
@@ -195,6 +202,8 @@ def test_invariants_match_a_plane_of_exact_rims_and_leave_ambiguous_ones_out() -
     pairs = unambiguous_pairs(vote_matrix(rims, seen, 1e-3), 4)
     np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
     assert len(pairs) == 9
+    # Each agreement counts twice: more than 4 votes are more than 8.
+    np.testing.assert_array_equal(unambiguous_pairs(np.array([[8, 0], [0, 9]]), 4), [[1, 1]])
     votes = np.array([[20, 0, 0], [0, 20, 20], [0, 0, 20]])
     np.testing.assert_array_equal(unambiguous_pairs(votes, 4), [[0, 0]])
     # With a margin the couple stays that outvotes its rivals, be they over the threshold or not.
@@ -233,6 +242,14 @@ def test_context_finds_a_constellation_among_others_and_none_where_there_is_none
     assert len(nothing) == 0
 
 
+def test_context_never_takes_a_mirror_image() -> None:
+    """The far side of a surface is never seen, however well its craters agree."""
+    rims, candidates = _ellipses(np.random.default_rng(4), 12), np.ones((12, 12), dtype=np.bool_)
+    for turned_by, found in (([1.0, 1.0, 1.0], 12), ([-1.0, 1.0, 1.0], 0)):
+        seen, _ = map_ellipses(rims, np.tile(np.diag(turned_by), (12, 1, 1)))
+        assert len(match_constellations(rims, seen, candidates, ContextOptions(), (0, 1))[0]) == found
+
+
 def test_epipolar_offsets_are_distances_to_opencvs_lines(ground, craters) -> None:
     first, second = (one.image for one in pair(ground, craters, 10, 15.0, 5.0))
     one, other = first.frame.prior_T_cam_body, second.frame.prior_T_cam_body
@@ -264,6 +281,85 @@ def test_the_common_error_is_that_of_a_least_squares_solver() -> None:
     solved = least_squares(residuals, np.zeros(3))
     np.testing.assert_allclose(found.error, solved.x, rtol=1e-6)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(solved.jac.T @ solved.jac), rtol=1e-6)
+
+
+def _lone(options: CraterAssociationOptions, rims: Ellipses, prior: FloatArray) -> ExpectedCraters:
+    """Expected rims that move together by an error of the prior, px."""
+    return ExpectedCraters(rims, np.tile(np.eye(2), (len(rims), 1, 1)), prior, centre_noise(rims, options), np.zeros(2))
+
+
+def _moved(rims: Ellipses, shift_px: FloatArray) -> Ellipses:
+    return Ellipses(rims.centre_px + shift_px, rims.semi_axes_px, rims.angle_rad)
+
+
+def test_likelihoods_of_pairs_are_those_of_scipy() -> None:
+    """The densities of offset and shape over those of clutter, and the odds of a detection."""
+    rng, options = np.random.default_rng(8), CraterAssociationOptions(redetected=0.3)
+    first, second = _ellipses(rng, 3), _ellipses(rng, 4)
+    shapes = [
+        np.column_stack([np.log(e.semi_axes_px).mean(axis=1), np.diff(np.log(e.semi_axes_px))]) for e in (first, second)
+    ]
+    own = norm.logpdf(shapes[0][:, None], shapes[1], [options.size_sigma, options.axes_sigma]).sum(axis=2)
+    clutter = np.log(norm.pdf(shapes[1][:, None], shapes[1], 0.3).prod(axis=2).mean(axis=1))
+    found = _shape_ratios(first, second, options)
+    np.testing.assert_allclose(found, own - clutter, rtol=1e-9)
+    residuals, root = rng.normal(size=(3, 4, 2)), rng.normal(size=(3, 2, 2))
+    spread = root @ np.swapaxes(root, 1, 2) + np.eye(2)
+    place = [multivariate_normal(np.zeros(2), spread[i]).logpdf(residuals[i]) for i in range(3)]
+    ratios = _log_ratios(residuals, spread, _Likelihoods(found, 1e-4), options)
+    np.testing.assert_allclose(ratios, np.array(place) - np.log(1e-4) + found + np.log(0.3 / 0.7), rtol=1e-9)
+
+
+def test_of_two_equal_constellations_the_one_nearer_to_the_prior_is_taken() -> None:
+    rims, options = _ellipses(np.random.default_rng(3), 4), CraterAssociationOptions()
+    near, far = np.array([10.0, -5.0]), np.array([-30.0, 25.0])
+    both = [_moved(rims, shift) for shift in (far, near)]
+    seen = Ellipses(
+        *(np.concatenate([getattr(e, name) for e in both]) for name in ("centre_px", "semi_axes_px", "angle_rad"))
+    )
+    found = associate(_lone(options, rims, 100.0 * np.eye(2)), seen, 2e5, options)
+    np.testing.assert_array_equal(found.pairs, np.column_stack([np.arange(4), np.arange(4, 8)]))
+    np.testing.assert_allclose(found.error, near, atol=0.5)
+
+
+def test_detection_that_two_expected_craters_claim_is_of_neither() -> None:
+    rim, options = (
+        Ellipses(np.array([[200.0, 200.0]]), np.array([[12.0, 9.0]]), np.array([0.3])),
+        CraterAssociationOptions(),
+    )
+    two = Ellipses(
+        np.array([[200.0, 200.0], [200.5, 200.0]]), np.tile(rim.semi_axes_px, (2, 1)), np.tile(rim.angle_rad, 2)
+    )
+    seen = _moved(rim, np.array([0.25, 0.0]))
+    assert len(associate(_lone(options, rim, np.eye(2)), seen, 2e5, options).pairs) == 1
+    assert len(associate(_lone(options, two, np.eye(2)), seen, 2e5, options).pairs) == 0
+
+
+def test_pair_less_likely_than_clutter_is_none() -> None:
+    """Given the first pair, the offset of the second is too large by some sigmas."""
+    options = CraterAssociationOptions()
+    rims = Ellipses(np.array([[100.0, 200.0], [300.0, 200.0]]), np.array([[12.0, 9.0], [24.0, 22.0]]), np.zeros(2))
+    seen = Ellipses(rims.centre_px + np.array([[5.0, 5.0], [5.0, 14.2]]), rims.semi_axes_px, rims.angle_rad)
+    found = associate(_lone(options, rims, 1e4 * np.eye(2)), seen, 2e5, options)
+    assert found.reason == "of 1 possible matches none is sure"
+
+
+def test_robust_error_is_the_minimum_of_hubers_loss() -> None:
+    """With the prior; scipy minimises the loss of the lengths in sigmas, one pair is an outlier."""
+    rng, options = np.random.default_rng(5), CraterAssociationOptions()
+    rims, prior = _ellipses(rng, 6), np.diag([9.0, 4.0])
+    offsets = np.array([2.0, -1.0]) + rng.normal(0.0, 0.7, (6, 2))
+    offsets[2] += 6.0
+    field, pairs = _lone(options, rims, prior), np.column_stack([np.arange(6)] * 2)
+    start = Association(pairs, np.ones(6), np.zeros(2), prior)
+    found = adjust_robustly(field, _moved(rims, offsets), start)
+
+    def cost(error: FloatArray) -> float:
+        lengths = np.linalg.norm(offsets - error, axis=1) / np.sqrt(field.noise_px2[:, 0, 0])
+        loss = np.where(lengths < 2.0, 0.5 * lengths**2, 2.0 * lengths - 2.0)
+        return float(loss.sum() + 0.5 * error @ np.linalg.solve(prior, error))
+
+    np.testing.assert_allclose(found.error, minimize(cost, np.zeros(2), tol=1e-12).x, atol=1e-3)
 
 
 def test_a_lone_couple_counts_only_as_far_as_the_prior_foretells_it() -> None:
@@ -312,6 +408,28 @@ def test_the_vote_takes_a_prior_a_kilometre_off(ground, craters) -> None:
         total += counts(matcher.match(first.image, second.image, ground), first, second)
     assert total[1] >= 0.85 * total[0]
     assert total[2] <= 1
+
+
+def test_each_pass_of_the_vote_uses_the_prior_once(ground, craters) -> None:
+    """About the estimate of the first pass the second finds nearly the same, and the same covariance."""
+    first, second = pair(ground, craters, 2, 10.0, 20.0)
+    matcher = crater_matcher_class("vote").from_options({})
+    _, once = matcher._associated(first.image, second.image, ground, np.zeros(12))
+    _, again = matcher._associated(first.image, second.image, ground, once.error)
+    sigmas = np.sqrt(np.diag(once.covariance))
+    assert (np.abs(once.error) > 0.3 * np.sqrt(np.diag(joint_covariance(first.image, second.image)))).any()
+    assert np.abs((again.error - once.error) / sigmas).max() < 0.5
+
+
+def test_unknown_heights_make_the_vote_less_certain(ground, craters) -> None:
+    first, second = pair(ground, craters, 2, 10.0, 20.0)
+    sure, unsure = (
+        crater_matcher_class("vote")
+        .from_options({"height_sigma_m": sigma})
+        ._associated(first.image, second.image, ground, np.zeros(12))[1]
+        for sigma in (0.0, 100.0)
+    )
+    assert np.trace(unsure.covariance[3:, 3:]) > 1.05 * np.trace(sure.covariance[3:, 3:])
 
 
 def test_correlation_confirms_craters_where_the_pixels_agree(ground, craters) -> None:

@@ -145,3 +145,15 @@ def test_a_problem_without_a_solution_leaves_the_others_alone():
         others = [0, 1, 3, 4]
         np.testing.assert_array_equal(fits.poses.rotations[others], alone.poses.rotations[others])
         np.testing.assert_array_equal(fits.chi2[others], alone.chi2[others])
+
+
+def test_a_fixed_step_behind_the_camera_ends_one_problem_as_it_ends_it_alone():
+    """From 7 km a linear step to 2 km overshoots: with the same lambda nothing else could be tried."""
+    problems, _, poses = stack(20, seed=1)
+    options = MarquardtOptions(parameters="minimal", schedule="fixed", damping=1e-3, max_iterations=20)
+    far = [pose.perturbed(np.zeros(3), np.array([0.0, 0.0, 5000.0])) for pose in poses]
+    fits = refine_poses(problems, PoseStack.of(far), options)
+    alone = [refine_pose(problems.problem(row), pose, options) for row, pose in enumerate(far)]
+    ended = [row for row, one in enumerate(alone) if one.iterations == 1]
+    assert len(ended) > 3
+    np.testing.assert_array_equal(fits.iterations[ended], 1)
