@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -114,7 +114,8 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
         jacobian = minimal_jacobian(problem, pose)
         # Redundant observations count once: correlated errors do not average out.
         share = _weights(d2 / scale2) / (scale2 * redundancy)
-        matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
+        weighted = replace(problem, information_px2=share[:, None, None] * problem.information_px2)
+        matrix, vector = weighted.normal_equations(jacobian, residuals)
         # Normal equations of the posterior: the prior pulls back by its information times the offset from its mean.
         step = np.asarray(np.linalg.solve(matrix + known, vector - known @ prior.offset(pose)), dtype=np.float64)
         pose = pose.perturbed(step[:3], step[3:])
@@ -188,9 +189,3 @@ def _scores_covariance(information: FloatArray, jacobian: FloatArray, shared: Fl
     white = root @ jacobian
     covariance: FloatArray = np.einsum("nip,niq->pq", white, np.einsum("nm,miq->niq", shared, white))
     return covariance
-
-
-def _weighted(problem: PoseProblem, weights: FloatArray) -> PoseProblem:
-    return PoseProblem(
-        problem.points_body_m, problem.uv_px, weights[:, None, None] * problem.information_px2, problem.camera
-    )

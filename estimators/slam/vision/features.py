@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from boresight.estimators.landmark.fast_hessian import fast_hessian
 from boresight.estimators.landmark.signal import extract_signal
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import pixel_from_opencv
 
 _BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
@@ -48,15 +48,8 @@ class ImageFeatures:
     def __len__(self) -> int:
         return len(self.uv_px)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Detections:
-    """Result of a detector: positions, descriptors, strengths, and scales, px."""
-
-    uv_px: FloatArray
-    descriptors: NDArray[np.float32] | NDArray[np.uint8]
-    strength: FloatArray
-    scale_px: FloatArray
+    def __getitem__(self, rows: IndexArray | slice) -> ImageFeatures:
+        return ImageFeatures(self.uv_px[rows], self.descriptors[rows], self.strength[rows])
 
 
 def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
@@ -73,19 +66,14 @@ def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
     """
     signal = extract_signal(image)
     if signal.empty:
-        return _none(_DETECTORS[detector](np.zeros_like(image)))
+        return _DETECTORS[detector](np.zeros_like(image))[0][:0]
     body = signal.image > 0.0
     rise = image - np.float32(signal.background)
-    found = _DETECTORS[detector](rise / np.float32(np.percentile(rise[body], _FULL_SCALE_PERCENTILE)))
-    clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * found.scale_px
+    found, scale_px = _DETECTORS[detector](rise / np.float32(np.percentile(rise[body], _FULL_SCALE_PERCENTILE)))
+    clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * scale_px
     rows = np.flatnonzero(clear)
     # Stable, so that equal strengths keep the order of detection.
-    rows = rows[np.argsort(-found.strength[rows], kind="stable")][:count]
-    return ImageFeatures(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
-
-
-def _none(found: _Detections) -> ImageFeatures:
-    return ImageFeatures(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
+    return found[rows[np.argsort(-found.strength[rows], kind="stable")][:count]]
 
 
 def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
@@ -98,8 +86,8 @@ def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
     return clearance
 
 
-def _surf(image: Image) -> _Detections:
-    """Fast-Hessian blobs, interpolated, with the descriptors of `mahotas`.
+def _surf(image: Image) -> tuple[ImageFeatures, FloatArray]:
+    """Fast-Hessian blobs, interpolated, with the descriptors of `mahotas`, and their scales, px.
 
     The detector of `mahotas` does not interpolate: its positions are off by most of a pixel.
     """
@@ -110,39 +98,36 @@ def _surf(image: Image) -> _Detections:
         [peaks + offsets[:, ::-1], blobs.scale_px[strong], blobs.strength[strong], np.ones(len(peaks))]
     )
     described = surf.descriptors(image.astype(np.float64), points) if len(points) else np.empty((0, 70))
-    return _Detections(
-        uv_px=pixel_from_opencv(described[:, 1::-1]),
-        descriptors=described[:, 6:].astype(np.float32),
-        strength=described[:, 3],
-        scale_px=described[:, 2],
-    )
+    uv_px, descriptors = pixel_from_opencv(described[:, 1::-1]), described[:, 6:].astype(np.float32)
+    return ImageFeatures(uv_px, descriptors, described[:, 3]), described[:, 2]
 
 
-def _sift(image: Image) -> _Detections:
+def _sift(image: Image) -> tuple[ImageFeatures, FloatArray]:
     # Without the precise upscaling OpenCV's positions are off by a quarter of a pixel.
     detector = cv2.SIFT.create(contrastThreshold=_LEAST_CONTRAST, enable_precise_upscale=True)
     # The size of a feature is twice its scale.
     return _by_opencv(detector, image, 128, 0.5)
 
 
-def _orb(image: Image) -> _Detections:
+def _orb(image: Image) -> tuple[ImageFeatures, FloatArray]:
     height, width = image.shape
     detector = cv2.ORB.create(nfeatures=height * width // 16, fastThreshold=_FAST_THRESHOLD)
     # The size is that of the patch, 31 pixels in its octave; a corner needs a clearance of half of it.
     return _by_opencv(detector, image, 32, 0.5 / _CLEAR_SCALES)
 
 
-def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Detections:
+def _by_opencv(
+    detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float
+) -> tuple[ImageFeatures, FloatArray]:
     grey = np.clip(np.rint(_BRIGHT_LEVEL * image), 0, 255).astype(np.uint8)
     keypoints, described = detector.detectAndCompute(grey, None)
     if described is None or not keypoints:
         described = np.empty((0, width), dtype=np.uint8)
-    return _Detections(
-        uv_px=pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)),
-        descriptors=np.asarray(described),
-        strength=np.array([point.response for point in keypoints], dtype=np.float64),
-        scale_px=scale_of_size * np.array([point.size for point in keypoints], dtype=np.float64),
-    )
+    uv_px = pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2))
+    strength, size_px = np.array([(point.response, point.size) for point in keypoints]).reshape(-1, 2).T
+    return ImageFeatures(uv_px, np.asarray(described), strength), scale_of_size * size_px
 
 
-_DETECTORS: Mapping[str, Callable[[Image], _Detections]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})
+_DETECTORS: Mapping[str, Callable[[Image], tuple[ImageFeatures, FloatArray]]] = MappingProxyType(
+    {"surf": _surf, "sift": _sift, "orb": _orb}
+)
