@@ -19,10 +19,15 @@ from numpy_equations import (
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, make_sequence
 
-from boresight.estimators.slam.adjustment.marginal import marginalise_view
 from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
-from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from boresight.estimators.slam.adjustment.solver import (
+    StoppingRule,
+    marginalise_view,
+    minimise,
+    reduced_rank_deficiency,
+    view_covariance,
+)
 
 RULE = StoppingRule(1e-8)
 

@@ -238,7 +238,7 @@ def test_prediction_that_most_pixels_contradict_refuses_none(wrong: int, reliabl
     moved = {"motion_m": np.zeros(3), "motion_covariance_m2": 1e-6 * np.eye(3)}
     second = replace(first, time_s=1.0, uv_px=uv_px, sigma_px=0.5, ranges=(), **moved)
     slam_map = SlamMap(sequence.camera)
-    gate = OutlierGate(slam_map, 0.001)
+    gate = OutlierGate(slam_map, SmootherOptions())
     gate.add_frame(0, replace(first, sigma_px=0.5))
     slam_map.positions_m[0] = sequence.position_m.copy()
     slam_map.first_estimate(np.zeros((3, 3)))

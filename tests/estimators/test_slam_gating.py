@@ -14,6 +14,7 @@ from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.association.gating import gate_frame, gate_pixels, snooped
 from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import PredictedLines
+from boresight.estimators.slam.options import OutlierOptions
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
 
@@ -161,7 +162,8 @@ def test_limit_of_a_guessed_distance_is_that_of_its_pixel_alone(share: float, pa
 def adjusted_window(points_m: np.ndarray) -> tuple[OutlierGate, AdjustedWindow]:
     """A gate and an adjusted window of one view at the origin, whose residuals are zero."""
     slam_map = SlamMap(CAMERA)
-    gate, tracks = OutlierGate(slam_map, FALSE_ALARM), np.arange(len(points_m))
+    options = OutlierOptions(associations="consensus", false_alarm=FALSE_ALARM)
+    gate, tracks = OutlierGate(slam_map, options), np.arange(len(points_m))
     gate.add_frame(0, frame_of(points_m, np.zeros(3)))
     slam_map.positions_m[0], slam_map.points_m = np.zeros(3), dict(enumerate(points_m))
     free = np.ones(len(points_m), dtype=bool)

@@ -15,7 +15,7 @@ from numpy_equations import VariableOrdering, bearing_residuals, cost, normal_eq
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from boresight.estimators.slam.adjustment import marginal, slam_map, solver
+from boresight.estimators.slam.adjustment import slam_map, solver
 from boresight.estimators.slam.adjustment.compiled import descent, equations, tracks
 from boresight.estimators.slam.adjustment.compiled import envelope as packed
 from boresight.estimators.slam.adjustment.compiled import problem as flat_problem
@@ -94,7 +94,7 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
     def call(function, *arguments):
         with monkeypatch.context() as patch:
             for name in REFERENCED:
-                compiled = getattr(solver, name, None) or getattr(marginal, name)
+                compiled = getattr(solver, name)
                 for module in [m for key, m in sys.modules.items() if key.startswith("boresight.estimators.slam")]:
                     if getattr(module, name, None) is compiled:
                         patch.setattr(module, name, getattr(numpy_adjustment, name))

@@ -11,9 +11,15 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 
-from boresight.estimators.slam.adjustment.marginal import Retained, marginalise_outside
 from boresight.estimators.slam.adjustment.problem import Distances, PixelMeasurements, State
-from boresight.estimators.slam.adjustment.solver import StoppingRule, kept_covariance, minimise, view_covariance
+from boresight.estimators.slam.adjustment.solver import (
+    Retained,
+    StoppingRule,
+    kept_covariance,
+    marginalise_outside,
+    minimise,
+    view_covariance,
+)
 from boresight.estimators.slam.smoothing.loop_smoother import GlobalMap, LoopSmoother, compatible_pairs
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence

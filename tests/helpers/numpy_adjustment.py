@@ -68,7 +68,7 @@ def place_view(camera, frame, rows, points_m, before, rule):
 
 
 def marginalise_view(problem, state, view, lost):
-    """`estimators.slam.adjustment.marginal.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
+    """`estimators.slam.adjustment.solver.marginalise_view`, by `marginalise_outside`'s way and a Cholesky factor."""
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
     gone = (moved.start == view) | (moved.end == view)
     part = replace(

@@ -1,4 +1,4 @@
-"""Solve an adjustment by compiled kernels: minimum, rank, and covariance.
+"""Solve an adjustment by compiled kernels: minimum, rank, covariance, and marginalisation.
 
 The kernels are in `estimators.slam.adjustment.compiled`; their reference in numpy is in the tests.
 """
@@ -6,15 +6,16 @@ The kernels are in `estimators.slam.adjustment.compiled`; their reference in num
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from boresight.estimators.slam.adjustment.compiled import descent
+from boresight.estimators.slam.adjustment.compiled import descent, marginal
 from boresight.estimators.slam.adjustment.compiled.envelope import dense
 from boresight.estimators.slam.adjustment.compiled.problem import floats
-from boresight.estimators.slam.adjustment.problem import Adjustment, State, pinhole_of
-from boresight.scenarios.arrays import FloatArray, IndexArray
+from boresight.estimators.slam.adjustment.problem import Adjustment, QuadraticPrior, State, pinhole_of
+from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
 
@@ -136,3 +137,50 @@ def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, Inde
     # Cholesky refuses a matrix that is not positive definite; an inverse would be returned with negative variances.
     inverse = np.asarray(cho_solve(cho_factor(matrix), np.eye(len(matrix))), dtype=np.float64)
     return 0.5 * (inverse + inverse.T), views, points
+
+
+class Retained(NamedTuple):
+    """Masks of the variables and measurements that remain in a window."""
+
+    views: BoolArray
+    points: BoolArray
+    pixels: BoolArray
+    distances: BoolArray
+
+    @classmethod
+    def without_view(cls, problem: Adjustment, view: int, lost: BoolArray) -> Retained:
+        """Return what remains without a view and without the landmarks marked in ``lost`` (L,)."""
+        seen, measured = problem.pixels, problem.distances
+        # All pixels of a lost landmark go with it, also those in views that remain: its variable no longer exists.
+        return cls(
+            np.arange(len(problem.free_views)) != view,
+            ~lost,
+            (seen.view != view) & ~lost[seen.point],
+            (measured.view != view) & ~lost[measured.point],
+        )
+
+
+def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArray) -> QuadraticPrior:
+    """Marginalise a view and the landmarks marked in ``lost`` (L,); see `marginalise_outside`."""
+    return marginalise_outside(problem, state, Retained.without_view(problem, view, lost))
+
+
+def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -> QuadraticPrior:
+    """Marginalise all views, landmarks and measurements outside a window at once.
+
+    The prior is the Schur complement of the removed variables in the normal equations of the removed measurements, eq.
+    (3), linearised at ``state``: exact for linear measurements. Motions between two remaining views remain. It covers
+    the remaining views and landmarks that a removed measurement or the old prior constrains, by their numbers in
+    ``problem``.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the removed variables are not determined.
+    """
+    at = floats(state.positions_m), floats(state.points_m)
+    known, views, points, information, gradient = marginal.marginalise(problem.flat, *at, (*retained,))
+    if not known:
+        raise LinAlgError("the eliminated variables are not determined")
+    origin_m = np.concatenate([state.positions_m[views], state.points_m[points]])
+    return QuadraticPrior(views, points, origin_m, information, gradient)

@@ -22,6 +22,7 @@ from boresight.estimators.slam.association.prediction import (
     line_information,
     predict_lines,
 )
+from boresight.estimators.slam.options import OutlierOptions
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.tracks import TrackFrame
 
@@ -87,18 +88,10 @@ def residual_squares(problem: Adjustment, state: State) -> FloatArray:
     return np.asarray((((predicted_px - seen.uv_px) / seen.sigma_px[:, None]) ** 2).sum(axis=1), dtype=np.float64)
 
 
-def adjust_without_outliers(gate: OutlierGate | None, adjust: Callable[[], AdjustedWindow]) -> AdjustedWindow:
-    """Adjust a window, repeatedly while the gate rejects outliers; the gate is None if all pixels are used."""
-    for rounds in range(_MAX_ROUNDS):
-        adjusted = adjust()
-        # No refusal after the last adjustment: the estimate would have used the refused pixels.
-        if gate is None or rounds + 1 == _MAX_ROUNDS or not gate.reject_outliers(adjusted):
-            break
-    return adjusted
-
-
 class OutlierGate:
     """Outlier gate of a window: removes refused pixels from the frames of a map, and readmits those that fit again.
+
+    It refuses none if the options say that all pixels are used.
 
     Attributes
     ----------
@@ -110,22 +103,28 @@ class OutlierGate:
         Consecutive views that refused a track.
     """
 
-    def __init__(self, slam_map: SlamMap, false_alarm: float) -> None:
+    def __init__(self, slam_map: SlamMap, options: OutlierOptions) -> None:
         self.slam_map = slam_map
-        slam_map.gated = True
-        self.false_alarm = false_alarm
-        self.limit = float(chdtri(2, false_alarm))
+        self.active = slam_map.gated = options.associations == "consensus"
+        self.false_alarm = options.false_alarm
+        self.limit = float(chdtri(2, options.false_alarm))
         self.raw_frames: dict[int, TrackFrame] = {}
         self.refused: dict[int, set[int]] = {}
         self.in_a_row: dict[int, list[int]] = {}
         self.refused_count = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return how many pixels were refused, if any may be."""
+        return {"refused_pixels": float(self.refused_count)} if self.active else {}
 
     def add_frame(self, view: int, frame: TrackFrame) -> None:
         """Add a frame with all its pixels."""
         self.raw_frames[view] = self.slam_map.frames[view] = frame
 
     def shared(self, first: int, second: int) -> int:
-        """Count the landmarks that two frames share, refused pixels included."""
+        """Count the landmarks that two frames share, refused pixels included: outliers are not lost tracks."""
+        if not self.active:
+            return self.slam_map.shared(first, second)
         return len(np.intersect1d(self.raw_frames[first].tracks, self.raw_frames[second].tracks, assume_unique=True))
 
     def drop_view(self, view: int) -> None:
@@ -136,7 +135,16 @@ class OutlierGate:
     def drop_tracks(self, view: int, tracks: set[int]) -> None:
         """Drop some tracks from a view."""
         self.raw_frames[view] = without_tracks(self.raw_frames[view], tracks)
-        self.refused[view] = self.refused.get(view, set()) - tracks
+        self._set(view, self.refused.get(view, set()) - tracks)
+
+    def adjust(self, adjust: Callable[[], AdjustedWindow]) -> AdjustedWindow:
+        """Adjust a window, repeatedly while outliers are rejected."""
+        for rounds in range(_MAX_ROUNDS):
+            adjusted = adjust()
+            # No refusal after the last adjustment: the estimate would have used the refused pixels.
+            if not self.active or rounds + 1 == _MAX_ROUNDS or not self.reject_outliers(adjusted):
+                break
+        return adjusted
 
     def place(self, view: int, before: AdjustedWindow | None, rule: StoppingRule, depth_m: float) -> None:
         """Place a new view by a motion-only adjustment and gate its pixels, with the joint covariance if necessary.
@@ -144,6 +152,8 @@ class OutlierGate:
         ``depth_m`` is the median distance of the landmarks.
         """
         self.slam_map.place(view, rule)
+        if not self.active:
+            return
         matches = self._match_frame(view, before, depth_m)
         if before is not None and all_within_gate(self.slam_map, matches, (before.problem, before.state), self.limit):
             # No pixel refused in this frame ends all runs.

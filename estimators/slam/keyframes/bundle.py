@@ -10,7 +10,7 @@ import numpy as np
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment
 from boresight.estimators.slam.adjustment.slam_map import SlamMap
 from boresight.estimators.slam.adjustment.solver import StoppingRule, reduced_rank_deficiency
-from boresight.estimators.slam.association.outliers import OutlierGate, adjust_without_outliers
+from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower
@@ -80,7 +80,7 @@ class _Window:
         self.first_m = sequence.position_m
         self.propagator = Propagator(sequence, options) if options.motion == "constant-gain" else None
         self.trailing = [0]
-        self.gate = OutlierGate(self.slam_map, options.false_alarm) if options.associations == "consensus" else None
+        self.gate = OutlierGate(self.slam_map, options)
         self.adjusted: AdjustedWindow | None = None
         self.placed_alone = 0
         self.handovers = 0
@@ -93,7 +93,7 @@ class _Window:
             "gauge_handovers": float(self.handovers),
             "window_shifts": float(self.shifts),
             "iterations_per_frame": self.iterations / frames,
-            **({} if self.gate is None else {"refused_pixels": float(self.gate.refused_count)}),
+            **self.gate.diagnostics(),
         }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
@@ -101,9 +101,7 @@ class _Window:
         # The paper's option of a dynamic model: the prediction of the propagator replaces the given displacement.
         if self.propagator is not None:
             frame = self.propagator.predict(frame)
-        self.slam_map.frames[number] = frame
-        if self.gate is not None:
-            self.gate.add_frame(number, frame)
+        self.gate.add_frame(number, frame)
         estimate = self._begin(frame) if number == 0 else self._follow(number)
         if self.propagator is None:
             return estimate
@@ -139,10 +137,7 @@ class _Window:
         depth = slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
         # Step 1 of the paper, motion only.
-        if gate is None:
-            slam_map.place(number, rule)
-        else:
-            gate.place(number, self.adjusted, rule, depth)
+        gate.place(number, self.adjusted, rule, depth)
         # Kept for the case that the adjustment of the window fails.
         placed_m, guessed = slam_map.positions_m[number], set(slam_map.guessed)
         views = self._choose_views(number)
@@ -151,7 +146,7 @@ class _Window:
         except LostError:
             # Refused pixels of the newest frame may be the reason that the window cannot be adjusted. Then the result
             # of the motion-only adjustment is kept; the next frames may determine the scale again.
-            if gate is None or not gate.refused.get(number) or self.placed_alone >= _MAX_PLACED:
+            if not gate.refused.get(number) or self.placed_alone >= _MAX_PLACED:
                 raise
             self.placed_alone += 1
             self.adjusted = None
@@ -174,12 +169,10 @@ class _Window:
     def _choose_views(self, lead: int) -> list[int]:
         """Choose the trailing views for a new leading one; the leading view is the last of the list."""
         before = self.trailing
-        # Refused pixels count, so that outliers do not shift the window.
-        tracks = self.slam_map if self.gate is None else self.gate
-        # The second strategy of section 3.2, which the paper uses; then the first.
-        choose = trailing_views(self.slam_map, tracks, before, lead, self.options)
+        # The second strategy of section 3.2, which the paper uses; then the first. Outliers do not shift the window.
+        choose = trailing_views(self.slam_map, self.gate, before, lead, self.options)
         if self.options.strategy == "offset":
-            choose = offset_views(tracks, lead, self.options)
+            choose = offset_views(self.gate, lead, self.options)
         self.trailing = choose
         # A new oldest view is a new reference of position and scale: each shift adds to the drift.
         self.shifts += int(choose[0] != before[0])
@@ -187,7 +180,7 @@ class _Window:
 
     def _adjust(self, views: list[int], rule: StoppingRule) -> AdjustedWindow:
         """Adjust the window, repeatedly while the gate rejects outliers."""
-        adjusted = adjust_without_outliers(self.gate, lambda: self._adjust_once(views, rule))
+        adjusted = self.gate.adjust(lambda: self._adjust_once(views, rule))
         whole = self.options.connected == "whole-window"
         if whole and reduced_rank_deficiency(adjusted.problem, adjusted.state):
             raise LostError("the scale is unobservable: the reduced system has not full rank")

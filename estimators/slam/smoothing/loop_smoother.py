@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import gammaincinv
 
-from boresight.estimators.slam.adjustment.marginal import Retained, marginalise_outside
 from boresight.estimators.slam.adjustment.problem import (
     AdjustedWindow,
     Adjustment,
@@ -20,7 +19,7 @@ from boresight.estimators.slam.adjustment.problem import (
     State,
 )
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
-from boresight.estimators.slam.adjustment.solver import StoppingRule, kept_covariance
+from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule, kept_covariance, marginalise_outside
 from boresight.estimators.slam.association.gating import diagonal_blocks
 from boresight.estimators.slam.association.outliers import without_tracks
 from boresight.estimators.slam.contract import FrameEstimate, LostError
@@ -346,5 +345,4 @@ class _LoopClosingWindow(WindowSmoother):
 
     def _believed(self, view: int) -> TrackFrame:
         """Return a frame of the window as measured, without the refused pixels."""
-        refused = set() if self.gate is None else self.gate.refused.get(view, set())
-        return without_tracks(self.raw[view], refused)
+        return without_tracks(self.raw[view], self.gate.refused.get(view, set()))

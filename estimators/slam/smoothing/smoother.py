@@ -8,11 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.marginal import marginalise_view
 from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup, values_or_nan
-from boresight.estimators.slam.adjustment.solver import StoppingRule, view_covariance
-from boresight.estimators.slam.association.outliers import OutlierGate, adjust_without_outliers, without_tracks
+from boresight.estimators.slam.adjustment.solver import StoppingRule, marginalise_view, view_covariance
+from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import predict_from_window
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected, check_scale
@@ -116,7 +115,7 @@ class WindowSmoother:
         self.absorbed: set[int] = set()
         self.first_positions_m: dict[int, FloatArray] = {}
         self.first_points_m: dict[int, FloatArray] = {}
-        self.gate = OutlierGate(self.slam_map, options.false_alarm) if options.associations == "consensus" else None
+        self.gate = OutlierGate(self.slam_map, options)
         self.adjusted: AdjustedWindow | None = None
         self.iterations = 0
         self.widest_prior = 0
@@ -124,32 +123,23 @@ class WindowSmoother:
     def diagnostics(self) -> dict[str, float]:
         """Return the mean number of steps of a frame, and the largest number of variables in the prior."""
         frames = max(len(self.slam_map.positions_m) - 1, 1)
-        refused = {} if self.gate is None else {"refused_pixels": float(self.gate.refused_count)}
         return {
             "iterations_per_frame": self.iterations / frames,
             "prior_variables": float(self.widest_prior),
-            **refused,
+            **self.gate.diagnostics(),
         }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Adjust with the next frame, and marginalise the oldest one if the window is full. Raises LostError."""
         number = len(self.slam_map.positions_m)
-        frame = self.weighted(frame)
-        self.slam_map.frames[number] = frame
-        if self.gate is not None:
-            self.gate.add_frame(number, frame)
+        self.gate.add_frame(number, self.weighted(frame))
         self.views.append(number)
         if number == 0:
             return self._begin()
         depth = self.slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
-        # Refused pixels count: outliers are not lost tracks.
-        shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
-        check_connected(shared, self.options.connectivity)
-        if self.gate is None:
-            self.slam_map.place(number, rule)
-        else:
-            self.gate.place(number, self.adjusted, rule, depth)
+        check_connected(self.gate.shared(number - 1, number), self.options.connectivity)
+        self.gate.place(number, self.adjusted, rule, depth)
         estimate = self._adjust_without_outliers(rule)
         if len(self.views) > self.options.lag and self.adjusted is not None:
             self._marginalise(self.adjusted)
@@ -180,7 +170,7 @@ class WindowSmoother:
 
     def _adjust_without_outliers(self, rule: StoppingRule) -> FrameEstimate:
         """Adjust the window, repeatedly while the gate rejects outliers; return the estimate of the newest view."""
-        self.adjusted = adjust_without_outliers(self.gate, lambda: self._adjust(rule))
+        self.adjusted = self.gate.adjust(lambda: self._adjust(rule))
         problem, state = self.adjusted.problem, self.adjusted.state
         try:
             covariance = view_covariance(problem, state, len(self.views) - 1)
@@ -233,9 +223,8 @@ class WindowSmoother:
         problem, state, number = adjusted.problem, adjusted.state, adjusted.tracks
         in_prior = np.zeros(len(number), dtype=np.bool_)
         in_prior[problem.prior_points] = True
-        newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
         # Refused pixels count as in view: the landmark may fit again in the next frame.
-        last = set(newest[self.views[-1]].tracks.tolist())
+        last = set(self.gate.raw_frames[self.views[-1]].tracks.tolist())
         first = set(self.slam_map.frames[self.views[0]].tracks.tolist())
         oldest = in_prior | np.array([track in first for track in number.tolist()], dtype=np.bool_)
         lost = oldest & np.array([track not in last for track in number.tolist()], dtype=np.bool_)
@@ -246,7 +235,7 @@ class WindowSmoother:
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
-        if self.gate is not None:
+        if self.gate.active:
             self.prior = _with_weak_lines(
                 self.prior, ~in_prior[local.points], self.slam_map.median_depth(self.views[-1])
             )
@@ -258,15 +247,12 @@ class WindowSmoother:
             self.first_points_m.setdefault(track, point)
         self.absorbed |= set(number[lost].tolist())
         del self.slam_map.frames[self.views[0]]
-        if self.gate is not None:
-            self.gate.drop_view(self.views[0])
+        self.gate.drop_view(self.views[0])
         self.views = self.views[1:]
         # The prior contains the pixels of the excess landmarks.
         gone = set(number[excess].tolist())
         for view in self.views if gone else ():
-            self.slam_map.frames[view] = without_tracks(self.slam_map.frames[view], gone)
-            if self.gate is not None:
-                self.gate.drop_tracks(view, gone)
+            self.gate.drop_tracks(view, gone)
         for track in gone:
             # A later landmark of the same track is a new variable.
             self.first_points_m.pop(track, None)

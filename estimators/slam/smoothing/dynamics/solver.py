@@ -15,9 +15,8 @@ from boresight.estimators.slam.adjustment.compiled.envelope import dense, withou
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
 from boresight.estimators.slam.adjustment.compiled.marginal import removed
 from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, FlatProblem, floats, make_ordering
-from boresight.estimators.slam.adjustment.marginal import Retained
 from boresight.estimators.slam.adjustment.problem import State
-from boresight.estimators.slam.adjustment.solver import StoppingRule
+from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule
 from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
