@@ -22,12 +22,12 @@ from boresight.estimators.craters.matching.association import (
     associate,
     centre_noise,
 )
-from boresight.estimators.craters.matching.transfer import occluded
+from boresight.estimators.craters.matching.transfer import by_small_motion, occluded
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
+from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, project_circles
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.base import SpecModel
@@ -178,14 +178,14 @@ def expected_craters(
     ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
     turned = points @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
-    # `Pose.perturbed`: x = R p + t moves by w x (R p) + d, so that the derivative by w is -[R p]x.
-    by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
-    # The uncertainty of the landmarks is independent between craters, unlike that of the pose.
-    # Derivative of the pixel by the landmark in body axes.
+    # The uncertainty of the landmarks is independent between craters, unlike that of the pose: derivative of the pixel
+    # by the landmark in body axes.
     across = by_point @ pose.rotation
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
-    return rows, ExpectedCraters(ellipses, by_error, frame.prior_covariance, noise, np.zeros(6))
+    return rows, ExpectedCraters(
+        ellipses, by_point @ by_small_motion(turned), frame.prior_covariance, noise, np.zeros(6)
+    )
 
 
 def _possibly_visible(

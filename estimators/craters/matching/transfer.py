@@ -37,8 +37,8 @@ class LocatedCraters:
         """Return (n,) whether the line of sight met the body."""
         return np.asarray(np.isfinite(self.points_body_m).all(axis=1))
 
-    def __len__(self) -> int:
-        return len(self.points_body_m)
+    def __getitem__(self, rows: IndexArray | BoolArray) -> LocatedCraters:
+        return LocatedCraters(self.points_body_m[rows], self.normals_body[rows], self.T_cam_body)
 
     def by_pose(self) -> FloatArray:
         """Differentiate each point by the error of the pose, (n, 3, 6) m in body axes.
@@ -53,7 +53,7 @@ class LocatedCraters:
         sight = seen / np.linalg.norm(seen, axis=1, keepdims=True)
         normal = self.normals_body @ pose.rotation.T
         slant = np.einsum("ni,ni->n", normal, sight)
-        error = np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(self), 3, 3))], axis=2)
+        error = by_small_motion(turned)
         # The moved point stays on the line of sight and on the plane: R dp = s d - e with m . R dp = 0, s = m . e / m .
         # d.
         along = np.einsum("ni,nij->nj", normal, error) / slant[:, None]
@@ -169,7 +169,7 @@ def transfer_craters(
     """
     pose, camera = second.frame.prior_T_cam_body, second.camera
     rows = np.flatnonzero(located.on_body)
-    planes = _rows_of(located, rows)
+    planes = located[rows]
     towards = pose.camera_position_m - planes.points_body_m
     away = np.einsum("ni,ni->n", planes.normals_body, towards) <= 0.0
     ranges = np.linalg.norm(planes.points_body_m - planes.T_cam_body.camera_position_m, axis=1)
@@ -177,7 +177,7 @@ def transfer_craters(
     radii_m = first.detections.ellipses.semi_axes_px[rows, 0] * first.camera.pixel_angle_rad * ranges
     # Two radii of slack: the rim is above the ground on which its crater was located.
     kept = ~away & ~occluded(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
-    rows, planes = rows[kept], _rows_of(planes, np.flatnonzero(kept))
+    rows, planes = rows[kept], planes[kept]
     by_error, by_height = _sensitivity(planes, camera, pose)
     maps = plane_homographies(planes, first.camera, camera, pose)
     ellipses, real = map_ellipses(first.detections.ellipses[rows], maps)
@@ -227,11 +227,12 @@ def _sensitivity(located: LocatedCraters, camera: Camera, pose: Pose) -> tuple[F
     by_point = camera.jacobian(turned + pose.translation_m)
     # An error of the first pose moves the point on the body; one of the second moves its image.
     first = by_point @ pose.rotation @ located.by_pose()
-    second = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
+    second = by_point @ by_small_motion(turned)
     by_height = np.einsum("nij,nj->ni", by_point @ pose.rotation, located.by_height())
     return np.concatenate([first, second], axis=2), by_height
 
 
-def _rows_of(located: LocatedCraters, rows: IndexArray) -> LocatedCraters:
-    """Return some of the located craters."""
-    return LocatedCraters(located.points_body_m[rows], located.normals_body[rows], located.T_cam_body)
+def by_small_motion(turned_m: FloatArray) -> FloatArray:
+    """Differentiate R p + t by `Pose.perturbed`, (n, 3, 6), [rotation_rad, translation_m], at R p, (n, 3)."""
+    # It moves by w x (R p) + d, so that the derivative by w is -[R p]x.
+    return np.concatenate([-cross_matrix(turned_m), np.broadcast_to(np.eye(3), (len(turned_m), 3, 3))], axis=2)
