@@ -136,11 +136,9 @@ class GlobalMap:
         """Return the adjustment of all frames and its landmarks; those in ``kept`` stay in the reduced system."""
         slam_map = self.slam_map
         views = sorted(slam_map.frames)
-        ranged = {item.track for frame in slam_map.frames.values() for item in frame.ranges}
-        # As in a window: two bearings, or one and a range, determine a landmark.
-        tracks = sorted(track for track, by in self.seen.items() if len(by) >= 2 or track in ranged)
+        tracks, seen = slam_map.determined(views, set(), set())
         for track in tracks:
-            slam_map.triangulate_new([track], {track: sorted(self.seen[track])})
+            slam_map.triangulate_new([track], seen)
         free = np.ones(len(views), dtype=np.bool_)
         # A first position without error is fixed, and has no prior.
         free[0] = bool(np.any(self.first_covariance_m2))
