@@ -32,6 +32,7 @@ from tiny_campaign import (
 from boresight.campaign.cli import main
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import KIND
+from boresight.campaign.pool import workers as pool
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.worker import run_block
 from boresight.campaign.store import TABLES, RunFolder
@@ -51,12 +52,27 @@ def long_run(tiny_run, tmp_path_factory):
     return out
 
 
-def asked(tiny_run, out: Path, jobs: int = 2) -> tuple[object, ...]:
-    return ("run", tiny_run.file, "--jobs", jobs, "--trials", LONG, "--out", out)
+def asked(tiny_run, out: Path) -> tuple[object, ...]:
+    return ("run", tiny_run.file, "--jobs", 2, "--trials", LONG, "--out", out)
 
 
 def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
     compute(tiny_run.file, tmp_path / "run", jobs=2)
+    assert_same_results(tiny_run.folder, tmp_path / "run")
+
+
+def test_a_killed_worker_is_told_and_replaced(tiny_run, tmp_path, monkeypatch):
+    really, killed = pool._wait_for_one, []
+
+    def kill_one(workers):
+        if not killed:
+            (process,) = next(one for one in workers if one.in_flight)._executor._processes
+            os.kill(process, signal.SIGKILL)
+            killed.append(process)
+        really(workers)
+
+    monkeypatch.setattr(pool, "_wait_for_one", kill_one)
+    assert re.search(r"process ended.* tried again", compute(tiny_run.file, tmp_path / "run", jobs=2))
     assert_same_results(tiny_run.folder, tmp_path / "run")
 
 
@@ -69,28 +85,29 @@ def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
     assert_same_results(tiny_run.folder, tmp_path)
 
 
-def test_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
-    out = tmp_path / "run"
-    compute(tiny_run.file, out, 10)
-    left = [out / "rows" / ".scene-0000001.parquet.77.tmp", out / "products" / ".landmark-database-1.tmp" / "x.csv"]
-    mine = [out / ".mine.tmp", out / "notes" / ".mine.tmp"]
-    for path in (*left, *mine):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("half")
-    compute(tiny_run.file, out)
-    assert not any(path.exists() for path in left)
-    assert all(path.exists() for path in mine), "only boresight's own leftovers go"
-    assert_same_results(tiny_run.folder, out)
+def refused_meanwhile(tiny_run, process, out, capsys):
+    """Stop a run that is under way, see that a second process is refused, and let the run go on."""
+    wait_for_blocks(process, out, 1)
+    os.killpg(process.pid, signal.SIGSTOP)
+    before = files(out)
+    assert run(tiny_run.file, out, "--trials", LONG) == 2
+    assert capsys.readouterr().err == (
+        f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
+    )
+    assert files(out) == before
+    os.killpg(process.pid, signal.SIGCONT)
 
 
 ONCE, AGAIN = (2, True), (3, False)
 
 
 @pytest.mark.parametrize("interruptions", [(ONCE,), pytest.param((ONCE, AGAIN), marks=pytest.mark.long)], ids=len)
-def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path, interruptions):
+def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path, capsys, interruptions):
     out = tmp_path / "run"
     for blocks_seen, workers_too in interruptions:
         with started(*asked(tiny_run, out)) as process:
+            if (blocks_seen, workers_too) == ONCE:
+                refused_meanwhile(tiny_run, process, out, capsys)
             wait_for_blocks(process, out, blocks_seen)
             assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"
             errors = stop(process, signal.SIGINT, workers_too)
@@ -116,46 +133,23 @@ def test_workers_of_a_killed_parent_end_and_leave_nothing_behind(tiny_run, tmp_p
     assert not list(temporary.glob("boresight-*"))
 
 
-def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, tmp_path, capsys):
-    out = tmp_path / "run"
-    with started(*asked(tiny_run, out, 1)) as process:
-        wait_for_blocks(process, out, 1)
-        os.killpg(process.pid, signal.SIGSTOP)
-        before = files(out)
-        code, error = run(tiny_run.file, out, "--trials", LONG), capsys.readouterr().err
-        assert code == 2
-        assert (
-            error == f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
-        )
-        assert files(out) == before
-        os.killpg(process.pid, signal.SIGCONT)
-        wait_for_blocks(process, out, 3)
-        stop(process)
-    compute(tiny_run.file, out, LONG)
-    assert_same_results(long_run, out)
-
-
-def test_a_killed_worker_is_told_and_replaced(tiny_run, long_run, tmp_path):
-    out = tmp_path / "run"
-    with started(*asked(tiny_run, out)) as process:
-        wait_for_blocks(process, out, 1)
-        os.kill(workers(process.pid)[0], signal.SIGKILL)
-        said, errors = process.communicate(timeout=180)
-        assert process.returncode == 0, errors
-        assert re.search(r"process ended.* tried again", " ".join(said.split()))
-    assert_same_results(long_run, out)
-
-
-def test_more_trials_extend_a_run(tiny_run, long_run, tmp_path):
+def test_more_trials_extend_a_run_and_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
     out = tmp_path / "run"
     compute(tiny_run.file, out, 15)
     first = RunFolder(out).table("rows")
     stamp = (out / "rows" / "scene-0000000.parquet").stat().st_mtime_ns
-    compute(tiny_run.file, out, LONG)
+    left = [out / "rows" / ".scene-0000001.parquet.77.tmp", out / "products" / ".landmark-database-1.tmp" / "x.csv"]
+    mine = [out / ".mine.tmp", out / "notes" / ".mine.tmp"]
+    for path in (*left, *mine):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("half")
+    compute(tiny_run.file, out)
+    assert not any(path.exists() for path in left)
+    assert all(path.exists() for path in mine), "only boresight's own leftovers go"
     rows = RunFolder(out).table("rows")
     pd.testing.assert_frame_equal(rows[rows["trial"] < 15].reset_index(drop=True), first, check_exact=True)
     assert (out / "rows" / "scene-0000000.parquet").stat().st_mtime_ns == stamp, "a whole block is not run again"
-    assert_same_results(long_run, out)
+    assert_same_results(tiny_run.folder, out)
 
 
 def test_fewer_trials_take_nothing_away(tiny_run, tmp_path):
