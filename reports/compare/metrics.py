@@ -75,8 +75,11 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
     for name, values in (measured | {name: own for name, (own, _) in _crater_numbers(run).items()}).items():
         if values.notna().any():
             found.setdefault(name, values.where(ok).abs())
-    for name in sorted(reported["name"].astype(str).unique()):
-        found.setdefault(name, _of_rows(rows, reported[reported["name"] == name], "value"))
+    once = reported.drop_duplicates([*TRIAL_KEY, "name"])
+    numbers = once.pivot(index=TRIAL_KEY, columns="name", values="value")  # noqa: PD010  pivot_table drops NaN
+    numbers = numbers.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).set_axis(rows.index)
+    for name in sorted(map(str, numbers)):
+        found.setdefault(name, numbers[name].astype(float))
     return found
 
 
