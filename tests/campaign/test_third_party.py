@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from third_party import install, install_answers
 from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_campaign
 
 from boresight.campaign.cli import main
+from boresight.campaign.pool import workers
 from boresight.campaign.store import RunFolder
 from boresight.estimators.registry import estimator_class
 
@@ -123,10 +126,9 @@ def campaign(folder: Path, *estimators: str, trials: int = TRIALS) -> Path:
     return write_campaign(folder, text)
 
 
-def test_an_estimator_that_raises_costs_its_own_rows_alone(package, tmp_path):
+def test_an_estimator_that_raises_costs_its_own_rows_alone_and_is_as_reproducible_as_any(installed, tmp_path):
     file, out = campaign(tmp_path, "good", "raises"), tmp_path / "run"
-    done = boresight("run", file, "--jobs", 2, "--out", out, PYTHONPATH=str(package))
-    assert done.returncode == 3, done.stderr
+    assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows")
     assert len(rows) == 3 * TRIALS
     errors = rows[rows["status"] == "error"]
@@ -140,16 +142,20 @@ def test_an_estimator_that_raises_costs_its_own_rows_alone(package, tmp_path):
         traces[["trial", "estimator"]], errors[["trial", "estimator"]].reset_index(drop=True), check_dtype=False
     )
     assert traces["traceback"].str.contains(r"(?s)in estimate\n.*else 1 / 0.*ZeroDivisionError", regex=True).all()
-
-
-def test_rows_of_a_raising_estimator_are_as_reproducible_as_any(installed, tmp_path):
-    file = campaign(tmp_path, "good", "raises")
-    for name in ("first", "second"):
-        compute(file, tmp_path / name, TRIALS)
-    assert files(tmp_path / "first", *RESULTS, "tracebacks") == files(tmp_path / "second", *RESULTS, "tracebacks")
-    luck = pd.read_parquet(tmp_path / "first" / "diagnostics")["value"]
+    luck = pd.read_parquet(out / "diagnostics")["value"]
     assert len(set(luck)) == TRIALS, "each trial has its own random numbers"
-    assert run(file, tmp_path / "first") == 3, "also where all is stored"
+    compute(file, tmp_path / "second", TRIALS)
+    assert files(tmp_path / "second", *RESULTS, "tracebacks") == files(out, *RESULTS, "tracebacks")
+    assert run(file, out) == 3, "also where all is stored"
+
+
+@pytest.mark.long
+def test_workers_store_the_same_of_an_estimator_that_raises(package, installed, tmp_path):
+    file, out = campaign(tmp_path, "good", "raises"), tmp_path / "run"
+    done = boresight("run", file, "--jobs", 2, "--out", out, PYTHONPATH=f"{package}:{os.environ.get('PYTHONPATH', '')}")
+    assert done.returncode == 3, done.stderr
+    compute(file, tmp_path / "second", TRIALS)
+    assert files(tmp_path / "second", *RESULTS, "tracebacks") == files(out, *RESULTS, "tracebacks")
 
 
 def test_wrong_answers_are_errors_with_a_reason_and_the_others_go_on(installed, tmp_path):
@@ -271,15 +277,19 @@ class Moves:
 
 
 @pytest.mark.parametrize(("jobs", "out"), [(1, "here"), pytest.param(2, "runs/here", marks=pytest.mark.long)])
-def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, jobs, out):
+def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, monkeypatch, capsys, jobs, out):
     site, here = tmp_path / "site", tmp_path / "campaign"
-    install(site, "estimators", "moving", MOVES, {"moves": "Moves"})
+    install(site, "estimators", "moving", MOVES, {"moves": "Moves"}, monkeypatch)
     write_campaign(here, "scenarios: [scene]\nestimators: [moves, prior]\ntrials: 12\nseed: 5\n", SCENE)
-    asked = ["--jobs", jobs, "--worst", 1, "--out", out]
-    path = f"{site}:{Path(__file__).parents[2]}"
-    done = boresight("run", "tiny.yaml", *asked, cwd=here, PYTHONPATH=path, BORESIGHT_CACHE="cache")
-    assert done.returncode == 0, done.stderr
-    named = next(line.removeprefix("report: ") for line in done.stdout.splitlines() if line.startswith("report: "))
+    # Workers of its own find the package by the variable.
+    monkeypatch.setattr(workers, "_idle_workers", functools.cache(workers._IdleWorkers))
+    monkeypatch.setenv("PYTHONPATH", f"{site}:{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv("BORESIGHT_CACHE", "cache")
+    monkeypatch.chdir(here)
+    assert main(["run", "tiny.yaml", "--jobs", str(jobs), "--worst", "1", "--out", out]) == 0
+    said = capsys.readouterr().out
+    monkeypatch.undo()
+    named = next(line.removeprefix("report: ") for line in said.splitlines() if line.startswith("report: "))
     assert (here / named).is_file(), named
     assert {"manifest.json", "rows", "checksums", "report"} <= {path.name for path in (here / out).iterdir()}
     assert list((here / "cache" / "images").glob("*")), "nor what is written to a cache in a relative folder"
