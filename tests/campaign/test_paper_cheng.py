@@ -25,13 +25,14 @@ lighting: {phase_deg: {uniform: [30, 70]}, measure: angle}
 """
 ORBIT = """\
 name: eros-orbit
-description: A day about a body like Eros.
+description: Half a day about a body like Eros.
 body: {shape: eros-like}
 camera: {width_px: 537, height_px: 412, fov_deg: 2.93}
 orbit:
-  arc: {days: 2, predicted_days: 1}
-  sightings: {images: 80, craters: 400}
+  arc: {days: 0.5, predicted_days: 0.25}
+  sightings: {images: 40, craters: 200}
   asteroid: {gravity_degree: 4}
+  knowledge: {shape_degree: 8}
 """
 CHAIN = """\
 name: eros-like-navigation

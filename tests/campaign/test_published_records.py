@@ -93,6 +93,8 @@ def small(entry: dict[str, Any]) -> dict[str, Any]:
         return {method: DATABASE | options}
     if method in ("landmark-harris", "pose-solver", "centroid"):
         return {method: {**options, "database": DATABASE}}
+    if method == "lmaps":
+        return {method: {**options, "maplets": {"spacing_m": 15, "side": 15}}}
     if method == "landmark-altimeter":
         return {method: {**options, "options": {"database": DATABASE}}}
     return {method: {key: value for key, value in options.items() if key != "detector"}}
