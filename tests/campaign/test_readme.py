@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from page_blocks import blocks_of
 
+from boresight.campaign.cli import main
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.trial.kind import kind_named
@@ -48,7 +49,9 @@ def test_the_page_is_one_page():
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_the_examples_of_the_page_run(examples: Path):
+def test_the_examples_of_the_page_run(
+    examples: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With smaller images and small data bases, which are most of the work."""
     file = examples / "short.yaml"
     text = (examples / "my_campaign.yaml").read_text()
@@ -56,14 +59,18 @@ def test_the_examples_of_the_page_run(examples: Path):
     text = text.replace("lmaps", "lmaps: {maplets: {spacing_m: 8, side: 15}}")
     smaller = {"camera.width_px": 256, "camera.height_px": 256, "body.detail.facets": 30000}
     file.write_text(f"{text}set: {json.dumps(smaller)}\n")
-    run(examples, "run", file.name, "--trials", "8", "--out", "short", "--no-report")
+    monkeypatch.chdir(examples)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["run", file.name, "--trials", "8", "--jobs", "1", "--out", "short", "--no-report"]) == 0
     rows = pd.read_parquet(examples / "short" / "rows")
     assert set(rows["estimator"]) == {"prior", "landmark-harris", "lmaps", "Correlate"}
     assert (rows.query("estimator != 'landmark-harris'")["status"] == "ok").all()
     median = rows.groupby("estimator")["position_error_m"].median()
     assert median["lmaps"] < 0.5 * median["prior"]
     assert median["Correlate"] < 0.8 * median["prior"]
-    assert "Correlate" in run(examples, "compare", "short", "--by", "estimator")
+    capsys.readouterr()
+    assert main(["compare", "short", "--by", "estimator"]) == 0
+    assert "Correlate" in capsys.readouterr().out
 
 
 @pytest.mark.long
