@@ -201,28 +201,15 @@ def test_status_proposes_what_runs_the_rest(tmp_path, capsys):
     assert "to continue" not in said
 
 
-def test_status_and_report_find_the_newest_run_by_name(tiny_run, tmp_path, monkeypatch, capsys):
+def test_status_and_report_find_the_newest_run_by_name_and_change_none_of_it(tiny_run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
         compute(tiny_run.file, Path("runs") / f"tiny-{number}", number)
+    out = Path("runs") / "tiny-2"
+    before = files(out)
     assert main(["status", "tiny"]) == 0
     assert capsys.readouterr().out.startswith("runs/tiny-2: tiny, 2 of 2 trials stored")
     assert main(["report", "tiny"]) == 0
-    assert (Path("runs") / "tiny-2" / "report" / "report.html").is_file()
-    assert not (Path("runs") / "tiny-1" / "report").exists()
-    capsys.readouterr()
-    assert main(["status", "tin"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "boresight: tin: no run there, nor in runs/ as tin-...: give a run folder, or run it first\n"
-    )
-
-
-def test_report_reads_a_run_and_changes_none_of_it(tiny_run, tmp_path, capsys):
-    out = tmp_path / "run"
-    compute(tiny_run.file, out)
-    before = files(out)
-    assert main(["report", str(out)]) == 0
     said = capsys.readouterr().out
     after = files(out)
     assert {name: after[name] for name in before} == before
@@ -231,6 +218,12 @@ def test_report_reads_a_run_and_changes_none_of_it(tiny_run, tmp_path, capsys):
     median = pd.read_parquet(out / "rows").query("estimator == 'prior'")["position_error_m"].median()
     assert f"{median:.3g}" in said
     assert not list((out / "report").glob(".*")), "nothing half-written stays"
+    assert not (Path("runs") / "tiny-1" / "report").exists()
+    assert main(["status", "tin"]) == 2
+    assert (
+        capsys.readouterr().err
+        == "boresight: tin: no run there, nor in runs/ as tin-...: give a run folder, or run it first\n"
+    )
 
 
 def test_kept_images_read_back_as_they_were_seen(tiny_file, tmp_path):
