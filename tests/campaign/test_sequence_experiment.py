@@ -224,12 +224,12 @@ def test_an_unknown_estimator_is_named():
 
 
 def test_the_smoke_campaign_runs_end_to_end_and_twice_the_same(tmp_path):
-    for folder, report in (("one", ("--worst", "0")), ("two", ("--no-report",))):
-        words = ["run", "delpech2015-smoke", "--trials", "2", "--jobs", "1", *report, "--out", str(tmp_path / folder)]
-        assert main(words) == 0
+    for folder, trials, report in (("one", "2", ("--worst", "0")), ("two", "1", ("--no-report",))):
+        words = ["run", "delpech2015-smoke", "--trials", trials, "--jobs", "1", *report]
+        assert main([*words, "--out", str(tmp_path / folder)]) == 0
     tables = [[pd.read_parquet(tmp_path / folder / name) for name in ("rows", "epochs")] for folder in ("one", "two")]
     for one, two in zip(*tables, strict=True):
-        pd.testing.assert_frame_equal(one, two)
+        pd.testing.assert_frame_equal(one[one["trial"] == 0].reset_index(drop=True), two)
     methods = 4
     assert len(tables[0][0]) == 2 * methods
     frames = tables[0][1].groupby(["estimator", "trial"]).size()
