@@ -27,7 +27,7 @@ grid:
         falls: {sequence.orbit: {model: propagated, forces: {noise_m_s2: 3.0e-5}}}
         exact: {sequence.vision.noise_px: 0, sequence.knowledge: {motion_error: 0, range_sigma_m: 1.0e-3}}
 estimators: [ba-slam, ekf-slam, fixed-lag, dead-reckoning]
-trials: 4
+trials: 3
 seed: 3
 """
 METHODS = ["ba-slam", "ekf-slam", "fixed-lag"]
