@@ -239,7 +239,7 @@ def test_all_that_is_lent_is_made_of_what_the_spacecraft_believes(tmp_path):
     known = replace(loaded, spec=onboard_spec(loaded.spec))
     lends = scenario_assets(loaded, tmp_path / "run", 1)
     shapes = [load_body(one.spec.body, one.search_dirs).mesh for one in (loaded, known)]
-    options = {"spacing_m": 20.0, "side": 9}
+    options = {"spacing_m": 30.0, "side": 7}
     of_truth, of_belief = (build_maplets(mesh, MapletOptions(**options)) for mesh in shapes)
     lent = lends.product("maplets", options)
     np.testing.assert_array_equal(lends.shape().vertices_m, shapes[1].vertices_m)
