@@ -163,7 +163,14 @@ def test_a_shape_without_maplets_or_craters_is_named_with_the_option(cache, tmp_
     assert "section craters" in of_craters
 
 
-@pytest.mark.parametrize("error", [ValueError("on the way"), MemoryError("on the way"), BoresightError("on the way")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        ValueError("on the way"),
+        BoresightError("on the way"),
+        pytest.param(MemoryError("on the way"), marks=pytest.mark.long),
+    ],
+)
 def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(error, cache, tmp_path, monkeypatch):
     def fall(*arguments):
         raise error
