@@ -185,7 +185,7 @@ def test_kills_at_random_instants_change_nothing(tmp_path, instants):
             child = server.start(out)
             limit = time.monotonic() + 120.0
             while len(list(out.glob("rows/*.parquet"))) < wanted and time.monotonic() < limit:
-                time.sleep(0.0005)
+                time.sleep(0.002)
             time.sleep(rng.uniform(0.0, 0.01))
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
