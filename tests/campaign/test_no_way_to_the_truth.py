@@ -226,7 +226,7 @@ estimators:
   - prior
   - whole-image: {database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
   - landmark-orb: {database: {images: 10}}
-  - lmaps: {maplets: {spacing_m: 9, side: 15}}
+  - lmaps: {maplets: {spacing_m: 15, side: 15}}
 trials: 1
 seed: 5
 """
