@@ -17,7 +17,7 @@ from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.read import CampaignFiles, is_campaign, read_campaign
 from boresight.campaign.runs.request import RUNS
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.tables import consistency_table, contrast_table, subject_table
+from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
 from boresight.reports.papers.page import write_paper
 from boresight.scenarios.load import LoadedScenario, load_scenario
 
@@ -90,7 +90,7 @@ def compare(
         If a run cannot be read, metric or factor is unknown, or the trials of two runs are not the same.
     """
     found = compare_runs([find_run(str(run)).path for run in runs], metric, by, unpaired)
-    return Comparison(subject_table(found), contrast_table(found), consistency_table(found))
+    return Comparison(subject_tables(found)[1], contrast_tables(found)[1], consistency_tables(found)[1])
 
 
 def report(run: Name, *, worst: int = 3, pdf: bool = False) -> Path:

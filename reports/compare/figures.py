@@ -1,26 +1,17 @@
-"""The figures of a comparison."""
+"""The figures of a comparison: summary, coverage of covariances, cumulative errors, errors by conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.conditions import (
-    ATTITUDE,
-    ConditionTables,
-    axis_label,
-    binned_errors,
-    frames_by_condition,
-    prepare_frames,
-    trials_by_condition,
-)
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.compare.tables import differing_level, subject_consistencies
-from boresight.reports.compare.trials import ESTIMATOR, run_names
+from boresight.reports.compare.trials import CONDITIONS, ESTIMATOR, run_names
 from boresight.reports.figures.comparison import (
     CoverageCurve,
     SubjectSummary,
@@ -29,53 +20,77 @@ from boresight.reports.figures.comparison import (
     draw_summaries,
 )
 from boresight.reports.figures.pose import draw_cumulative_errors
-from boresight.reports.figures.style import PlotStyle, plot_styles
+from boresight.reports.figures.style import Points
 from boresight.reports.run.data import TRIAL_KEY
+from boresight.reports.schema.common import BORESIGHT, LATERAL
+from boresight.reports.schema.kinds.craters import DETECTION, MATCHING
 from boresight.reports.schema.labels import as_title
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.consistency import normalised_label
-from boresight.reports.statistics.measured import Measured
+from boresight.reports.statistics.measured import MEDIAN, Measured, measure, percent, share_of
+from boresight.scenarios.arrays import FloatArray
+
+ATTITUDE = "attitude_error_deg"
+SUCCESS = "success"
+RADIAL, TRANSVERSE = "radial_error_m", "transverse_error_m"
+_LABELS: Mapping[str, str] = {
+    "range_m": "range, m",
+    "phase_deg": "phase angle, deg",
+    "latitude_deg": "latitude of the camera, deg",
+    "n_landmarks": "landmarks used",
+    "prior": "error of the prior",
+    "anomaly_deg": "anomaly, deg",
+    "distance_m": "distance to the body, m",
+    LATERAL: "across boresight, m",
+    BORESIGHT: "along boresight, m",
+    ATTITUDE: "attitude, deg",
+    SUCCESS: "success, %",
+    RADIAL: "radial, m",
+    TRANSVERSE: "transverse, m",
+}
+OWN_BINS = "n_landmarks"
+_BIN_TRIALS = 20
+_MOST_BINS = 8
+_FRAMES = 60
+_FEWEST = 5
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw all figures for which there are data; captions give the number of solved trials of each subject."""
     counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
-    groups = subjects_by_group(found)
-    by_group = (figure for group, own in groups.items() for figure in _group_figures(found, group, own))
-    for figure in (summary_figure(found), *consistency_figures(found), *by_group):
+    for figure in _figures(found):
         yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
 
 
-def _group_figures(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> Iterator[NamedFigure]:
-    yield cumulative_figure(found, group, subjects)
-    split = _tables_by_condition(found, subjects)
-    if split is not None and split.conditions:
-        yield conditions_figure(found, group, split)
+def _figures(found: RunComparison) -> Iterator[NamedFigure]:
+    yield summary_figure(found)
+    yield from consistency_figures(found)
+    for group, subjects in found.groups.items():
+        yield cumulative_figure(found, group, subjects)
+        split = _tables_by_condition(found, subjects)
+        if split is not None and split.conditions:
+            yield conditions_figure(found, group, split)
 
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw, for each kind of normalised error, the coverage of the covariance that subjects claim."""
-    claims, styles = list(subject_consistencies(found)), subject_styles(found)
-    for kind in dict.fromkeys(one.kind for one in claims):
-        for group, subjects in subjects_by_group(found).items():
-            labels = {one.names: label for label, one in subjects.items()}
-            own = {labels[one.subject.names]: one for one in claims if one.kind == kind and one.subject.names in labels}
-            drawn = [
-                CoverageCurve(
-                    f"{label} (n = {len(one.ratios)})",
-                    styles[one.subject.names],
-                    one.ratios * one.degrees / one.expected,
-                    one.degrees,
-                    len(np.unique(one.clusters)),
-                )
-                for label, one in own.items()
-            ]
+    claims = list(subject_consistencies(found))
+    for kind in dict.fromkeys(errors.name for _, errors in claims):
+        of_subject = {subject.names: errors for subject, errors in claims if errors.name == kind}
+        for group, subjects in found.groups.items():
+            own = {label: of_subject[one.names] for label, one in subjects.items() if one.names in of_subject}
+            drawn = []
+            for label, errors in own.items():
+                ratios, degrees = (errors.table[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
+                style, independent = found.styles[subjects[label].names], errors.table["cluster"].nunique()
+                squares = ratios * degrees / errors.expected
+                drawn.append(CoverageCurve(f"{label} (n = {len(ratios)})", style, squares, degrees, independent))
             title = _title(found, normalised_label(kind), group)
             if drawn:
                 yield NamedFigure(
                     file_stem("consistency", kind, *filter(None, [group])),
-                    draw_coverage(drawn, title, credit_lines(found)),
+                    draw_coverage(drawn, title, found.credits),
                     f"{title}: share of the trials whose normalised squared error lies within the quantile given on the"
                     " abscissa of the chi-square distribution. On the diagonal the covariance is true, below it too"
                     " small. Grey: 95 % band at each abscissa for true covariances and the smallest number of"
@@ -90,12 +105,12 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
         panels[ATTITUDE] = "attitude error, deg"
-    own, title = subject_styles(found), _title(found, "Cumulative error", group)
+    title = _title(found, "Cumulative error", group)
     return NamedFigure(
         file_stem("cumulative", *filter(None, [group])),
         draw_cumulative_errors(
-            {label: (table, len(table)) for label, table in tables.items()}, title, credit_lines(found), panels,
-            {label: own[one.names] for label, one in subjects.items()},
+            {label: (table, len(table)) for label, table in tables.items()}, title, found.credits, panels,
+            {label: found.styles[one.names] for label, one in subjects.items()},
         ),
         f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
         " error, so that failures lower it.",
@@ -126,11 +141,11 @@ def _frames(found: RunComparison, trials: pd.DataFrame) -> pd.DataFrame:
 
 def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
     """Draw errors against conditions."""
-    own, subjects = subject_styles(found), subjects_by_group(found)[group]
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
+    labels = _LABELS | {"value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
     panels = {
-        (axis_label(error, metric), axis_label(condition, metric)): dict(binned_errors(split, error, condition))
+        (labels[error], labels[condition]): dict(binned_errors(split, error, condition))
         for error in split.errors
         for condition in split.conditions
     }
@@ -138,10 +153,10 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
     if frames:
         over = "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
     title = _title(found, "Errors by conditions", group)
-    styles = {label: own[subjects[label].names] for label in split.tables}
+    styles = {label: found.styles[found.groups[group][label].names] for label in split.tables}
     return NamedFigure(
         file_stem("conditions", *filter(None, [group])),
-        draw_binned_errors(panels, styles, title, credit_lines(found)),
+        draw_binned_errors(panels, styles, title, found.credits),
         f"{title}: medians over {over} in bins of equal numbers, with 95 % intervals. Success: share of all trials of a"
         " bin.",
         f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
@@ -150,15 +165,15 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
 
 def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
-    own, order = subject_styles(found), {one.names: place for place, one in enumerate(found.subjects)}
+    order = {one.names: place for place, one in enumerate(found.subjects)}
     # Of a subject the level that differs in the first one that it is compared with, and the median difference.
     bases: dict[tuple[str, ...], tuple[str, Measured]] = {}
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
         bases.setdefault(one.first, (differing_level(one), one.median))
-    standings = [
+    summaries = [
         SubjectSummary(
             found.label(one.names),
-            own[one.names].colour,
+            found.styles[one.names].colour,
             one.solved,
             one.counted if found.metric.is_error else one.solved,
             None if one.estimator == CONTROL else one.success,
@@ -171,43 +186,105 @@ def summary_figure(found: RunComparison) -> NamedFigure:
     title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
-        draw_summaries(standings, found.metric.axis, reference, title, credit_lines(found)),
+        draw_summaries(summaries, found.metric.axis, reference, title, found.credits),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
         " with failures counted, success rates, and the median of the paired differences to the first subject that"
         " differs in one factor only.",
-        f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
+        f"Errors, success rates and differences of {', '.join(one.label for one in summaries)}.",
     )
-
-
-def subject_styles(found: RunComparison) -> dict[tuple[str, ...], PlotStyle]:
-    """Return the style of each subject: that of its estimator, or its own where estimators are pooled."""
-    keys = [one.estimator or found.label(one.names) for one in found.subjects]
-    drawn = plot_styles(keys)
-    return {one.names: drawn[key] for one, key in zip(found.subjects, keys, strict=True)}
-
-
-def credit_lines(found: RunComparison) -> list[str]:
-    """Return the credit lines of all runs, each once."""
-    return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
-
-
-def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
-    """Group the subjects that differ in the estimator alone: name of the group to label to subject.
-
-    Where estimators are pooled, all subjects are one group.
-    """
-    gathered: dict[str, dict[str, Subject]] = {}
-    for one in found.subjects:
-        named = dict(zip(found.factors, one.names, strict=True))
-        if ESTIMATOR not in found.factors:
-            gathered.setdefault("", {})[found.label(one.names)] = one
-            continue
-        label = named.pop(ESTIMATOR)
-        kept = [level for factor, level in named.items() if factor in found.varied]
-        gathered.setdefault(", ".join(kept), {})[label] = one
-    return gathered
 
 
 def _title(found: RunComparison, what: str, group: str) -> str:
     """Return the title of a figure of one group."""
     return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionTables:
+    """Rows with errors and with the conditions that they are drawn against.
+
+    Parameters
+    ----------
+    tables
+        Label of each subject to its rows: conditions, errors, ``failed`` and ``cluster``.
+    errors, conditions
+        Columns of the errors that have values, and of the conditions that differ between trials.
+    """
+
+    tables: Mapping[str, pd.DataFrame]
+    errors: tuple[str, ...]
+    conditions: tuple[str, ...]
+
+
+def trials_by_condition(tables: Mapping[str, pd.DataFrame], metric: Metric) -> ConditionTables:
+    """Choose errors and conditions of the trials of single images."""
+    components = (LATERAL, BORESIGHT, ATTITUDE)
+    errors = components if metric.name in components else ("value", *components)
+    # The shares of craters found or matched are computed from their number, so it is not one of their conditions.
+    given = [name for name in CONDITIONS if name != OWN_BINS or metric.name not in (*DETECTION, *MATCHING)]
+    return _condition_tables(tables, errors, (*given, "prior"))
+
+
+def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
+    """Choose fewer than 120 evenly spaced frames of each sequence; more add little, as frames are correlated."""
+    stride = max(1, int(epochs["frame"].max() + 1) // _FRAMES)
+    kept = epochs[epochs["frame"] % stride == 0]
+    distance = np.linalg.norm(kept[[f"true_{axis}_m" for axis in "xyz"]].to_numpy(dtype=np.float64), axis=1)
+    return kept.assign(
+        value=kept["position_error_m"],
+        **{RADIAL: kept["radial_m"].abs(), TRANSVERSE: np.hypot(kept["along_m"], kept["cross_m"])},
+        distance_m=distance,
+        failed=False,
+    )
+
+
+def frames_by_condition(tables: Mapping[str, pd.DataFrame]) -> ConditionTables:
+    """Choose errors and conditions of the frames of sequences; success is a property of whole sequences."""
+    return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
+
+
+def _condition_tables(
+    tables: Mapping[str, pd.DataFrame], errors: Sequence[str], conditions: Sequence[str]
+) -> ConditionTables:
+    whole = pd.concat(tables.values())
+    known = [name for name in errors if whole[name].notna().any()]
+    success = [SUCCESS] if whole["failed"].any() else []
+    return ConditionTables(tables, (*known, *success), tuple(name for name in conditions if _varies(whole[name])))
+
+
+def _varies(values: pd.Series) -> bool:
+    known = values.dropna().to_numpy(dtype=np.float64)
+    return len(known) > 0 and float(np.ptp(known)) > 1e-6 * max(float(np.abs(known).max()), 1e-12)
+
+
+def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
+    """Yield medians of an error, or success rates, in bins of a condition, for each subject whose condition varies.
+
+    The abscissa of a bin is the median of its condition. Bins of fewer than five independent trials are left out. All
+    subjects have the same bins, except for the number of landmarks, which may differ widely between estimators.
+    """
+    varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
+    for label, table in varying.items():
+        edges = _bin_edges([table] if condition == OWN_BINS else list(varying.values()), condition)
+        known = table[table[condition].notna() & (table[error].notna() if error != SUCCESS else True)]
+        place = np.clip(np.searchsorted(edges, known[condition].to_numpy(), side="right") - 1, 0, len(edges) - 2)
+        points = []
+        for _, own in known.groupby(place):
+            clusters = own["cluster"].to_numpy()
+            if error == SUCCESS:
+                found = percent(share_of(~own["failed"].to_numpy(dtype=bool), clusters))
+            else:
+                found = measure(own[error].to_numpy(dtype=np.float64), clusters, (MEDIAN,))[0]
+            if len(np.unique(clusters)) >= _FEWEST and None not in (found.value, found.low, found.high):
+                points.append((float(own[condition].median()), found.value, found.low, found.high))
+        if points:
+            x, y, *ends = np.array(points, dtype=np.float64).T
+            yield label, Points(x, y, np.column_stack(ends))
+
+
+def _bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
+    """Choose edges (b + 1,) of bins that contain equal numbers of rows of all tables together."""
+    longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
+    bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
+    values = pd.concat([table[condition].dropna() for table in tables])
+    return np.unique(np.quantile(values.to_numpy(dtype=np.float64), np.linspace(0.0, 1.0, bins + 1)))

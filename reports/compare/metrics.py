@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
 from boresight.reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
-from boresight.reports.schema.kinds.crater_detection import CENTRE_ERROR, COMMON_CENTRE_ERROR, FALSE_ALARMS, MISSED
-from boresight.reports.schema.kinds.crater_matching import WRONG
+from boresight.reports.schema.kinds.craters import CENTRE_ERROR, COMMON_CENTRE_ERROR, MISSED, WRONG
 from boresight.reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.tables import is_error, kind_schema, measure_label, unit_of
@@ -72,7 +72,10 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
         end = epochs[(epochs["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
         found.setdefault(f"error_after_{k}_m", _of_rows(rows, end, "position_error_m"))
     measured = {name: _of_rows(rows, orbits, name) for name in ORBIT_COLUMNS if name in orbits}
-    for name, values in (measured | {name: own for name, (own, _) in _crater_numbers(run).items()}).items():
+    counts = crater_counts(run)
+    if counts is not None:
+        measured |= {name: counts[name] for name in kind_schema(run.manifest.experiment).metrics}
+    for name, values in measured.items():
         if values.notna().any():
             found.setdefault(name, values.where(ok).abs())
     once = reported.drop_duplicates([*TRIAL_KEY, "name"])
@@ -97,9 +100,10 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
 
 def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
     """Return which rows of a run cannot have the metric: no crater could be found, or none was found by all methods."""
-    _, there = _crater_numbers(run).get(metric.name, (None, None))
-    if there is None:
+    counts = crater_counts(run)
+    if counts is None or metric.name not in counts:
         return pd.Series(False, index=run.rows.index)
+    there = counts["common" if metric.name == COMMON_CENTRE_ERROR else "there"]
     return (there == 0.0) & (run.rows["status"] != "error") & metric_values(run, metric).isna()
 
 
@@ -135,58 +139,43 @@ def missed_or_wrong(run: RunData) -> pd.Series | None:
 
 
 def crater_counts(run: RunData) -> pd.DataFrame | None:
-    """Count craters in images for each row of a run, in order; None of a run without detections or matches.
+    """Count craters in images for each row of a run, in order; None of a kind of trial without missed craters.
 
     Returns
     -------
     counts
         ``there`` (craters that could be found, or matched), ``missed`` of them, ``right`` and ``wrong`` (detections
-        that reach the detector's own threshold, or matches). Of detections also the median `CENTRE_ERROR` of those
-        that are right, and the same over the craters that all methods found, which are ``common``.
+        that reach the detector's own threshold, or matches). The metrics of the kind: shares (%), NaN where they have a
+        zero denominator, and, of detections, the median errors of the centres of those that are right, and of the
+        craters that all methods found, which are ``common``.
     """
-    rows = run.rows
-    if not run.table("crater_matches").empty:
+    rows, metrics = run.rows, kind_schema(run.manifest.experiment).metrics
+    if MISSED not in metrics or run.table("crater_matches" if WRONG in metrics else "crater_images").empty:
+        return None
+    if WRONG in metrics:
         columns = {"there": "n_common", "missed": "n_missed", "right": "n_correct", "wrong": "n_wrong"}
         matched = run.table("crater_matches")
-        return pd.DataFrame({name: _of_rows(rows, matched, column) for name, column in columns.items()})
-    if run.table("crater_images").empty:
-        return None
-    image = ["scenario", "trial"]
-    kept = run.table("detections")[run.table("detections")["kept"].astype(bool)]
-    hits = kept[kept["detectable"].astype(bool)]
-    finders = hits.groupby([*image, "crater"])["estimator"].transform("nunique")
-    methods = hits["scenario"].map(rows.groupby("scenario")["estimator"].nunique())
-    common = hits[finders == methods]
-    lines = {"right": hits, "wrong": kept[kept["crater"] < 0], "common": common}
-    counted = {name: in_order_of(rows, table.groupby(TRIAL_KEY).size()) for name, table in lines.items()}
-    counts = pd.DataFrame(counted, index=rows.index).fillna(0.0)
-    there = rows[image].merge(run.table("crater_images"), "left", image)["n_detectable"].to_numpy(dtype=np.float64)
-    centres = {
-        name: in_order_of(rows, table.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
-        for name, table in ((CENTRE_ERROR, hits), (COMMON_CENTRE_ERROR, common))
-    }
-    return counts.assign(there=there, missed=there - counts["right"], **centres)
-
-
-def _crater_numbers(run: RunData) -> Mapping[str, tuple[pd.Series, pd.Series]]:
-    """Return the numbers of images with craters by their names, each with the number of craters that it is of.
-
-    A share with a zero denominator is NaN: that of false alarms where no detection is false or of a detectable crater,
-    that of missed craters where there are none.
-    """
-    counts = crater_counts(run)
-    if counts is None:
-        return {}
-    there, made = counts["there"], counts["right"] + counts["wrong"]
-    missed, wrong = (
-        100.0 * part / whole.where(whole > 0) for part, whole in ((counts["missed"], there), (counts["wrong"], made))
-    )
-    if CENTRE_ERROR not in counts:
-        return {MISSED: (missed, there), WRONG: (wrong, there)}
-    centres = {CENTRE_ERROR: there, COMMON_CENTRE_ERROR: counts["common"]}
-    return {MISSED: (missed, there), FALSE_ALARMS: (wrong, there)} | {
-        name: (counts[name], of) for name, of in centres.items()
-    }
+        counts = pd.DataFrame({name: _of_rows(rows, matched, column) for name, column in columns.items()})
+        centres: dict[str, NDArray[np.float64]] = {}
+    else:
+        image = ["scenario", "trial"]
+        kept = run.table("detections")[run.table("detections")["kept"].astype(bool)]
+        hits = kept[kept["detectable"].astype(bool)]
+        finders = hits.groupby([*image, "crater"])["estimator"].transform("nunique")
+        methods = hits["scenario"].map(rows.groupby("scenario")["estimator"].nunique())
+        common = hits[finders == methods]
+        lines = {"right": hits, "wrong": kept[kept["crater"] < 0], "common": common}
+        counted = {name: in_order_of(rows, table.groupby(TRIAL_KEY).size()) for name, table in lines.items()}
+        there = rows[image].merge(run.table("crater_images"), "left", image)["n_detectable"].to_numpy(dtype=np.float64)
+        counts = pd.DataFrame(counted, index=rows.index).fillna(0.0).assign(there=there)
+        counts["missed"] = counts["there"] - counts["right"]
+        centres = {
+            name: in_order_of(rows, table.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
+            for name, table in ((CENTRE_ERROR, hits), (COMMON_CENTRE_ERROR, common))
+        }
+    shares = {MISSED: ("missed", counts["there"]), metrics[1]: ("wrong", counts["right"] + counts["wrong"])}
+    percent = {name: 100.0 * counts[part] / whole.where(whole > 0) for name, (part, whole) in shares.items()}
+    return counts.assign(**percent, **centres)
 
 
 def _size(rows: pd.DataFrame, prefix: str, name: str) -> pd.Series:

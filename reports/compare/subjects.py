@@ -29,6 +29,7 @@ from boresight.reports.compare.trials import (
     default_factors,
     tabulate_trials,
 )
+from boresight.reports.figures.style import PlotStyle, plot_styles
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.measured import (
@@ -126,6 +127,29 @@ class RunComparison:
     def of(self, subject: Subject) -> pd.DataFrame:
         """Trials of a subject."""
         return _of(self.trials, self.factors, subject.names)
+
+    @cached_property
+    def styles(self) -> dict[tuple[str, ...], PlotStyle]:
+        """Style of each subject: that of its estimator, or its own where estimators are pooled."""
+        keys = [one.estimator or self.label(one.names) for one in self.subjects]
+        drawn = plot_styles(keys)
+        return {one.names: drawn[key] for one, key in zip(self.subjects, keys, strict=True)}
+
+    @cached_property
+    def groups(self) -> dict[str, dict[str, Subject]]:
+        """Subjects that differ in the estimator alone, by label, in groups by name; all in one where it is pooled."""
+        gathered: dict[str, dict[str, Subject]] = {}
+        for one in self.subjects:
+            named = dict(zip(self.factors, one.names, strict=True))
+            label = named.pop(ESTIMATOR, self.label(one.names))
+            kept = [level for factor, level in named.items() if factor in self.varied and ESTIMATOR in self.factors]
+            gathered.setdefault(", ".join(kept), {})[label] = one
+        return gathered
+
+    @property
+    def credits(self) -> list[str]:
+        """Credit lines of all runs, each once."""
+        return list(dict.fromkeys(line for run in self.runs for line in run.manifest.credits))
 
 
 def compare_runs(

@@ -12,8 +12,18 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.special import chdtr
 
-from boresight.reports.figures.axes import Points, draw_points, mark_decades
-from boresight.reports.figures.style import GREY, PlotStyle, finish, grid_figure, new_figure, plot_styles, styled
+from boresight.reports.figures.style import (
+    GREY,
+    PlotStyle,
+    Points,
+    draw_points,
+    finish,
+    grid_figure,
+    mark_decades,
+    new_figure,
+    plot_styles,
+    styled,
+)
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.arrays import FloatArray
 

@@ -12,7 +12,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import Points, draw_points
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -20,6 +19,8 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     VERMILION,
+    Points,
+    draw_points,
     finish,
     grid_figure,
     hide_axes,

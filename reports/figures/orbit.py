@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import draw_band, mark_decades
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -18,8 +17,10 @@ from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     VERMILION,
+    draw_band,
     finish,
     grid_figure,
+    mark_decades,
     mark_on_axis,
     new_figure,
     plot_styles,

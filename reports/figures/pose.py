@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from boresight.reports.figures.axes import mark_decades
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -22,6 +21,7 @@ from boresight.reports.figures.style import (
     beyond_text,
     finish,
     grid_figure,
+    mark_decades,
     mark_on_axis,
     new_figure,
     plot_styles,

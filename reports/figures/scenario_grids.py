@@ -10,8 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from boresight.reports.figures.axes import Points, draw_points, mark_decades
-from boresight.reports.figures.style import BLUE, GREY, finish, new_figure, plot_styles, styled
+from boresight.reports.figures.style import (
+    BLUE,
+    GREY,
+    Points,
+    draw_points,
+    finish,
+    mark_decades,
+    new_figure,
+    plot_styles,
+    styled,
+)
 from boresight.scenarios.arrays import FloatArray
 
 _PANELS_A_ROW = 3

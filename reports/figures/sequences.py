@@ -10,16 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import draw_band, mark_revolutions, scale_ordinate
 from boresight.reports.figures.style import (
     LINE_STYLES,
     ORANGE,
     SERIES_COLOURS,
     PlotStyle,
+    draw_band,
     finish,
     image_panel,
+    mark_revolutions,
     new_figure,
     plot_styles,
+    scale_ordinate,
     styled,
 )
 from boresight.reports.statistics.measured import MEAN, measure

@@ -10,7 +10,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from boresight.reports.figures.axes import mark_revolutions
 from boresight.reports.figures.style import (
     BLUE,
     GREEN,
@@ -19,6 +18,7 @@ from boresight.reports.figures.style import (
     VERMILION,
     finish,
     grid_figure,
+    mark_revolutions,
     new_figure,
     styled,
 )

@@ -8,14 +8,7 @@ from pathlib import Path
 
 from boresight.reports.compare.figures import comparison_figures
 from boresight.reports.compare.subjects import RunComparison
-from boresight.reports.compare.tables import (
-    consistency_grid,
-    consistency_table,
-    contrast_grid,
-    contrast_table,
-    subject_grid,
-    subject_table,
-)
+from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
 from boresight.reports.compare.trials import is_pooled_control
 from boresight.reports.figures.provenance import add_provenance
 from boresight.reports.pages.document import ON_BOARD, Document, write_document
@@ -48,9 +41,9 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
     BoresightError
         If the folder cannot be written.
     """
-    grids = tuple(comparison_grids(found))
-    tables = {"subjects.csv": subject_table(found), "differences.csv": contrast_table(found)}
-    tables |= {"consistency.csv": consistency_table(found)}
+    names = ("subjects.csv", "differences.csv", "consistency.csv")
+    printed, tables = zip(subject_tables(found), contrast_tables(found), consistency_tables(found), strict=True)
+    grids = tuple(grid for grid in printed if grid is not None)
     lead, *figures = comparison_figures(found)
     for one in (lead, *figures):
         add_provenance(one.figure, found.runs)
@@ -62,11 +55,11 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         lead=lead,
         figures=figures,
         command=command,
-        credits=list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits)),
+        credits=found.credits,
     )
     try:
         page = write_document(document, folder, "compare.html", "compare.md")
-        for name, table in tables.items():
+        for name, table in zip(names, tables, strict=True):
             table.to_csv(folder / name, index=False, lineterminator="\n")
     except OSError as error:
         raise BoresightError(
@@ -76,21 +69,10 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         folder,
         page,
         folder / "compare.md",
-        tuple(folder / name for name in tables),
+        tuple(folder / name for name in names),
         tuple(folder / f"{one.stem}.{kind}" for one in document.drawn() for kind in ("png", "pdf")),
         grids,
     )
-
-
-def comparison_grids(found: RunComparison) -> Iterator[Grid]:
-    """Yield the tables of a comparison, those without rows left out."""
-    yield subject_grid(found)
-    differences = contrast_grid(found)
-    if differences is not None:
-        yield differences
-    consistency = consistency_grid(found)
-    if consistency is not None:
-        yield consistency
 
 
 def facts(found: RunComparison) -> Iterator[tuple[str, str]]:

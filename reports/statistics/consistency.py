@@ -8,7 +8,7 @@ Tracking and Navigation, 2001, section 5.4). A covariance that is too small give
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -82,6 +82,11 @@ class NormalisedErrors:
     expected: int
     table: pd.DataFrame
 
+    def test(self, clusters: NDArray[np.generic]) -> ConsistencyTest:
+        """Compare them with their distribution; ``clusters`` (n,) are what of them is independent."""
+        ratios, degrees = (self.table[name].to_numpy(np.float64) for name in ("ratio", "degrees"))
+        return consistency_test(ratios, degrees, self.expected, clusters)
+
 
 @dataclass(frozen=True, slots=True)
 class ConsistencyTest:
@@ -147,16 +152,6 @@ def normalised_label(name: str) -> str:
     return known.get(name, name)
 
 
-def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, estimator: str) -> ConsistencyTest | None:
-    """Test the covariance of one estimator in one scenario; None where it gives none."""
-    own = select(weighed.table, scenario, estimator)
-    if own.empty:
-        return None
-    return consistency_test(
-        own["ratio"].to_numpy(np.float64), own["degrees"].to_numpy(np.float64), weighed.expected, clusters_of(run, own)
-    )
-
-
 def consistency_test(
     ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]
 ) -> ConsistencyTest:
@@ -188,8 +183,9 @@ def consistency_records(run: RunData) -> list[Record]:
         own = select(run.rows, scenario, estimator)
         sample = Sample(scenario, estimator, CONSISTENCY, len(own), unit="")
         for kind in kinds:
-            found = pair_consistency(run, kind, scenario, estimator)
-            if found is not None:
+            errors = replace(kind, table=select(kind.table, scenario, estimator))
+            if len(errors.table):
+                found = errors.test(clusters_of(run, errors.table))
                 parts = {MEAN.name: found.mean, MEDIAN.name: found.median, BAND: found.band, INSIDE: found.inside}
                 records += [sample.record(kind.name, name, part, found.n) for name, part in parts.items()]
         if (scenario, estimator) in posed:

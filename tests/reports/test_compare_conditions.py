@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import bootstrap, chi2
 
-from boresight.reports.compare.conditions import (
+from boresight.reports.compare.figures import (
     SUCCESS,
     binned_errors,
     frames_by_condition,

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 
-from boresight.reports.figures.axes import Points
 from boresight.reports.figures.scenario_grids import CurvePanel, HeatMap, draw_curves, draw_heat_maps
+from boresight.reports.figures.style import Points
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.designs.figures import design_figures
 from boresight.reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes

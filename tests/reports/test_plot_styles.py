@@ -14,8 +14,16 @@ from boresight.estimators.craters.registry import crater_detector_names, crater_
 from boresight.estimators.orbit.registry import orbit_estimator_names
 from boresight.estimators.registry import estimator_names
 from boresight.estimators.slam.registry import sequence_estimator_names
-from boresight.reports.figures.axes import mark_decades, scale_ordinate
-from boresight.reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, plot_styles, report_styles
+from boresight.reports.figures.style import (
+    GREY,
+    SERIES_COLOURS,
+    add_footer,
+    mark_decades,
+    new_figure,
+    plot_styles,
+    report_styles,
+    scale_ordinate,
+)
 from boresight.scenarios.load import load_campaign
 
 REGISTERED = sorted(

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from boresight.reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
+from boresight.reports.compare.figures import cumulative_figure, summary_figure
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import compared
-from boresight.reports.figures.axes import Points
 from boresight.reports.figures.scenario_grids import (
     CurvePanel,
     Effect,
@@ -18,6 +17,7 @@ from boresight.reports.figures.scenario_grids import (
     draw_effects,
     draw_heat_maps,
 )
+from boresight.reports.figures.style import Points
 from boresight.reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from boresight.reports.run.data import GridAxis, RunData
 from boresight.reports.schema.grid import number
@@ -44,7 +44,7 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
         if run.rows[POSITION].notna().any():
             both = compared((run,), Metric(POSITION))
             yield summary_figure(both)
-            for level, subjects in subjects_by_group(both).items():
+            for level, subjects in both.groups.items():
                 yield cumulative_figure(both, level, subjects)
         return
     draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import compared
-from boresight.reports.compare.tables import subject_grid
+from boresight.reports.compare.tables import subject_tables
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs.figures import design_figures
 from boresight.reports.kinds.designs.tables import POSITION, REVOLUTION_ERRORS, design_grids
@@ -74,7 +74,7 @@ def _errors_at_the_end(run: RunData) -> list[Grid]:
     """Tabulate the position errors at the last frame of sequences of less than a revolution."""
     if run.rows[list(REVOLUTION_ERRORS)].notna().any(axis=None) or run.rows[POSITION].isna().all():
         return []
-    whole = subject_grid(compared((run,), Metric(POSITION)))
+    whole, _ = subject_tables(compared((run,), Metric(POSITION)))
     shown = [head for head in whole.columns if head in ("estimator", "scenario", "solved") or head.startswith("median")]
     return [replace(whole.keep(*shown), note="")]
 

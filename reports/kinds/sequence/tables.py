@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from boresight.reports.figures.axes import band_label
 from boresight.reports.figures.sequences import (
     AFTER_REVOLUTIONS,
     LANDMARKS,
@@ -17,6 +16,7 @@ from boresight.reports.figures.sequences import (
     draw_starts,
     draw_traces,
 )
+from boresight.reports.figures.style import band_label
 from boresight.reports.kinds.sequence.contrasts import ERROR_RATIOS
 from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools
 from boresight.reports.run.data import RunData, select

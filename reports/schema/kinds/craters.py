@@ -1,4 +1,4 @@
-"""Columns of crater detection: images with their true craters, and what each detector finds in them."""
+"""Columns of crater detection (images with their true craters, and what each detector finds) and crater matching."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR, COMMON_CENTRE_ERROR)
 the centres of the detectable craters that this method found, and of those that every method of the run found: a method
 that leaves the difficult ones out must not look more accurate for it."""
 
+WRONG = "wrong_share"
+MATCHING = (MISSED, WRONG)
+"""Of a pair of images: craters in both that were not matched, and matches that are wrong, %."""
+
 
 def _flags(of: str) -> Columns:
     """Columns of the two flags; a detection of a crater that is not detectable is neither found nor false in rates."""
@@ -21,7 +25,7 @@ def _flags(of: str) -> Columns:
     )
 
 
-_SCHEMA = KindSchema(
+_DETECTION = KindSchema(
     row=(*DATABASE, *VIEW),
     tables={
         "crater_images": (
@@ -97,4 +101,33 @@ _SCHEMA = KindSchema(
     ),
 )
 
-SCHEMAS = {"crater-detection": _SCHEMA}
+_MATCHING = KindSchema(
+    row=VIEW,
+    tables={
+        "crater_matches": (
+            *KEY,
+            number("view_deg", "angle between the directions to the two cameras"),
+            number("sun_deg", "angle between the two directions of the Sun"),
+            count("n_first", "detections in the first image"),
+            count("n_second", "detections in the second image"),
+            count("n_common", "craters of the truth that are detected in both"),
+            count("n_correct", "matches that join two detections of one of them"),
+            count("n_wrong", "the other matches but those of n_unlisted"),
+            count("n_missed", "craters in both without a correct match"),
+            count("n_unlisted", "matches of detections that may be craters too small for the list of the truth"),
+            measured(
+                "epipolar_offset_px", "largest distance of one of them from its epipolar line",
+                "largest distance of a crater from its epipolar line",
+            ),
+        ),
+    },
+    measures=(
+        share(WRONG, "wrong matches", error=True),
+        share("matching_recall_share"),
+        share("matching_wrong_share"),
+        share("mixed_share"),
+    ),
+    metrics=MATCHING,
+)  # fmt: skip
+
+SCHEMAS = {"crater-detection": _DETECTION, "crater-matching": _MATCHING}
