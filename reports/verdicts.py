@@ -6,6 +6,7 @@ bounds were chosen.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -15,7 +16,7 @@ from boresight.reports.published import Comparison, PublishedClaim, PublishedVal
 from boresight.reports.schema.common import POSE_COLUMNS
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
 from boresight.reports.schema.labels import stage_label
-from boresight.reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Record, find
+from boresight.reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Key, Record, by_key
 from boresight.reports.schema.tables import measure_label, unit_of
 from boresight.reports.statistics.intervals import wilson
 
@@ -70,15 +71,15 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
 
     A value of ours that belongs to a scenario alone is used for each of its estimators.
     """
+    known = by_key(records)
     pairs = dict.fromkeys((r.scenario, r.estimator) for r in records if r.estimator not in ("", CONTROL))
     compared = []
     for scenario, estimator in pairs:
         for published in comparison.values:
             if published.scenario not in ("", scenario) or published.estimator not in ("", estimator):
                 continue
-            key = {"scenario": scenario, "stage": published.stage, "measure": published.measure}
-            key |= {"statistic": published.statistic, "reference": published.against}
-            ours = find(records, **key, estimator=estimator) or find(records, **key, estimator="")
+            which = (published.stage, published.against, published.measure, published.statistic)
+            ours = known.get(Key(scenario, estimator, *which)) or known.get(Key(scenario, "", *which))
             if ours is None and published.stage == DERIVED:
                 continue
             own = bool(published.estimator) or estimator in comparison.methods
@@ -89,44 +90,35 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
 
 def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
     """Compare each statement of the paper with our values, scenario by scenario."""
+    known, found = by_key(records), []
     scenarios = tuple(dict.fromkeys(r.scenario for r in records))
-    return tuple(
-        _due(_compared_claim(records, scenario, claim), comparison)
-        for claim in comparison.claims
-        for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
-        if claim.scenario in ("", scenario)
+    for claim in comparison.claims:
+        for scenario in ("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios:
+            if claim.scenario not in ("", scenario):
+                continue
+            terms = (Term(estimator=claim.solves),) if claim.solves else claim.order
+            ours = tuple(known.get(_key_of(claim, term, scenario)) for term in terms)
+            due = solved_verdict(ours[0], claim.share) if claim.solves else order_verdict(ours)
+            if due != "not measured" and (claim.unjudged or not comparison.verdicts):
+                due = "context"
+            found.append(ComparedClaim(scenario, claim, ours, due))
+    return tuple(found)
+
+
+def _key_of(claim: PublishedClaim, term: Term, scenario: str) -> Key:
+    return Key(
+        term.scenario or scenario,
+        term.estimator or claim.estimator,
+        term.stage or claim.stage,
+        term.against or claim.against,
+        term.measure or claim.measure,
+        term.statistic or claim.compared_statistic,
     )
 
 
 def on_embedded_body(item: Compared) -> Compared:
     """Replace a verdict of a run with built-in bodies, which give values alone."""
     return item if item.verdict in _NONE_DUE else replace(item, verdict="embedded body")
-
-
-def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
-    """Replace the verdict by "context" where the comparison or the statement has none."""
-    due = comparison.verdicts and not item.claim.unjudged
-    return item if due or item.verdict == "not measured" else replace(item, verdict="context")
-
-
-def _compared_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim) -> ComparedClaim:
-    if claim.solves:
-        ours = _of_claim(records, scenario, claim, Term(estimator=claim.solves))
-        return ComparedClaim(scenario, claim, (ours,), solved_verdict(ours, claim.share))
-    values = tuple(_of_claim(records, scenario, claim, term) for term in claim.order)
-    return ComparedClaim(scenario, claim, values, order_verdict(values) if values else "not measured")
-
-
-def _of_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim, term: Term) -> Record | None:
-    return find(
-        records,
-        scenario=term.scenario or scenario,
-        estimator=term.estimator or claim.estimator,
-        stage=term.stage or claim.stage,
-        measure=term.measure or claim.measure,
-        statistic=term.statistic or claim.compared_statistic,
-        reference=term.against or claim.against,
-    )
 
 
 def solved_verdict(ours: Record | None, share: float = 0.9) -> Verdict:
@@ -150,6 +142,8 @@ def order_verdict(ascending: Sequence[Record | None]) -> Verdict:
         if record.low is None or record.high is None:
             return "undecided"
         bounds.append((record.low, record.high))
+    if not bounds:
+        return "not measured"
     if all(first[1] < second[0] for first, second in pairwise(bounds)):
         return "reproduced"
     return "differs" if any(first[0] > second[1] for first, second in pairwise(bounds)) else "undecided"
@@ -159,35 +153,26 @@ def value_verdict(ours: Record | None, published: PublishedValue, own: bool = Tr
     """Apply `VERDICT_RULE` to one value; ``own``: whether the paper has the method itself."""
     if ours is None or ours.value is None:
         return "not measured"
-    if published.relation != "about":
-        verdict = _side_verdict(ours, published)
-        beyond = published.better == {"above": "higher", "below": "lower"}[published.relation]
-        return "better" if verdict == "reproduced" and beyond and not own else verdict
-    if published.tolerance is None:
+    about = published.relation == "about"
+    if about and published.tolerance is None:
         return "context"
     if ours.low is None or ours.high is None:
         return "undecided"
-    lowest, highest = published.value - published.tolerance, published.value + published.tolerance
-    if ours.high < lowest or ours.low > highest:
-        side = "lower" if ours.high < lowest else "higher"
-        if side == published.better and not own:
+    least, most = published.value, math.inf if published.at_most is None else published.at_most
+    if published.relation == "below":
+        least, most = -math.inf, published.value
+    elif published.tolerance is not None and about:
+        least, most = published.value - published.tolerance, published.value + published.tolerance
+    if ours.high < least or ours.low > most:
+        side = "lower" if ours.high < least else "higher"
+        if about and side == published.better and not own:
             return "better"
         return "differs (lower)" if side == "lower" else "differs (higher)"
-    return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
-
-
-def _side_verdict(ours: Record, published: PublishedValue) -> Verdict:
-    """Judge whether the whole interval lies on the side of the printed number that the words name."""
-    if ours.low is None or ours.high is None:
+    # An interval that ends at the printed number is not above it.
+    if not (least <= ours.low and ours.high <= most) or (published.relation == "above" and ours.low == least):
         return "undecided"
-    least, most = published.value, published.at_most
-    if published.relation == "below":
-        least, most = -float("inf"), published.value
-    if ours.high < least:
-        return "differs (lower)"
-    if most is not None and ours.low > most:
-        return "differs (higher)"
-    return "reproduced" if ours.low > least and (most is None or ours.high <= most) else "undecided"
+    beyond = {"above": "higher", "below": "lower"}.get(published.relation)
+    return "better" if beyond == published.better and not own else "reproduced"
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:

@@ -15,8 +15,7 @@ from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.request import RUNS
 from boresight.campaign.runs.requirements import needs
 from boresight.reports.figures.provenance import add_provenance, with_trial_counts
-from boresight.reports.papers.page import PaperLine, PaperPage, paper_lines
-from boresight.reports.papers.tables import lines_by_table, table_figure
+from boresight.reports.papers.page import PaperLine, PaperPage, lines_by_table, paper_lines, table_figure
 from boresight.reports.published import load_published
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.grid import Grid

@@ -24,7 +24,7 @@ from boresight.reports.figures.style import (
     plot_styles,
     styled,
 )
-from boresight.reports.statistics.measured import Measured
+from boresight.reports.statistics.measured import Measured, percent
 from boresight.scenarios.arrays import FloatArray
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
@@ -92,8 +92,7 @@ def draw_summaries(
         _draw_differences(panels[-1], summaries, axis, against)
     panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
     panels[0].set_ylim(len(summaries) - 0.4, -0.6)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    return finish(figure, title, credit_lines)
+    return finish(figure, title, credit_lines, legend=panels[0])
 
 
 def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> None:
@@ -131,9 +130,7 @@ def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> Non
 def _draw_success(axes: Axes, summaries: Sequence[SubjectSummary]) -> None:
     for row, one in enumerate(summaries):
         if one.success is not None:
-            ends = (one.success.value, one.success.low, one.success.high)
-            percent = Measured(*(None if end is None else 100.0 * end for end in ends))
-            _draw_interval(axes, row, percent, one.colour)
+            _draw_interval(axes, row, percent(one.success), one.colour)
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, 0.0), min(high, 101.0))
     axes.set_xlabel("success, %")
@@ -288,8 +285,11 @@ def draw_trade_off(
         for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
             _draw_methods(axes, {key: point.errors[name] for key, point in points.items()}, costs)
             axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
-            axes.set(xlabel=abscissa, ylabel=label)
-            _use_log_axes(axes)
+            axes.set(xlabel=abscissa, ylabel=label, xscale="log", yscale="log")
+            axes.margins(0.15)
+            axes.autoscale_view()
+            for axis in (axes.xaxis, axes.yaxis):
+                mark_decades(axis)
         row[1].sharey(row[0])
     return finish(figure, title, credit_lines, legend=places[0, 0])
 
@@ -305,16 +305,6 @@ def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str
             [costs[label]], [error.value], yerr=reach, color=drawn[label].colour, marker=drawn[label].marker,
             markersize=6, linestyle="none", capsize=3, label=label,
         )  # fmt: skip
-
-
-def _use_log_axes(axes: Axes) -> None:
-    """Make both axes logarithmic, labelled with plain numbers."""
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.margins(0.15)
-    axes.autoscale_view()
-    for axis in (axes.xaxis, axes.yaxis):
-        mark_decades(axis)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

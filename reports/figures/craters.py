@@ -140,11 +140,7 @@ def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) ->
     place.plot(
         [5.0], [90.0], marker="*", markersize=11, color="black", linestyle="none", label="paper: over 90, under 5"
     )
-    place.set(
-        xlabel="false alarms among those and detectable craters, %",
-        ylabel="craters found, %",
-        ylim=(0, 101),
-    )
+    place.set(xlabel="false alarms among those and detectable craters, %", ylabel="craters found, %", ylim=(0, 101))
     place.set_xlim(left=0.0)
     place.legend(loc="lower right")
     return finish(figure, title)
@@ -171,8 +167,7 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
             place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))
     axes[0].set_ylabel("detectable craters found, %")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(detectors))
-    return finish(figure, title)
+    return finish(figure, title, legend=axes[0], columns=len(detectors))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,7 +68,7 @@ def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:
     places = np.arange(len(keys))
     height = 0.8 / max(len(row.shares), 1)
     for i, ((name, shares), colour) in enumerate(zip(row.shares.items(), (BLUE, ORANGE), strict=False)):
-        values, low, high = (np.array([x or 0.0 for x in xs]) for xs in zip(*map(_value_low_high, shares), strict=True))
+        values, low, high = np.array([[x or 0.0 for x in (one.value, one.low, one.high)] for one in shares]).T
         axes.barh(places + i * height, values, height, color=colour, alpha=0.75, label=name)
         axes.errorbar(
             values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
@@ -83,10 +83,6 @@ def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:
         legend.set_in_layout(True)
     else:
         axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
-
-
-def _value_low_high(measured: Measured) -> tuple[float | None, float | None, float | None]:
-    return measured.value, measured.low, measured.high
 
 
 def _wrapped(key: str) -> list[str]:

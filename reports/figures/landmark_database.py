@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -56,25 +58,33 @@ def draw_triangulation(view: SurfaceView, title: str) -> Figure:
     view
         Their projection.
     """
-    points = np.concatenate([view.landmarks_px, view.normals_px.reshape(-1, 2)])
-    (left, right), (top, bottom) = window_around(points, 0.04)
-    figure, panels = new_figure(3, width_in=10.5, height_in=0.75 + 3.4 * (bottom - top) / (right - left))
-    panels[0].add_collection(LineCollection(list(view.edges_px), colors=BLUE, linewidths=0.25, alpha=0.35))
-    panels[0].plot(*view.landmarks_px.T, ".", markersize=2.4, color=_EDGE, markeredgewidth=0.0)
-    panels[1].add_collection(_surface(view, 0.35 + 0.65 * view.shades))
-    panels[2].add_collection(_surface(view, np.full_like(view.shades, 0.93)))
-    panels[2].add_collection(LineCollection(list(view.normals_px), colors=VERMILION, linewidths=0.7))
     names = (
         f"(a) Delaunay triangulation ({view.n_tetrahedra} tetrahedra)",
         f"(b) concave hull ({view.n_facets} facets)",
         "(c) outward normals",
     )
+    points = np.concatenate([view.landmarks_px, view.normals_px.reshape(-1, 2)])
+    figure, panels = _cropped_panels(points, 0.04, names, title)
+    panels[0].add_collection(LineCollection(list(view.edges_px), colors=BLUE, linewidths=0.25, alpha=0.35))
+    panels[0].plot(*view.landmarks_px.T, ".", markersize=2.4, color=_EDGE, markeredgewidth=0.0)
+    panels[1].add_collection(_surface(view, 0.35 + 0.65 * view.shades))
+    panels[2].add_collection(_surface(view, np.full_like(view.shades, 0.93)))
+    panels[2].add_collection(LineCollection(list(view.normals_px), colors=VERMILION, linewidths=0.7))
+    return figure
+
+
+def _cropped_panels(
+    points_px: FloatArray, margin: float, names: Sequence[str], title: str
+) -> tuple[Figure, list[Axes]]:
+    """Make named panels that show the part of the image around points (n, 2), with a margin as a share of its size."""
+    (left, right), (top, bottom) = window_around(points_px, margin)
+    height_in = 0.75 + 3.4 * (bottom - top) / (right - left)
+    figure, panels = new_figure(len(names), width_in=10.5, height_in=height_in)
     for axes, name in zip(panels, names, strict=True):
-        axes.set_title(name)
-        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+        axes.set(title=name, xlim=(left, right), ylim=(bottom, top), aspect="equal")
         hide_axes(axes)
     figure.suptitle(title, fontsize=10)
-    return figure
+    return figure, panels
 
 
 def _surface(view: SurfaceView, shades: FloatArray) -> PolyCollection:
@@ -114,20 +124,15 @@ def draw_clusters(view: ClusterView, title: str) -> Figure:
     """
     rows, columns = np.nonzero(view.image > 0.0)
     corners = np.stack([columns, rows], axis=1).astype(np.float64)
-    (left, right), (top, bottom) = window_around(np.concatenate([corners, corners + 1.0]), 0.05)
-    height_in = 0.75 + 3.4 * (bottom - top) / (right - left)
-    figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=height_in)
-    for axes, points, cluster in ((first, view.seed_px, view.seed_of), (second, view.merged_px, view.merged_of)):
-        u, v = points.T
-        axes.scatter(u, v, s=1.6, c=cluster_colours(cluster), linewidths=0.0, rasterized=True)
-    show_image(third, view.image)
     seeds, merged = (len(np.unique(numbers)) for numbers in (view.seed_of, view.merged_of))
     names = (f"(a) seed clusters ({seeds} in view)", f"(b) merged clusters ({merged} in view)", "(c) the body")
-    for axes, name in zip((first, second, third), names, strict=True):
-        axes.set_title(name)
-        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-        hide_axes(axes)
-    figure.suptitle(title, fontsize=10)
+    figure, panels = _cropped_panels(np.concatenate([corners, corners + 1.0]), 0.05, names, title)
+    for axes, points, cluster in zip(
+        panels, (view.seed_px, view.merged_px), (view.seed_of, view.merged_of), strict=False
+    ):
+        u, v = points.T
+        axes.scatter(u, v, s=1.6, c=cluster_colours(cluster), linewidths=0.0, rasterized=True)
+    show_image(panels[2], view.image)
     return figure
 
 

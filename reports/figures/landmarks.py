@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
@@ -20,11 +20,11 @@ from boresight.reports.figures.style import (
     beyond_text,
     finish,
     grid_figure,
+    histogram_panel,
     mark_on_axis,
     new_figure,
     raise_top,
     shared_edges,
-    step_histogram,
     styled,
 )
 from boresight.reports.schema.grid import shortest
@@ -33,7 +33,6 @@ from boresight.scenarios.arrays import FloatArray
 DEGREES_OF_FREEDOM = 3
 # The range of the theoretical distribution. Wrong matches reach values a hundred times larger and would hide it.
 _CHI_SQUARE_EDGES = np.linspace(0.0, 30.0, 61)
-_FILL = {"color": BLUE, "linewidth": 1.5}
 
 
 @styled
@@ -48,32 +47,21 @@ def draw_landmark_errors(
         (n,) and (m,) finite values of all recognised landmarks.
     """
     figure, (left, right) = new_figure(2)
-    _draw_sample(
-        left, error_m, shared_edges([error_m], bins=50, percent=95.0), "m", "landmark error, m", "frequency per metre"
-    )
-    _draw_sample(right, chi_square, _CHI_SQUARE_EDGES, "", "chi-square of the landmark error", "frequency")
-    x = np.linspace(0.0, _CHI_SQUARE_EDGES[-1], 400)
-    theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
+    error_edges = shared_edges([error_m], bins=50, percent=95.0)
+    for axes, sample, edges, unit, label, frequency in (
+        (left, error_m, error_edges, "m", "landmark error, m", "frequency per metre"),
+        (right, chi_square, _CHI_SQUARE_EDGES, "", "chi-square of the landmark error", "frequency"),
+    ):
+        name = f"observed: median {shortest(float(np.median(sample)))} {unit}".rstrip() + f" (n = {len(sample)})"
+        beyond = histogram_panel(axes, {name: sample}, [{"color": BLUE, "linewidth": 1.5}], edges, 0.85)
+        axes.set(xlabel=label + beyond_text(beyond, float(edges[-1]), unit), ylabel=frequency)
+    x, half = np.linspace(0.0, _CHI_SQUARE_EDGES[-1], 400), DEGREES_OF_FREEDOM / 2.0
+    density = np.exp(xlogy(half - 1.0, x) - x / 2.0 - gammaln(half) - half * np.log(2.0))
     raise_top(right, 1)
-    right.plot(x, _chi_square_density(x), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
+    theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
+    right.plot(x, density, color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
     right.legend(loc="upper right")
     return finish(figure, title, credit_lines)
-
-
-def _chi_square_density(x: FloatArray) -> FloatArray:
-    half = DEGREES_OF_FREEDOM / 2.0
-    return np.asarray(np.exp(xlogy(half - 1.0, x) - x / 2.0 - gammaln(half) - half * np.log(2.0)))
-
-
-def _draw_sample(axes: Axes, sample: FloatArray, edges: FloatArray, unit: str, label: str, frequency: str) -> None:
-    median = float(np.median(sample))
-    name = f"observed: median {shortest(median)} {unit}".rstrip() + f" (n = {len(sample)})"
-    beyond = step_histogram(axes, sample, edges, label=name, **_FILL)
-    axes.axvline(median, ymax=0.85, color=BLUE, linewidth=0.9, linestyle=":")
-    label += beyond_text(beyond, float(edges[-1]), unit)
-    axes.set(xlabel=label, ylabel=frequency, xlim=(0, edges[-1]))
-    raise_top(axes, 1)
-    axes.legend(loc="upper right")
 
 
 @styled
@@ -122,19 +110,15 @@ def draw_count_comparison(
     top = max(float(sample.max()) for sample in counts.values())
     width = max(1, round(top / 60))
     edges = np.arange(-0.5, top + width + 0.5, width)
+    samples, lines = dict[str, FloatArray](), list[dict[str, Any]]()
     for i, (name, sample) in enumerate(counts.items()):
-        colour = SERIES_COLOURS[i % len(SERIES_COLOURS)]
-        median = float(np.median(sample))
-        label = f"{name}: median {shortest(median)} (n = {len(sample)})"
-        style = LINE_STYLES[i % len(LINE_STYLES)]
-        step_histogram(axes, sample, edges, label=label, color=colour, linestyle=style, linewidth=1.5)
-        axes.axvline(median, ymax=0.75, color=colour, linewidth=0.9, linestyle=":")
+        colour, style = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i % len(LINE_STYLES)]
+        samples[f"{name}: median {shortest(float(np.median(sample)))} (n = {len(sample)})"] = sample
+        lines.append({"color": colour, "linestyle": style, "linewidth": 1.5})
         if name in published:
             mark_on_axis(axes, published[name], colour)
+    histogram_panel(axes, samples, lines, edges, 0.75)
     axes.set(xlabel="recognised landmarks an image", ylabel="share of the images per landmark")
-    axes.set_xlim(0.0, edges[-1])
-    raise_top(axes, len(counts))
-    axes.legend(loc="upper right")
     return finish(figure, title, credit_lines)
 
 

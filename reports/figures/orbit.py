@@ -216,5 +216,4 @@ def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
         text = f"{label}: {len(own):,}"
         axes.plot(own["u_px"], own["v_px"], marker, color=colour, markersize=4, linestyle="none", label=text)
     axes.set(xlabel="column residual, px", ylabel="row residual, px", xscale="symlog", yscale="symlog")
-    figure.legend(loc="outside lower center", ncols=2)
-    return finish(figure, title)
+    return finish(figure, title, legend=axes, columns=2)

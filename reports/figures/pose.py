@@ -21,6 +21,7 @@ from boresight.reports.figures.style import (
     beyond_text,
     finish,
     grid_figure,
+    histogram_panel,
     mark_decades,
     mark_on_axis,
     new_figure,
@@ -131,10 +132,12 @@ def draw_pose_errors(
             }
         medians = {name: v for (name, wanted), v in (published or {}).items() if wanted == column and name in samples}
         edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
-        beyond = _draw_stage_histograms(axes, samples, list(stages), edges, unit)
+        lines = {name: _line(list(stages).index(name), len(stages)) for name in samples}
+        labelled = {_stage_label(name, sample, unit): sample for name, sample in samples.items()}
+        beyond = histogram_panel(axes, labelled, list(lines.values()), edges, 0.8)
         for name, value in medians.items():
-            mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
-        axes.set(xlabel=label + beyond, ylabel=frequency)
+            mark_on_axis(axes, value, lines[name]["color"])
+        axes.set(xlabel=label + beyond_text(beyond, float(edges[-1]), unit), ylabel=frequency)
         axes.xaxis.set_major_locator(MaxNLocator(_TICKS))
     return finish(figure, title, credit_lines)
 
@@ -152,24 +155,12 @@ def _line(index: int, count: int) -> dict[str, Any]:
     return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
 
 
-def _draw_stage_histograms(
-    axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], edges: FloatArray, unit: str
-) -> str:
-    """Draw the histograms; return the note on values beyond the axis, to be added to its label."""
-    beyond = 0
-    for name, sample in samples.items():
-        line = _line(order.index(name), len(order))
-        label = f"{name} (n = {len(sample)})"
-        if len(sample):
-            median = float(np.median(sample))
-            digits = f"{median:.3g}" if median < 1000.0 else f"{median:.0f}"  # without an exponent
-            label = f"{name}: median {digits} {unit} (n = {len(sample)})"
-            axes.axvline(median, ymax=0.8, color=line["color"], linewidth=0.9, linestyle=":")
-        beyond += step_histogram(axes, sample, edges, label=label, **line)
-    axes.set_xlim(0, edges[-1])
-    raise_top(axes, len(samples))
-    axes.legend(loc="upper right")
-    return beyond_text(beyond, float(edges[-1]), unit)
+def _stage_label(name: str, sample: FloatArray, unit: str) -> str:
+    if not len(sample):
+        return f"{name} (n = 0)"
+    median = float(np.median(sample))
+    digits = f"{median:.3g}" if median < 1000.0 else f"{median:.0f}"  # without an exponent
+    return f"{name}: median {digits} {unit} (n = {len(sample)})"
 
 
 @styled

@@ -161,9 +161,7 @@ def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()
     fit
         The recognition to draw.
     """
-    figure, (first, _, third) = _panels(fit, "(c) converged fit")
-    _draw_initial(first, fit)
-    _draw_edges(third, fit.after)
+    figure, third = _draw_fit(fit, "(c) converged fit")
     free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
     third.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
     third.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
@@ -171,9 +169,7 @@ def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()
         _dot("D", "none", VERMILION, f"corner, not matched ({len(free)})"),
         _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({len(matched)})"),
     ]
-    _add_legend(figure, corners, credit_lines)
-    figure.suptitle(title, fontsize=10)
-    return figure
+    return _explained(figure, title, corners, credit_lines)
 
 
 @styled
@@ -185,16 +181,12 @@ def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str
     fit
         The recognition to draw; ``after`` is the data base with the aligned pose. Corners are not drawn.
     """
-    figure, (first, _, third) = _panels(fit, "(c) fit after the alignment of the centroids")
-    _draw_initial(first, fit)
-    _draw_edges(third, fit.after)
-    _add_legend(figure, [], credit_lines)
-    figure.suptitle(title, fontsize=10)
-    return figure
+    figure, _ = _draw_fit(fit, "(c) fit after the alignment of the centroids")
+    return _explained(figure, title, [], credit_lines)
 
 
-def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
-    """Show the image, the mesh and the image again, all three cropped to the body."""
+def _draw_fit(fit: FitPanels, last: str) -> tuple[Figure, Axes]:
+    """Draw the initial fit, the mesh and the final fit, all three cropped to the body; return the last panel too."""
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
     shape = fit.image.shape
     window = window_around(points, 0.06, 0.0, fit.image) if len(points) else ((0.0, shape[1]), (0.0, shape[0]))
@@ -204,20 +196,14 @@ def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
     names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
     for axes, image, name in zip(panels, (fit.image, fit.mesh_image, fit.image), names, strict=True):
         image_panel(axes, image, name, window)
-    return figure, panels
-
-
-def _draw_initial(axes: Axes, fit: FitPanels) -> None:
-    _draw_edges(axes, fit.before)
+    first, _, third = panels
+    for axes, overlay in ((first, fit.before), (third, fit.after)):
+        axes.add_collection(LineCollection(list(overlay.edges_px), colors=ORANGE, linewidths=0.45, alpha=0.75))
     if fit.before.covariances_px2 is not None:
-        axes.add_collection(_ellipses(axes, fit.before.landmarks_px, fit.before.covariances_px2))
-    marks = ((fit.observed_centroid_px, "black"), (fit.rendered_centroid_px, VERMILION))
-    for (u, v), colour in marks:
-        axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
-
-
-def _draw_edges(axes: Axes, overlay: Overlay) -> None:
-    axes.add_collection(LineCollection(list(overlay.edges_px), colors=ORANGE, linewidths=0.45, alpha=0.75))
+        first.add_collection(_ellipses(first, fit.before.landmarks_px, fit.before.covariances_px2))
+    for (u, v), colour in ((fit.observed_centroid_px, "black"), (fit.rendered_centroid_px, VERMILION)):
+        first.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
+    return figure, third
 
 
 def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -> EllipseCollection:
@@ -235,8 +221,8 @@ def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
 
 
-def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
-    """Explain the marks of the initial fit and others, and print the credits below the panels."""
+def _explained(figure: Figure, title: str, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> Figure:
+    """Print the title, and below the panels the credits and what the marks of the initial fit and others are."""
     marks = [
         _dot("o", "black", "black", "observed centroid"),
         _dot("o", VERMILION, VERMILION, "rendered centroid"),
@@ -248,6 +234,8 @@ def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequenc
         handles=marks, loc="outside lower center", ncols=len(marks), columnspacing=1.2, handlelength=1.4,
         title="; ".join(credit_lines) or None, title_fontsize=7,
     )  # fmt: skip
+    figure.suptitle(title, fontsize=10)
+    return figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

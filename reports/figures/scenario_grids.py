@@ -48,27 +48,21 @@ def draw_heat_maps(matrices: Sequence[HeatMap], rows_label: str, columns_label: 
     down, across = matrices[0].values.shape
     figure, panels = new_figure(len(matrices), 1.3 + len(matrices) * (0.5 + 0.85 * across), 1.5 + 0.62 * down)
     for axes, matrix in zip(panels, matrices, strict=True):
-        _draw_heat_map(axes, matrix)
-        axes.set_xlabel(columns_label)
+        finite = matrix.values[np.isfinite(matrix.values)]
+        high = float(finite.max()) if len(finite) else 1.0
+        # The scale begins at 0, so that values that differ little have similar colours.
+        axes.imshow(matrix.values, cmap="Blues", vmin=0.0, vmax=1.1 * high or 1.0, aspect="auto")
+        for (i, j), value in np.ndenumerate(matrix.values):
+            colour = "white" if np.isfinite(value) and value > 0.6 * high else "black"
+            axes.text(j, i, matrix.texts[i][j], ha="center", va="center", fontsize=6.5, color=colour)
+        axes.set_xticks(range(across), matrix.columns, rotation=20, ha="right")
+        axes.set_yticks(range(down), matrix.rows)
+        axes.grid(visible=False)
+        axes.set(title=matrix.title, xlabel=columns_label)
     for axes in panels[1:]:
         axes.set_yticklabels([])
     panels[0].set_ylabel(rows_label)
     return finish(figure, title)
-
-
-def _draw_heat_map(axes: Axes, matrix: HeatMap) -> None:
-    finite = matrix.values[np.isfinite(matrix.values)]
-    high = float(finite.max()) if len(finite) else 1.0
-    # The scale begins at 0, so that values that differ little have similar colours.
-    axes.imshow(matrix.values, cmap="Blues", vmin=0.0, vmax=1.1 * high or 1.0, aspect="auto")
-    for (i, j), value in np.ndenumerate(matrix.values):
-        dark = np.isfinite(value) and value > 0.6 * high
-        colour = "white" if dark else "black"
-        axes.text(j, i, matrix.texts[i][j], ha="center", va="center", fontsize=6.5, color=colour)
-    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=20, ha="right")
-    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
-    axes.grid(visible=False)
-    axes.set_title(matrix.title)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +91,8 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
         axes.axvline(1.0, color=GREY, linewidth=0.9, linestyle="--")
         axes.set_xscale("log")
         axes.set_xlim(*bounds)
-        ticks = [
-            t
-            for t in (_FEW_TICKS if bounds[1] > _WIDE * bounds[0] else _TICKS)
-            if axes.get_xlim()[0] <= t <= axes.get_xlim()[1]
-        ]
+        choice = _FEW_TICKS if bounds[1] > _WIDE * bounds[0] else _TICKS
+        ticks = [tick for tick in choice if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.set_xticks([], minor=True)
         axes.set_ylim(most - 0.5, -0.5)
@@ -135,27 +126,19 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     figure = Figure(figsize=(2.6 * across + 0.4, 2.2 * down + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
+    drawn = plot_styles(panels[0].lines)
     for axes, panel in zip(places, panels, strict=False):
-        _draw_curve_panel(axes, panel)
+        for label, points in panel.lines.items():
+            order = np.argsort(points.x)
+            ascending = Points(points.x[order], points.y[order], points.low_high[order])
+            draw_points(axes, ascending, drawn[label], linewidth=1.3, elinewidth=0.9, label=label)
+        axes.set(xlabel=panel.label, yscale="log")
+        _scale_abscissa(axes, np.unique(np.concatenate([points.x for points in panel.lines.values()])))
     mark_decades(places[0].yaxis)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
-    handles, labels = places[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     figure.supylabel(ordinate, fontsize=9)
-    return finish(figure, title)
-
-
-def _draw_curve_panel(axes: Axes, panel: CurvePanel) -> None:
-    drawn = plot_styles(panel.lines)
-    for label, points in panel.lines.items():
-        order = np.argsort(points.x)
-        ascending = Points(points.x[order], points.y[order], points.low_high[order])
-        draw_points(axes, ascending, drawn[label], linewidth=1.3, elinewidth=0.9, label=label)
-    axes.set_yscale("log")
-    ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
-    _scale_abscissa(axes, ticks)
-    axes.set_xlabel(panel.label)
+    return finish(figure, title, legend=places[0], columns=len(drawn))
 
 
 def _scale_abscissa(axes: Axes, ticks: FloatArray) -> None:

@@ -336,6 +336,31 @@ def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: An
     return int(np.count_nonzero(sample > edges[-1]))
 
 
+def histogram_panel(
+    axes: Axes,
+    samples: Mapping[str, FloatArray],
+    lines: Sequence[Mapping[str, Any]],
+    edges: FloatArray,
+    median_top: float,
+) -> int:
+    """Draw step histograms by their labels in the legend, with dotted lines at the medians up to a share of the height.
+
+    Returns
+    -------
+    beyond
+        How many values lie beyond the last edge, see `step_histogram`.
+    """
+    beyond = 0
+    for (label, sample), line in zip(samples.items(), lines, strict=True):
+        if len(sample):
+            axes.axvline(float(np.median(sample)), ymax=median_top, color=line["color"], linewidth=0.9, linestyle=":")
+        beyond += step_histogram(axes, sample, edges, label=label, **line)
+    axes.set_xlim(0, edges[-1])
+    raise_top(axes, len(samples))
+    axes.legend(loc="upper right")
+    return beyond
+
+
 def beyond_text(beyond: int, limit: float, unit: str) -> str:
     """Return a note for the axis label on how many values lie beyond the axis; '' if none."""
     return f"  ({beyond} beyond {limit:g}{f' {unit}' if unit else ''})" if beyond else ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -85,14 +84,18 @@ class TrackLifetimes:
 def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
     """Draw the trajectory in the plane of the orbit and edge-on, with magnified errors."""
     figure, (plane, edge) = new_figure(2, width_in=9.0, height_in=4.6)
-    scale = _magnification(trajectory)
+    # Errors are drawn larger by the largest round factor at which none exceeds a sixth of the orbit's radius.
+    largest = float(np.linalg.norm(trajectory.error_m, axis=1).max(initial=0.0))
+    room = float(np.linalg.norm(trajectory.true_m, axis=1).max(initial=1.0)) / 6.0
+    scale = max((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if s * largest <= room), default=1.0)
+    estimate = "estimate" if scale == 1.0 else f"estimate, error x {scale:g}"
     shown = trajectory.true_m + scale * (trajectory.estimated_m - trajectory.true_m)
     pairs = ((plane, 1, 1e-3, "along the first motion, km"), (edge, 2, 1.0, "across the orbit, m"))
     for axes, which, unit, label in pairs:
         scaled = np.array([1e-3, unit])
         true, estimated = (points_m[:, [0, which]] * scaled for points_m in (trajectory.true_m, shown))
         axes.plot(*true.T, color=GREEN, linewidth=1.6, label="truth")
-        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=_estimate_label(scale))
+        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=estimate)
         axes.plot(*true[:1].T, "o", color=GREEN, markersize=5, label="first frame")
         axes.plot(*estimated[-1:].T, "s", color=BLUE, markersize=5, label="last estimate")
         axes.set(xlabel="towards the first position, km", ylabel=label)
@@ -101,17 +104,6 @@ def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
     plane.fill(radius_km * np.cos(angle), radius_km * np.sin(angle), color=GREY, alpha=0.35, label="body")
     plane.set_aspect("equal")
     return finish(figure, title, legend=plane, columns=5)
-
-
-def _estimate_label(scale: float) -> str:
-    return "estimate" if scale == 1.0 else f"estimate, error x {scale:g}"
-
-
-def _magnification(trajectory: TrajectoryErrors) -> float:
-    """Choose the largest round factor at which no error exceeds a sixth of the orbit's radius."""
-    largest = float(np.linalg.norm(trajectory.error_m, axis=1).max(initial=0.0))
-    room = float(np.linalg.norm(trajectory.true_m, axis=1).max(initial=1.0)) / 6.0
-    return max((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if s * largest <= room), default=1.0)
 
 
 @styled
@@ -157,19 +149,16 @@ def draw_tracks(tracks: TrackLifetimes, title: str) -> Figure:
     figure.colorbar(lines, ax=above, label="landmark error when seen last, m", pad=0.01)
     if len(tracks.wrong_at):
         above.plot(*tracks.wrong_at.T, "x", color=VERMILION, markersize=4, label=f"{len(tracks.wrong_at)} seen wrongly")
-    above.set(ylabel="track", xlim=_span(tracks.per_frame[:, 0]), ylim=(-1.0, len(tracks.first)))
+    span = (0.0, float(tracks.per_frame[:, 0].max(initial=1.0)))
+    above.set(ylabel="track", xlim=span, ylim=(-1.0, len(tracks.first)))
     for axes in (above, below) if tracks.ended is not None else ():
         axes.axvline(tracks.ended, color=VERMILION, linewidth=1.0, linestyle="--", label="the estimate ends")
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper left")
     below.step(*tracks.per_frame.T, where="mid", color=BLUE)
-    below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=_span(tracks.per_frame[:, 0]))
+    below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=span)
     below.set_ylim(bottom=0.0)
     return finish(figure, title)
-
-
-def _span(anomaly_deg: FloatArray) -> tuple[float, float]:
-    return (0.0, float(anomaly_deg.max(initial=1.0)))
 
 
 @styled
@@ -197,15 +186,10 @@ def draw_landmark_map(points_m: FloatArray, error_m: FloatArray, new: NDArray[np
     chart.set_title(f"{len(points_m)} landmarks when seen last (ringed: seen once)")
     radial = np.einsum("ni,ni->n", error_m, points_m / np.linalg.norm(points_m, axis=1, keepdims=True))
     across = np.sqrt(np.maximum(length**2 - radial**2, 0.0))
-    _errors(parts, across, radial, new)
-    return finish(figure, title)
-
-
-def _errors(axes: Axes, across: FloatArray, radial: FloatArray, new: NDArray[np.bool_]) -> None:
-    """Draw the height error over the error along the ground: a camera measures depth worst."""
     for which, colour, label in ((~new, BLUE, "seen twice or more"), (new, VERMILION, "seen once")):
         if which.any():
-            axes.plot(across[which], radial[which], "o", markersize=3, color=colour, label=label)
-    axes.axhline(0.0, color=GREY, linewidth=0.7)
-    axes.set(xlabel="error along the ground, m", ylabel="error of its height, m")
-    axes.legend(loc="best")
+            parts.plot(across[which], radial[which], "o", markersize=3, color=colour, label=label)
+    parts.axhline(0.0, color=GREY, linewidth=0.7)
+    parts.set(xlabel="error along the ground, m", ylabel="error of its height, m")
+    parts.legend(loc="best")
+    return finish(figure, title)

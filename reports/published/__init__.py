@@ -16,16 +16,8 @@ from boresight.scenarios.load.yaml_text import parse_yaml
 from boresight.scenarios.reading import held_to
 
 _FILES = ("cheng2003.yaml", "delpech2015.yaml", "rowell2015.yaml")
-_SCALE = {
-    ("", ""): 1.0,
-    ("m", "m"): 1.0,
-    ("deg", "deg"): 1.0,
-    ("s", "s"): 1.0,
-    ("ms", "s"): 1e-3,
-    ("px", "px"): 1.0,
-    ("pixels", "px"): 1.0,
-    ("%", "%"): 1.0,
-}
+_SCALE = {("ms", "s"): 1e-3, ("pixels", "px"): 1.0} | {(unit, unit): 1.0 for unit in ("", "m", "deg", "s", "px", "%")}
+"""Factors by unit of a printed number and unit of a measure."""
 _PRINTED = r"^(?:up to )?~?(?P<low>[\d,]+(?:\.\d+)?)(?:-(?P<high>\d+(?:\.\d+)?))?(?: (?P<unit>%|[a-z]+))?$"
 
 

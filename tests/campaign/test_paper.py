@@ -20,7 +20,7 @@ from boresight.campaign.cli.figures import Wanted, run_missing
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.papers.gather import newest_finished, run_folders
 from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
-from boresight.campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from boresight.campaign.papers.rowell2015 import broadside_view, built_again, cluster_view, surface_view
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder

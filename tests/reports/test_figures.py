@@ -6,28 +6,31 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 from scipy import stats
 
-from boresight.reports.figures import (
+from boresight.reports.figures.landmark_database import (
     ClusterView,
-    FitPanels,
-    Overlay,
     SurfaceView,
-    draw_alignment_panels,
-    draw_centroid_offsets,
+    cluster_colours,
     draw_clusters,
+    draw_triangulation,
+)
+from boresight.reports.figures.landmarks import (
+    draw_centroid_offsets,
     draw_count_comparison,
-    draw_cumulative_errors,
-    draw_fit_panels,
     draw_landmark_counts,
     draw_landmark_errors,
-    draw_method_errors,
-    draw_pose_errors,
-    draw_triangulation,
-    save_figure,
+    one_sigma_ellipse,
 )
-from boresight.reports.figures.landmark_database import cluster_colours
-from boresight.reports.figures.landmarks import one_sigma_ellipse
-from boresight.reports.figures.recognition import MATCH_SIGMAS, PoseRendering, draw_pose_renderings
-from boresight.reports.figures.style import render, shared_edges
+from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
+from boresight.reports.figures.recognition import (
+    MATCH_SIGMAS,
+    FitPanels,
+    Overlay,
+    PoseRendering,
+    draw_alignment_panels,
+    draw_fit_panels,
+    draw_pose_renderings,
+)
+from boresight.reports.figures.style import render, save_figure, shared_edges
 
 CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from boresight.reports.figures import TradeOffPoint, draw_trade_off
+from boresight.reports.figures.comparison import TradeOffPoint, draw_trade_off
 from boresight.reports.figures.style import render
 from boresight.reports.kinds.single_image.tradeoff import costs, trade_grid
 from boresight.reports.pages.build import write_report

@@ -6,19 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from boresight.reports.figures import (
-    MOST_CURVES,
-    RocCurve,
-    TradeOffPoint,
-    draw_centroid_offsets,
-    draw_cumulative_errors,
-    draw_landmark_counts,
-    draw_landmark_errors,
-    draw_method_errors,
-    draw_pose_errors,
-    draw_roc,
-    draw_trade_off,
-)
+from boresight.reports.figures.comparison import MOST_CURVES, RocCurve, TradeOffPoint, draw_roc, draw_trade_off
+from boresight.reports.figures.landmarks import draw_centroid_offsets, draw_landmark_counts, draw_landmark_errors
+from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
 from boresight.reports.kinds import Content
 from boresight.reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 from boresight.reports.run.data import RunData, select
