@@ -173,7 +173,7 @@ def _written(
         place = write_paper(page, folder)
     except OSError as error:
         raise BoresightError(explain_write_error(error.filename or folder, error)) from error
-    return _Written(name, place, len(page.runs), page.lines, len(page.figures), page.refused, page.missing)
+    return _Written(name, place, page.runs, page.lines, len(page.document.figures), page.refused, page.missing)
 
 
 def _print(written: _Written, arguments: argparse.Namespace) -> None:

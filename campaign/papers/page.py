@@ -15,7 +15,17 @@ from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.request import RUNS
 from boresight.campaign.runs.requirements import needs
 from boresight.reports.figures.provenance import add_provenance, with_trial_counts
-from boresight.reports.papers.page import PaperLine, PaperPage, lines_by_table, paper_lines, table_figure
+from boresight.reports.pages.document import Document
+from boresight.reports.papers.page import (
+    PaperLine,
+    PaperPage,
+    lines_by_table,
+    paper_grid,
+    paper_lines,
+    table_figure,
+    value_tally,
+    verdict_tally,
+)
 from boresight.reports.published import load_published
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.grid import Grid
@@ -125,35 +135,42 @@ def paper_page(
     specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
     reports = {name: spec.report for name, spec in specs.items() if spec.report}
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
-    tables, without = list[NamedFigure](), list[str]()
+    tables: list[NamedFigure] = []
     for number, own in lines_by_table(lines).items():
         campaigns = dict.fromkeys(line.campaign for line in own)
         if shown := [found[name].content.run for name in campaigns if name in found]:
             tables.append(table_figure(number, own))
             add_provenance(tables[-1].figure, shown)
         else:
-            without.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
+            missing.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
     comparisons = {name: load_published(report) for name, report in reports.items()}
-    sources = {one.source for one in comparisons.values()}
-    bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
     built_in = [name for name, run in found.items() if run.manifest.get("embedded")]
-    replaced = f"on embedded bodies in place of shape files, so without verdicts: {', '.join(built_in)}"
-    return PaperPage(
+    conditions = [
+        *dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values()),
+        *(f"{name}: {one.conditions}" for name, one in comparisons.items()),
+    ]
+    if built_in:
+        replaced = f"on embedded bodies in place of shape files, so without verdicts: {', '.join(built_in)}"
+        conditions.insert(0, replaced)
+    document = Document(
+        product="boresight figures",
         title=f"{paper.title}{' (embedded bodies)' if built_in else ''}",
-        source="; ".join(sorted(sources)),
-        lines=tuple(lines),
-        grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
+        facts=[
+            ("Paper", "; ".join(sorted({one.source for one in comparisons.values()}))),
+            ("Values", value_tally(lines)),
+            ("Verdicts", verdict_tally(lines)),
+            *((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
+        ],
+        lists=[
+            ("Not read", gathered.refused),
+            ("Not there", missing),
+            ("What is compared, and by which bounds", conditions),
+        ],
+        grids=(paper_grid(lines), *(grid for run in found.values() for grid in paper.grids(run))),
         figures=(*figures, *tables),
-        runs=tuple((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
-        conditions=(
-            *([replaced] if built_in else []),
-            *bounds,
-            *(f"{name}: {one.conditions}" for name, one in comparisons.items()),
-        ),
-        missing=(*missing, *without),
-        refused=gathered.refused,
-        credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),
+        credits=sorted({line for run in found.values() for line in run.manifest["credits"]}),
     )
+    return PaperPage(document, tuple(lines), len(found), tuple(missing), gathered.refused)
 
 
 def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:

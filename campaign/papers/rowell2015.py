@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -43,7 +43,7 @@ from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import TriangleMesh, View, look_at
+from boresight.scenarios.geometry import View, look_at
 
 RECOGNISER = "landmark-harris"
 _SENSITIVITY = ("rowell2015-sensitivity", "rowell2015-sensitivity-sun")
@@ -68,35 +68,25 @@ _FIGURE_5 = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rebuilt:
-    """Rebuilt data base of a run's first trial, and a view of the body."""
-
-    world: World
-    built: LandmarkDatabaseBuild
-    view: View
-    name: str
-
-
 @lru_cache(maxsize=1)
-def _rebuilt(run: FinishedRun, jobs: int | None) -> _Rebuilt:
-    """Rebuild the data base of a run's first trial, which figures 1 and 2 share."""
+def _rebuilt(run: FinishedRun, jobs: int | None) -> tuple[World, LandmarkDatabaseBuild, View, str]:
+    """Rebuild the data base of a run's first trial, which figures 1 and 2 share, for a view of the body."""
     campaign = run.campaign()
     scenario, entry = campaign.scenarios[0], campaign.spec.estimators[0]
     options = DatabaseOptions.model_validate(dict(entry.options))
     options = options.model_copy(update={"seed": options.seed + campaign.seed})
     world = open_world(scenario, campaign.variant)
     built = built_again(world, options, workers(jobs, campaign.variant), campaign.variant)
-    return _Rebuilt(world, built, broadside_view(world, typical_range_m(scenario)), scenario.spec.name)
+    return world, built, broadside_view(world, typical_range_m(scenario)), scenario.spec.name
 
 
 def _figure_1(run: FinishedRun, jobs: int | None) -> Iterator[NamedFigure]:
-    made = _rebuilt(run, jobs)
-    title = f"Landmarks out of a cloud of {len(made.built.points_m)} candidates, {made.name}"
+    world, built, view, name = _rebuilt(run, jobs)
+    title = f"Landmarks out of a cloud of {len(built.points_m)} candidates, {name}"
     yield NamedFigure(
         "",
-        draw_clusters(cluster_view(made.world, made.built, made.view), title),
-        f"Extracting landmarks from the initial cloud of points, {made.name}: (a) points of seed clusters, a colour for"
+        draw_clusters(cluster_view(world, built, view), title),
+        f"Extracting landmarks from the initial cloud of points, {name}: (a) points of seed clusters, a colour for"
         " each cluster; (b) points of merged clusters, which are the landmarks; (c) the body. All as seen along its"
         " shortest axis, points on the near side only.",
         "Coloured points of seed clusters, those of merged clusters, and an image of the body.",
@@ -104,12 +94,12 @@ def _figure_1(run: FinishedRun, jobs: int | None) -> Iterator[NamedFigure]:
 
 
 def _figure_2(run: FinishedRun, jobs: int | None) -> Iterator[NamedFigure]:
-    made = _rebuilt(run, jobs)
-    title = f"Surface through {len(made.built.database)} landmarks, {made.name}"
+    _, built, view, name = _rebuilt(run, jobs)
+    title = f"Surface through {len(built.database)} landmarks, {name}"
     yield NamedFigure(
         "",
-        draw_triangulation(surface_view(made.built.database, made.view), title),
-        f"Extracting a surface mesh, {made.name}: (a) all edges of the Delaunay triangulation of the landmarks, which"
+        draw_triangulation(surface_view(built.database, view), title),
+        f"Extracting a surface mesh, {name}: (a) all edges of the Delaunay triangulation of the landmarks, which"
         " fill their convex hull; (b) the concave hull; (c) its outward normals, each from the centre of its facet.",
         "A triangulation of points, the shaded surface mesh, and the mesh with its normals.",
     )
@@ -286,7 +276,10 @@ def surface_view(database: LandmarkDatabase, view: View) -> SurfaceView:
     pairs = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
     edges = np.unique(np.sort(tetrahedra[:, pairs].reshape(-1, 2), axis=1), axis=0)
     uv_px = _pixels(view, database.means_m)
-    centres, facing = mesh.corners_m.mean(axis=1), _far_to_near(mesh, view)
+    centres = mesh.corners_m.mean(axis=1)
+    to_camera = view.T_cam_body.camera_position_m - centres
+    facing = np.flatnonzero(np.einsum("fi,fi->f", to_camera, mesh.normals) > 0.0)
+    facing = facing[np.argsort(-np.linalg.norm(to_camera[facing], axis=1), kind="stable")]  # from far to near
     tips = centres + _NORMAL_SHARE * mesh.radius_m * mesh.normals
     return SurfaceView(
         landmarks_px=uv_px,
@@ -301,13 +294,6 @@ def surface_view(database: LandmarkDatabase, view: View) -> SurfaceView:
 
 def _pixels(view: View, points_body_m: FloatArray) -> FloatArray:
     return view.camera.project(view.T_cam_body.transform(points_body_m))
-
-
-def _far_to_near(mesh: TriangleMesh, view: View) -> NDArray[np.intp]:
-    """Return the facets that face the camera, ordered from far to near, for drawing."""
-    to_camera = view.T_cam_body.camera_position_m - mesh.corners_m.mean(axis=1)
-    facing = np.flatnonzero(np.einsum("fi,fi->f", to_camera, mesh.normals) > 0.0)
-    return facing[np.argsort(-np.linalg.norm(to_camera[facing], axis=1), kind="stable")]
 
 
 _REAL = ("rowell2015-real", "rowell2015-real-like", "navcam67p-real")

@@ -247,7 +247,6 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
     counted = dict(
         zip(defined, measure(np.where(known, values, prior if at_prior else WORST), clusters, defined), strict=True)
     )
-    ends = [counted.get(one, Measured(None)) for one in STATISTICS]
     labels = rows["estimator"].unique()
     return Subject(
         names,
@@ -256,8 +255,6 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
         len(rows),
         share_of(~rows["failed"].to_numpy(dtype=bool), clusters),
         tuple(measure(values[known], clusters[known], STATISTICS)),
-        tuple(
-            Measured(*(None if end is None else bounded(end) for end in (one.value, one.low, one.high))) for one in ends
-        ),
+        tuple(counted.get(one, Measured(None)).each(bounded) for one in STATISTICS),
         at_prior,
     )

@@ -14,7 +14,7 @@ from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.schema.grid import Grid, GridColumn, record_column, record_grid, text_column
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import Key, Record, by_key
-from boresight.reports.statistics.measured import MEDIAN, P95, Sample, measure_share
+from boresight.reports.statistics.measured import MEDIAN, P95, Measured, Sample, measure_share
 from boresight.reports.verdicts import comparison_grid
 
 RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
@@ -203,17 +203,13 @@ def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -
     for estimator in dict.fromkeys(r.estimator for r in records if r.measure == RECALL):
         keys = [(label, Key(scenario, estimator, stage, "", RECALL, "share")) for scenario, label, stage in places]
         keys = [(label, key) for label, key in keys if key in known]
+        found = {name: [known[key._replace(measure=name)] for _, key in keys] for name in (RECALL, WRONG)}
         values = {
-            name: np.array([_bounded(known[key._replace(measure=name)]) for _, key in keys]).reshape(-1, 3)
-            for name in (RECALL, WRONG)
+            name: np.array([Measured(one.value, one.low, one.high).bar for one in own]).reshape(-1, 3)
+            for name, own in found.items()
         }
         curves.append(ShareCurve(estimator, tuple(label for label, _ in keys), values[RECALL], values[WRONG]))
     return curves
-
-
-def _bounded(record: Record) -> tuple[float, float, float]:
-    value = np.nan if record.value is None else record.value
-    return (value, value if record.low is None else record.low, value if record.high is None else record.high)
 
 
 REPORT = ReportKind(

@@ -225,40 +225,27 @@ def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperPage:
-    """All that the page of a paper shows.
+    """The page of a paper.
 
     Parameters
     ----------
-    title, source
-        Heading, and the paper's reference.
+    document
+        All that it shows; figures and tables of the paper are named by their numbers.
     lines
-        The one table.
-    grids
-        Further tables.
-    figures
-        The paper's figures and tables, named by its numbers.
+        The lines of its first table.
     runs
-        What each number comes from: campaign, and how its run was made.
-    conditions
-        How the bounds of the verdicts came about, and under which conditions each campaign is compared.
+        Number of runs that our numbers come from.
     missing
         What is not there, and how to make it.
     refused
         Stored runs that cannot be read, and why.
-    credits
-        Credit lines of real images.
     """
 
-    title: str
-    source: str
+    document: Document
     lines: tuple[PaperLine, ...]
-    grids: tuple[Grid, ...]
-    figures: tuple[NamedFigure, ...]
-    runs: tuple[tuple[str, str], ...]
-    conditions: tuple[str, ...]
+    runs: int
     missing: tuple[str, ...]
     refused: tuple[str, ...]
-    credits: tuple[str, ...]
 
 
 def write_paper(page: PaperPage, folder: Path) -> Path:
@@ -266,27 +253,8 @@ def write_paper(page: PaperPage, folder: Path) -> Path:
 
     Drawings of the paper that an earlier call left there and that this one cannot draw are removed.
     """
-    grids = (paper_grid(page.lines), *page.grids)
-    document = Document(
-        product="boresight figures",
-        title=page.title,
-        facts=[
-            ("Paper", page.source),
-            ("Values", value_tally(page.lines)),
-            ("Verdicts", verdict_tally(page.lines)),
-            *page.runs,
-        ],
-        lists=[
-            ("Not read", page.refused),
-            ("Not there", page.missing),
-            ("What is compared, and by which bounds", page.conditions),
-        ],
-        grids=grids,
-        figures=page.figures,
-        credits=page.credits,
-    )
-    path = write_document(document, folder, "index.html", "table.md")
-    stems = {figure.stem for figure in page.figures}
+    path = write_document(page.document, folder, "index.html", "table.md")
+    stems = {figure.stem for figure in page.document.figures}
     patterns = [f"{kind}_[0-9]*.{end}" for kind in ("figure", "table") for end in ("png", "pdf")]
     for old in [path for pattern in patterns for path in folder.glob(pattern)]:
         if old.stem not in stems:

@@ -216,8 +216,7 @@ def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.gener
     square, unit = errors**2, float(np.mean(sigmas**2))
     ratio = float(np.mean(square)) / unit
     found = measure(ratio + (square - ratio * sigmas**2) / unit, clusters, (MEAN,))[0]
-    ends = (found.value, found.low, found.high)
-    return Measured(*(None if end is None else float(np.sqrt(max(end, 0.0))) for end in ends))
+    return found.each(lambda end: float(np.sqrt(max(end, 0.0))))
 
 
 def _ratio_column(head: str, name: str) -> GridColumn:

@@ -85,6 +85,16 @@ class Measured:
     low: float | None = None
     high: float | None = None
 
+    def each(self, of: Callable[[float], float]) -> Measured:
+        """Apply a function that ascends to the value and to the ends of its interval."""
+        return Measured(*(None if end is None else of(end) for end in (self.value, self.low, self.high)))
+
+    @property
+    def bar(self) -> tuple[float, float, float]:
+        """Value and ends of its bar in a figure: the value itself without an interval, NaN without a value."""
+        value = math.nan if self.value is None else self.value
+        return value, value if self.low is None else self.low, value if self.high is None else self.high
+
 
 def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Sequence[Statistic]) -> list[Measured]:
     """Evaluate statistics with their 95 % intervals.
@@ -254,4 +264,4 @@ class Sample:
 
 def percent(share: Measured) -> Measured:
     """Return a share in percent."""
-    return Measured(*(None if end is None else 100.0 * end for end in (share.value, share.low, share.high)))
+    return share.each(lambda end: 100.0 * end)

@@ -189,8 +189,9 @@ def test_a_page_names_the_campaigns_on_embedded_bodies(run_folder, tmp_path):
     shutil.copytree(run_folder, tmp_path / "runs" / "one")
     (tmp_path / "runs" / "one" / "manifest.json").write_text(json.dumps({**manifest, "name": paper.campaigns[0]}))
     page = paper_page(paper, tmp_path / "runs", 1, embedded=True)
-    assert page.title.endswith(" (embedded bodies)")
-    assert page.conditions[0].endswith("so without verdicts: rowell2015-simulated")
+    assert page.document.title.endswith(" (embedded bodies)")
+    conditions = dict(page.document.lists)["What is compared, and by which bounds"]
+    assert conditions[0].endswith("so without verdicts: rowell2015-simulated")
 
 
 def test_a_run_on_the_real_body_comes_first(run_folder, tmp_path):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.figures.craters import (
@@ -29,7 +28,6 @@ from boresight.reports.kinds.crater_detection.rates import (
 )
 from boresight.reports.run.data import RunData, select
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
 _ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
@@ -58,7 +56,17 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
             " Star: what the paper claims, without a definition.",
             "Curves that rise from the left: the share of craters found against the share of false alarms.",
         )
-        panels = {what: {one.estimator: _bars(one, of, edges) for one in ones} for what, of, edges in BINNINGS}
+        panels = {
+            what: {
+                one.estimator: [
+                    (f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+", *rate.bar)
+                    for (low, high), (rate, _) in binned_rates(one, of, edges).items()
+                    if rate.value is not None
+                ]
+                for one in ones
+            }
+            for what, of, edges in BINNINGS
+        }
         title = f"Detectable craters found, {scenario}"
         yield NamedFigure(
             file_stem("crater_rates", scenario),
@@ -66,22 +74,6 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
             f"{title}: by diameter, degradation and incidence, at each detector's threshold; bars: 95 %, by images.",
             "Rates with error bars in bins of diameter, degradation and incidence.",
         )
-
-
-def _bars(
-    one: DetectorResults, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
-) -> list[tuple[str, float, float, float]]:
-    """Return the rates of the bins that have one: label, value, and ends of the bar."""
-    return [
-        (
-            f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+",
-            rate.value,
-            rate.value if rate.low is None else rate.low,
-            rate.high or rate.value,
-        )
-        for (low, high), (rate, _) in binned_rates(one, values, edges).items()
-        if rate.value is not None
-    ]
 
 
 def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:

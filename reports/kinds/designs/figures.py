@@ -71,7 +71,8 @@ def _matrix(data: DesignData, base: str, names: list[str], own: list[Outcome]) -
                 name = by_levels.get((row, column))
                 median = data.median(name, outcome) if name else Measured(None)
                 values[i, j] = np.nan if median.value is None else median.value
-                texts[i][j] = _cell_text(median, data.ok([name], outcome) if name else "")
+                interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
+                texts[i][j] = f"{number(median.value)}{interval}\n{data.ok([name], outcome) if name else ''}"
         matrices.append(HeatMap(outcome.label, down.levels, across.levels, values, texts))
     yield NamedFigure(
         file_stem(f"matrix_{base}_{estimator}"),
@@ -79,11 +80,6 @@ def _matrix(data: DesignData, base: str, names: list[str], own: list[Outcome]) -
         f"{title}: median error with its 95 % interval, and the trials behind it, of all.",
         f"Heat maps of {', '.join(matrix.title for matrix in matrices)} over {down.label} and {across.label}.",
     )
-
-
-def _cell_text(median: Measured, ok: str) -> str:
-    interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
-    return f"{number(median.value)}{interval}\n{ok}"
 
 
 def _curves(data: DesignData, base: str, names: list[str], own: list[Outcome]) -> Iterator[NamedFigure]:
@@ -155,13 +151,9 @@ def _lines(data: DesignData, names: list[str], axis: GridAxis, group: list[Outco
     ]
     lines = {}
     for outcome in group:
-        medians = [data.median(name, outcome) for _, name in known]
-        low_high = [(m.value if m.low is None else m.low, m.value if m.high is None else m.high) for m in medians]
-        lines[stage_label(outcome.stage) if outcome.stage not in ("", SEQUENCE) else outcome.estimator] = Points(
-            np.array([value for value, _ in known]),
-            np.array([m.value for m in medians], dtype=float),
-            np.array(low_high, dtype=float),
-        )
+        bars = np.array([data.median(name, outcome).bar for _, name in known]).reshape(-1, 3)
+        label = stage_label(outcome.stage) if outcome.stage not in ("", SEQUENCE) else outcome.estimator
+        lines[label] = Points(np.array([value for value, _ in known]), bars[:, 0], bars[:, 1:])
     return lines
 
 

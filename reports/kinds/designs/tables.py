@@ -163,7 +163,7 @@ class DesignData:
         logs = pd.concat([np.log(series) for series in errors], axis=1, join="inner")
         difference = logs.iloc[:, 0] - logs.iloc[:, 1]
         found = measure(difference.to_numpy(), self._clusters(scenario, difference), (MEAN,))[0]
-        return Measured(*(None if x is None else float(np.exp(x)) for x in (found.value, found.low, found.high)))
+        return found.each(lambda end: float(np.exp(end)))
 
     def _clusters(self, scenario: str, by_trial: pd.Series) -> NDArray[np.generic]:
         return clusters_of(self.run, pd.DataFrame({"scenario": scenario, "trial": by_trial.index}))
