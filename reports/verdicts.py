@@ -254,13 +254,10 @@ def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
     """Print values in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
     parts: list[str] = []
     for before, record, name in zip((None, *ours), ours, names, strict=False):
-        parts += [_relation(before, record)] if parts else []
+        if parts and before and record and before.value is not None and record.value is not None:
+            parts.append("<" if before.value < record.value else ">" if before.value > record.value else "=")
+        elif parts:
+            parts.append("?")
         unit = "" if record is None or record.unit == "s" else record.unit  # a time is printed with its own
         parts.append(f"{name} {value_of(record, interval=True)} {unit}".strip() if record else NO_VALUE)
     return " ".join(parts) or NO_VALUE
-
-
-def _relation(before: Record | None, after: Record | None) -> str:
-    if before is None or after is None or before.value is None or after.value is None:
-        return "?"
-    return "<" if before.value < after.value else ">" if before.value > after.value else "="

@@ -47,7 +47,7 @@ def _trace(run: FinishedRun, method: str, panel: str) -> Iterator[NamedFigure]:
     """Draw one panel of the errors of a method over the frames."""
     data, labels = run.content.run, run.labels(method)
     scenario = next(scenario for scenario, name in data.pairs() if name in labels)
-    yield NamedFigure("", *trace_figure(data, scenario, labels, (panel,)))
+    yield trace_figure(data, scenario, labels, (panel,))
 
 
 def _series(run: FinishedRun, abscissa: str) -> Iterator[NamedFigure]:
@@ -56,14 +56,14 @@ def _series(run: FinishedRun, abscissa: str) -> Iterator[NamedFigure]:
     series = revolution_series(data)
     if not series:
         raise BoresightError(f"{run.folder.path}: it is no series by {abscissa}, or no trial came round once")
-    yield NamedFigure("", *revolution_figure(data, series, abscissa))
+    yield revolution_figure(data, series, abscissa)
 
 
 def _starts(run: FinishedRun, method: str) -> Iterator[NamedFigure]:
     """Draw the errors of a method for all starting images."""
     data, label = run.content.run, run.labels(method)[0]
     scenario = next(scenario for scenario, name in data.pairs() if name == label)
-    yield NamedFigure("", *start_figure(data, scenario, label))
+    yield start_figure(data, scenario, label)
 
 
 def _image(run: FinishedRun, features: int) -> Iterator[NamedFigure]:

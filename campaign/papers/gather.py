@@ -101,10 +101,17 @@ def gather_runs(
     for name in names:
         for built_in, scale in product((False, True) if embedded else (False,), dict.fromkeys((1.0, draft))):
             finished, unread = finished_runs(runs, name, scale, embedded=built_in)
-            run, damaged = _first_sound(finished)
-            refused += [*unread, *damaged]
-            if run is not None:
-                found[name] = run
+            refused += unread
+            for run in finished:
+                try:
+                    if run.data.manifest.report:
+                        load_published(run.data.manifest.report)
+                except BoresightError as error:
+                    refused.append(_left_out(run.folder.path, error))
+                else:
+                    found[name] = run
+                    break
+            if name in found:
                 break
     return GatheredRuns(found, tuple(dict.fromkeys(refused)))
 
@@ -143,20 +150,6 @@ def finished_runs(
                 refused.append(_left_out(path, error))
     newest = sorted(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), reverse=True)
     return newest, refused
-
-
-def _first_sound(runs: Sequence[FinishedRun]) -> tuple[FinishedRun | None, list[str]]:
-    """Return the first run whose tables and published values can be read, and a line for each run before it."""
-    refused = []
-    for run in runs:
-        try:
-            if run.data.manifest.report:
-                load_published(run.data.manifest.report)
-        except BoresightError as error:
-            refused.append(_left_out(run.folder.path, error))
-        else:
-            return run, refused
-    return None, refused
 
 
 def _left_out(path: Path, error: BoresightError) -> str:

@@ -143,7 +143,7 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
     """Draw errors against conditions."""
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
-    labels = _LABELS | {"value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
+    labels = {**_LABELS, "value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
     panels = {
         (labels[error], labels[condition]): dict(binned_errors(split, error, condition))
         for error in split.errors

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of
+from boresight.reports.run.outcomes import revolution_ends
 from boresight.reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
 from boresight.reports.schema.kinds.craters import CENTRE_ERROR, COMMON_CENTRE_ERROR, MISSED, WRONG
 from boresight.reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
@@ -19,8 +20,6 @@ from boresight.reports.schema.tables import is_error, kind_schema, measure_label
 from boresight.scenarios.errors import BoresightError
 
 _AFTER = re.compile(r"error_after_([1-9]\d*)_m")
-_TURN_DEG = 360.0
-_SAME_FRAME_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +66,8 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
         if size.notna().any():
             found[name] = size.where(ok)
     found |= {name: rows[name].astype(float) for name in SEQUENCE_COLUMNS if rows[name].notna().any()}
-    turns = 0 if epochs.empty else int((float(epochs["anomaly_deg"].max()) + _SAME_FRAME_DEG) // _TURN_DEG)
-    for k in range(1, turns + 1):
-        end = epochs[(epochs["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
-        found.setdefault(f"error_after_{k}_m", _of_rows(rows, end, "position_error_m"))
+    for k, ends in revolution_ends(epochs):
+        found.setdefault(f"error_after_{k}_m", _of_rows(rows, ends, "position_error_m"))
     measured = {name: _of_rows(rows, orbits, name) for name in ORBIT_COLUMNS if name in orbits}
     counts = crater_counts(run)
     if counts is not None:

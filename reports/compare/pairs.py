@@ -104,11 +104,6 @@ def paired_contrast(
     )  # fmt: skip
 
 
-def without_failures(one: Contrast) -> Contrast:
-    """Remove the test over all trials: for numbers that are not errors, a failure is neither more nor less."""
-    return replace(one, better_of_all=Measured(None), p_of_all=None)
-
-
 def independent_contrast(
     names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
 ) -> Contrast:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -12,13 +12,7 @@ import numpy as np
 import pandas as pd
 
 from boresight.reports.compare.metrics import Metric, choose_metric
-from boresight.reports.compare.pairs import (
-    Contrast,
-    holm_corrected,
-    independent_contrast,
-    paired_contrast,
-    without_failures,
-)
+from boresight.reports.compare.pairs import Contrast, holm_corrected, independent_contrast, paired_contrast
 from boresight.reports.compare.trials import (
     ESTIMATOR,
     KEY,
@@ -212,8 +206,9 @@ def compared(
             found = paired_contrast(names, *tables)
             if found is None and unpaired:
                 found = independent_contrast(names, *tables)
-            if found is not None:
-                contrasts.append(found if chosen.is_error else without_failures(found))
+            if found is not None and not chosen.is_error:  # a failure is neither more nor less
+                found = replace(found, better_of_all=Measured(None), p_of_all=None)
+            contrasts += [] if found is None else [found]
     return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
 
 

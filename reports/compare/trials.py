@@ -61,12 +61,15 @@ def _of_run(run: RunData, name: str, metric: Metric, factors: Sequence[str]) -> 
     rows, numbers, prior = run.rows, trial_numbers(run), prior_values(run, metric)
     value = numbers.get(metric.name, pd.Series(np.nan, index=rows.index))
     posed, seed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy(), str(run.manifest.seed)
+
+    def by_scenario(text: Callable[[Mapping[str, Any]], str]) -> pd.Series:
+        return rows["scenario"].map({name: text(spec) for name, spec in run.manifest.scenarios.items()})
+
     table = rows[["scenario", "estimator", "trial"]].assign(
         run=name,
         seed=seed,
-        draws=_by_scenario(run, drawn_settings),
-        rest=_by_scenario(run, lambda spec: remainder(spec, factors))
-        + ("" if ESTIMATOR in factors else rows["estimator"]),
+        draws=by_scenario(drawn_settings),
+        rest=by_scenario(lambda spec: remainder(spec, factors)) + ("" if ESTIMATOR in factors else rows["estimator"]),
         value=value,
         prior=np.nan if prior is None else prior,
         failed=np.where(posed, ~succeeded(rows), value.isna()) | value.isna(),
@@ -75,7 +78,7 @@ def _of_run(run: RunData, name: str, metric: Metric, factors: Sequence[str]) -> 
         **{one: numbers.get(one, np.nan) for one in (LATERAL, BORESIGHT, POSE_COLUMNS[1])},
     )
     for factor in keys_among(factors):
-        table[factor] = _by_scenario(run, partial(level_text, factor=factor))
+        table[factor] = by_scenario(partial(level_text, factor=factor))
     return table[~(nothing_to_find(run, metric) | is_pooled_control(run, factors))]
 
 
@@ -88,11 +91,6 @@ def run_names(runs: Sequence[RunData]) -> list[str]:
 def keys_among(factors: Sequence[str]) -> list[str]:
     """Return the factors that are keys of the scenarios."""
     return [factor for factor in factors if factor not in NAME_FACTORS]
-
-
-def _by_scenario(run: RunData, text: Callable[[Mapping[str, Any]], str]) -> pd.Series:
-    """Return a text on the scenario of each row."""
-    return run.rows["scenario"].map({name: text(spec) for name, spec in run.manifest.scenarios.items()})
 
 
 def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:

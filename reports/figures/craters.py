@@ -253,5 +253,4 @@ def draw_matched_pair(
         hide_axes(axes)
         axes.set_title(f"{name} look: {len(rims)} detections")
     right, wrong = int(found.right.sum()), int((~found.right).sum())
-    figure.suptitle(f"{title}: {right} right, {wrong} wrong, {len(found.missed)} missed", fontsize=9.5)
-    return figure
+    return finish(figure, f"{title}: {right} right, {wrong} wrong, {len(found.missed)} missed")

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from boresight.reports.figures.style import BLUE, GREY, ORANGE, grid_figure, styled
+from boresight.reports.figures.style import BLUE, GREY, ORANGE, finish, grid_figure, styled
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.arrays import FloatArray
 
@@ -60,8 +60,7 @@ def draw_sensitivity(
         for axes in panels[2:]:
             axes.sharey(panels[1])
             axes.tick_params(labelleft=False)
-    figure.suptitle(f"{title} (dashed: base)", fontsize=9.5)
-    return figure
+    return finish(figure, f"{title} (dashed: base)")
 
 
 def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:

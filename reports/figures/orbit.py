@@ -136,8 +136,7 @@ def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
         panel.set(ylabel=f"{label} residual, px")
         panel.axhline(0.0, color=GREY, linewidth=0.8)
     axes[1, 0].set(xlabel="time after the epoch, days")
-    figure.suptitle(f"{title}: {len(used):,} of {len(residuals):,} sightings", fontsize=9.5)
-    return figure
+    return finish(figure, f"{title}: {len(used):,} of {len(residuals):,} sightings")
 
 
 @styled

@@ -32,16 +32,8 @@ Parameters = ParamSpec("Parameters")
 # Okabe and Ito's palette, for colour-blind readers, and two colours more. These are at least as far from the others, in
 # CIELAB and for protanopia and deuteranopia too, as the others are from each other. Line styles differ for grey print.
 GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY, BROWN, VIOLET = (
-    "#5f6368",
-    "#e69f00",
-    "#0072b2",
-    "#009e73",
-    "#d55e00",
-    "#cc79a7",
-    "#56b4e9",
-    "#7f3b08",
-    "#5522cc",
-)
+    "#5f6368", "#e69f00", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#7f3b08", "#5522cc",
+)  # fmt: skip
 LINE_STYLES: tuple[LineStyleType, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _DPI = 160
 _COMPRESSION = 3  # of PNG: 0.6 times the time of the default, and files 5 % larger
@@ -75,42 +67,19 @@ _PARAMETERS: dict[Any, Any] = {
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">", "p", "h")
 
-# The colour that a method has unless another method of the figure has it. Controls are grey.
-_COLOURS: Mapping[str, str] = MappingProxyType(
-    {
-        "prior": GREY,
-        "landmark-harris": BLUE,
-        "whole-image": SKY,
-        "landmark-ransac": ORANGE,
-        "minimal-sets": SKY,
-        "photometric": PURPLE,
-        "lmaps": GREEN,
-        "landmark-altimeter": VERMILION,
-        "landmark-sift": VERMILION,
-        "landmark-orb": BROWN,
-        "crater-pose": VIOLET,
-        "centroid": VIOLET,
-        "dead-reckoning": GREY,
-        "ba-slam": BLUE,
-        "ekf-slam": ORANGE,
-        "iterated-ekf-slam": VERMILION,
-        "consistent-ekf-slam": PURPLE,
-        "fixed-lag": GREEN,
-        "batch": SKY,
-        "dynamic-smoother": BROWN,
-        "loop-smoother": VIOLET,
-        "gtsam-fixed-lag": ORANGE,
-        "gtsam-isam2": VERMILION,
-        "crater-classic": BLUE,
-        "crater-learned": ORANGE,
-        "correlation": PURPLE,
-        "context": BLUE,
-        "invariants": VERMILION,
-        "hybrid": ORANGE,
-        "vote": GREEN,
-        "batch-filter": BLUE,
-    }
-)
+_METHODS = {
+    GREY: "prior dead-reckoning",
+    BLUE: "landmark-harris ba-slam crater-classic context batch-filter",
+    SKY: "whole-image minimal-sets batch",
+    ORANGE: "landmark-ransac ekf-slam gtsam-fixed-lag crater-learned hybrid",
+    PURPLE: "photometric consistent-ekf-slam correlation",
+    GREEN: "lmaps fixed-lag vote",
+    VERMILION: "landmark-altimeter landmark-sift iterated-ekf-slam gtsam-isam2 invariants",
+    BROWN: "landmark-orb dynamic-smoother",
+    VIOLET: "crater-pose centroid loop-smoother",
+}
+"""The methods that have a colour unless another method of the figure has it. Controls are grey."""
+_COLOURS = MappingProxyType({name: colour for colour, names in _METHODS.items() for name in names.split()})
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,8 +86,15 @@ def navigation_figures(run: RunData) -> Iterator[NamedFigure]:
     for scenario, estimator in run.pairs():
         if len(select(run.table("navigated_images"), scenario, estimator)):
             yield counts_figure(run, scenario, estimator)
-        if len(select(run.table("navigated_landmarks"), scenario, estimator)):
-            yield _spans_figure(run, scenario, estimator)
+        landmarks = select(run.table("navigated_landmarks"), scenario, estimator)
+        if len(landmarks):
+            title = f"Landmarks over time, {scenario}, {estimator}, first trial"
+            yield NamedFigure(
+                file_stem("landmark_spans", scenario, estimator),
+                draw_landmark_spans(_first(landmarks), title),
+                f"{title}: from the first to the last image that shows each landmark of the data base.",
+                "A horizontal line for each landmark over the days of the arc.",
+            )
 
 
 def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
@@ -101,16 +108,6 @@ def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
         f"{title} (figures 8b and 9 of Cheng et al. 2003): {images['n_detections'].mean():.3g}"
         f" craters an image on average, median {images['n_detections'].median():.3g}.",
         "Two histograms: craters detected in an image, and images that show a landmark.",
-    )
-
-
-def _spans_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
-    title = f"Landmarks over time, {scenario}, {estimator}, first trial"
-    return NamedFigure(
-        file_stem("landmark_spans", scenario, estimator),
-        draw_landmark_spans(_first(select(run.table("navigated_landmarks"), scenario, estimator)), title),
-        f"{title}: from the first to the last image that shows each landmark of the data base.",
-        "A horizontal line for each landmark over the days of the arc.",
     )
 
 

@@ -22,6 +22,9 @@ _FEW = 7
 def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[NamedFigure]:
     """Draw, for each scenario, similar images, craters an image and hits of a crater, in the first arc."""
     surveyed = run.table("surveyed_images"), run.table("surveyed_craters")
+    names = ("detections_an_image", "few_craters_share")
+    mean, few = (comparison and comparison.find(name, DIAGNOSTICS, "median") for name in names)
+    published = ({"mean": mean.value} if mean else {}) | ({"median": float(_FEW)} if few else {})
     for scenario in dict.fromkeys(surveyed[0]["scenario"]):
         first = surveyed[0]["trial"].min()
         images, craters = (one[(one["scenario"] == scenario) & (one["trial"] == first)] for one in surveyed)
@@ -39,7 +42,7 @@ def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[Name
                 "Histogram of the number of similar images.",
             ),
             (
-                "craters_an_image", found, "craters detected in an image", "images", _published(comparison),
+                "craters_an_image", found, "craters detected in an image", "images", published,
                 f"{found.sum():,} craters detected: {what}",
                 f"Distribution of the number of craters detected in an image: {what}."
                 f" {100.0 * float((found <= _FEW).mean()):.1f} % have {_FEW} or fewer.",
@@ -55,13 +58,6 @@ def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[Name
         ):  # fmt: skip
             drawn = draw_count_histogram(counts, abscissa, of, marks, title)
             yield NamedFigure(file_stem(stem, scenario), drawn, caption, alt)
-
-
-def _published(comparison: Comparison | None) -> dict[str, float]:
-    """Return the published numbers of craters in an image that the histogram can mark."""
-    names = ("detections_an_image", "few_craters_share")
-    mean, few = (comparison and comparison.find(name, DIAGNOSTICS, "median") for name in names)
-    return ({"mean": mean.value} if mean else {}) | ({"median": float(_FEW)} if few else {})
 
 
 REPORT = ReportKind(

@@ -41,9 +41,12 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
     BoresightError
         If the folder cannot be written.
     """
-    names = ("subjects.csv", "differences.csv", "consistency.csv")
-    printed, tables = zip(subject_tables(found), contrast_tables(found), consistency_tables(found), strict=True)
-    grids = tuple(grid for grid in printed if grid is not None)
+    tables = {
+        "subjects.csv": subject_tables(found),
+        "differences.csv": contrast_tables(found),
+        "consistency.csv": consistency_tables(found),
+    }
+    grids = tuple(grid for grid, _ in tables.values() if grid is not None)
     lead, *figures = comparison_figures(found)
     for one in (lead, *figures):
         add_provenance(one.figure, found.runs)
@@ -59,8 +62,8 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
     )
     try:
         page = write_document(document, folder, "compare.html", "compare.md")
-        for name, table in zip(names, tables, strict=True):
-            table.to_csv(folder / name, index=False, lineterminator="\n")
+        for name, (_, numbers) in tables.items():
+            numbers.to_csv(folder / name, index=False, lineterminator="\n")
     except OSError as error:
         raise BoresightError(
             f"{folder}: the comparison cannot be written: {error.strerror}; choose another --out"
@@ -69,7 +72,7 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         folder,
         page,
         folder / "compare.md",
-        tuple(folder / name for name in names),
+        tuple(folder / name for name in tables),
         tuple(folder / f"{one.stem}.{kind}" for one in document.drawn() for kind in ("png", "pdf")),
         grids,
     )

@@ -173,7 +173,9 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
             line.quantity,
             line.statistic,
             line.printed,
-            _ours(line),
+            value_of(line.ours[0], interval=True)
+            if len(line.ours) == 1
+            else "; ".join(filter(None, (ordered_values(line.ours, line.names), line.remark))),
             counts(line.ours[0]) if len(line.ours) == 1 else NO_VALUE,
             f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
             line.said or line.verdict,
@@ -183,12 +185,6 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
         for line in lines
     )
     return Grid("Every published number beside ours", heads, rows, frozenset({0, 1, 2, 3, 4, 7, 8, 9}), VERDICT_RULE)
-
-
-def _ours(line: PaperLine) -> str:
-    if len(line.ours) == 1:
-        return value_of(line.ours[0], interval=True)
-    return "; ".join(filter(None, (ordered_values(line.ours, line.names), line.remark)))
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ MEANING = (
 
 _FRAME = r"^frame \d+: "
 _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
+_TURN_DEG = 360.0
+_SAME_FRAME_DEG = 1e-6
 _MOST_LINES = 5
 _MOST_CHARACTERS = 110
 
@@ -82,6 +86,13 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
     if estimator != CONTROL:
         found[last] = rows.loc[rows["status"] == "ok", columns]
     return found
+
+
+def revolution_ends(epochs: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Yield the number of each whole revolution, from 1, and the frames that end it."""
+    last_deg = float(epochs["anomaly_deg"].max()) if len(epochs) else 0.0
+    for k in range(1, int((last_deg + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
+        yield k, epochs[(epochs["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
 
 
 def succeeded(rows: pd.DataFrame) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from scipy.special import gammaincinv
 
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
+from boresight.reports.run.outcomes import revolution_ends
 from boresight.reports.schema.grid import (
     ESTIMATOR,
     NO_VALUE,
@@ -36,12 +37,13 @@ CONSISTENCY = "consistency"
 """Stage of the records that compare errors with a covariance or a bound."""
 
 BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
-ERRORS = {"position": "position_error_m", "attitude": "attitude_error_deg"}
-PREDICTED = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
-BOUNDED = {f"{what}_over_bound": f"{what}_bound" for what in ERRORS}
-_UNITS = {"position": "m", "attitude": "deg"}
-
-
+_RATIOS = {
+    "position_over_sigma": ("position_error_m", "position_sigma_m"),
+    "position_over_bound": ("position_error_m", "position_bound_m"),
+    "attitude_over_sigma": ("attitude_error_deg", "attitude_sigma_deg"),
+    "attitude_over_bound": ("attitude_error_deg", "attitude_bound_deg"),
+}
+"""Each error, and the column of its RMS by the covariance or the bound."""
 _NOTE = (
     "NEES: the squared error weighted by the inverse of the estimator's own covariance; NIS: the squared"
     " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are"
@@ -58,8 +60,6 @@ _AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
 POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES = 6, 6, 3
 _NIS_DEGREES = "innovation_degrees"
 _TAILS = (0.025, 0.975)
-_TURN_DEG = 360.0
-_SAME_FRAME_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +121,8 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
     if source == "rows":
         yield from _some(NEES, POSE_DEGREES, table[table["status"] == "ok"], NEES, POSE_DEGREES)
     elif source == "epochs":
-        last = float(table["anomaly_deg"].max()) if len(table) else 0.0
-        for k in range(1, int((last + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
-            at = table[(table["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
-            yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at, NEES, POSITION_DEGREES)
+        for k, ends in revolution_ends(table):
+            yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, ends, NEES, POSITION_DEGREES)
     else:  # over its degrees of freedom, so that 1 is expected
         whole = table.assign(**{_EPOCH: STATE_DEGREES * table[_EPOCH]})
         yield from _some(AT_EPOCH, STATE_DEGREES, whole, _EPOCH, STATE_DEGREES)
@@ -196,16 +194,13 @@ def consistency_records(run: RunData) -> list[Record]:
 def _ratio_records(run: RunData, sample: Sample, rows: pd.DataFrame) -> Iterator[Record]:
     """Compare the pose errors of solved trials with what covariances and bounds foretell."""
     clusters = clusters_of(run, rows)
-    for what, error in ERRORS.items():
-        for name, column in (PREDICTED | BOUNDED).items():
-            foretold = f"{column}_{_UNITS[what]}"
-            if name.startswith(what) and foretold in rows:
-                pair = rows[[error, foretold]].to_numpy(dtype=np.float64)
-                # A prior without error predicts a zero RMS, over which no ratio exists.
-                known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
-                if known.any():
-                    measured = rms_ratio(pair[known, 0], pair[known, 1], clusters[known])
-                    yield sample.record(name, RATIO, measured, int(known.sum()))
+    for name, columns in _RATIOS.items():
+        pair = rows[[*columns]].to_numpy(dtype=np.float64)
+        # A prior without error predicts a zero RMS, over which no ratio exists.
+        known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
+        if known.any():
+            measured = rms_ratio(pair[known, 0], pair[known, 1], clusters[known])
+            yield sample.record(name, RATIO, measured, int(known.sum()))
 
 
 def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.generic]) -> Measured:
@@ -239,10 +234,10 @@ _COLUMNS = (
     record_column("band", printed=lambda band: f"{number(band.low)} to {number(band.high)}" if band else NO_VALUE),
     record_column("within 95 %", statistic=INSIDE, interval=True),
 )
-_RATIOS = tuple(
-    _ratio_column(f"{name.partition('_')[0]}, RMS over {of}", name)
-    for of, names in (("predicted", PREDICTED), ("bound", BOUNDED))
-    for name in names
+_RATIO_COLUMNS = tuple(
+    _ratio_column(f"{what}, RMS over {over}", f"{what}_over_{of}")
+    for over, of in (("predicted", "sigma"), ("bound", "bound"))
+    for what in ("position", "attitude")
 )
 
 
@@ -254,5 +249,5 @@ def consistency_grid(records: Sequence[Record]) -> Grid | None:
     others = [r for r in own if (r.scenario, r.estimator) not in with_band]
     lines = [*bands, *dict.fromkeys(Key(r.scenario, r.estimator, CONSISTENCY, statistic=BAND) for r in others)]
     known = by_key(own)
-    shown = [one for one in _RATIOS if any(one.cell(key, known) != NO_VALUE for key in lines)]
+    shown = [one for one in _RATIO_COLUMNS if any(one.cell(key, known) != NO_VALUE for key in lines)]
     return record_grid("Covariance and bound", (*_COLUMNS, *shown), own, lines, _NOTE)

@@ -97,16 +97,22 @@ def pose_measures(run: RunData) -> Iterator[Record]:
             yield sample.share("success_share", succeeded(rows), clusters_of(run, rows))
 
 
+def _final_samples(run: RunData, pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[Sample, pd.DataFrame]]:
+    """Yield the rows of each scenario and estimator, and what records on their final stage are of."""
+    for scenario, estimator in pairs:
+        rows = select(run.rows, scenario, estimator)
+        yield Sample(scenario, estimator, final_stage(run, scenario, estimator), len(rows)), rows
+
+
 def reference_measures(run: RunData) -> Iterator[Record]:
     """Measure final pose errors against each further reference pose; those against the truth are measured elsewhere."""
-    for scenario, estimator in run.pairs():
-        table = select(run.table("references"), scenario, estimator)
-        n = len(select(run.rows, scenario, estimator))
+    for sample, _ in _final_samples(run, run.pairs()):
+        table = select(run.table("references"), sample.scenario, sample.estimator)
         # An estimator's errors against the truth are measured from its stages; the control has no stages.
-        known = set() if estimator == CONTROL else {run.truth_name(scenario)}
+        known = set() if sample.estimator == CONTROL else {run.truth_name(sample.scenario)}
         for reference in sorted(set(table["reference"]) - known):
-            sample = Sample(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
-            yield from _pose_records(run, sample, table[table["reference"] == reference])
+            of_reference = replace(sample, reference=str(reference))
+            yield from _pose_records(run, of_reference, table[table["reference"] == reference])
 
 
 def improvement_measures(run: RunData) -> Iterator[Record]:
@@ -114,16 +120,12 @@ def improvement_measures(run: RunData) -> Iterator[Record]:
 
     Against the truth, and for real images against each further reference pose as well.
     """
-    for scenario, estimator in run.posed_pairs():
-        if estimator == CONTROL:
-            continue
-        rows = select(run.rows, scenario, estimator)
+    for sample, rows in _final_samples(run, (pair for pair in run.posed_pairs() if pair[1] != CONTROL)):
         ok = rows[rows["status"] == "ok"]
         prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
-        sample = Sample(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
         yield from _reductions(run, sample, prior, ok)
-        mine, control = (select(run.table("references"), scenario, name) for name in (estimator, CONTROL))
-        for reference in sorted(set(mine["reference"]) - {run.truth_name(scenario)}):
+        mine, control = (select(run.table("references"), sample.scenario, name) for name in (sample.estimator, CONTROL))
+        for reference in sorted(set(mine["reference"]) - {run.truth_name(sample.scenario)}):
             final, before = (table[table["reference"] == reference] for table in (mine, control))
             yield from _reductions(run, replace(sample, reference=str(reference)), before, final)
 
@@ -138,17 +140,13 @@ def _reductions(run: RunData, sample: Sample, before: pd.DataFrame, after: pd.Da
 
 def landmark_measures(run: RunData) -> Iterator[Record]:
     """Measure the number of landmarks an image, and the error of each recognised landmark."""
-    for scenario, estimator in run.pairs():
-        if estimator == CONTROL:
-            continue
-        rows = select(run.rows, scenario, estimator)
+    for sample, rows in _final_samples(run, (pair for pair in run.pairs() if pair[1] != CONTROL)):
         ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
-        sample = Sample(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
         if (ok["n_landmarks"] > 0).any():
             yield from sample.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
             yield sample.share("four_landmarks_share", enough, clusters_of(run, rows))
-        marks = select(run.table("landmarks"), scenario, estimator)
+        marks = select(run.table("landmarks"), sample.scenario, sample.estimator)
         if len(marks):
             sample, clusters = replace(sample, n=len(marks)), clusters_of(run, marks)
             yield sample.record("landmark_observations", "count", Measured(*3 * (len(marks),)))

@@ -269,7 +269,7 @@ def test_the_report_states_sets_and_starts(builder):
 
 def test_bars_of_one_set_are_not_drawn(builder):
     run = written(builder, {"one": np.ones((2, STARTS)) + np.arange(STARTS)})
-    figure, _, _ = revolution_figure(run, revolution_series(run))
+    figure = revolution_figure(run, revolution_series(run)).figure
     widths = {float(w) for c in figure.axes[0].collections for w in np.atleast_1d(c.get_linewidth())}
     assert widths == {0.8}
 

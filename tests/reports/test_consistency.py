@@ -6,6 +6,7 @@ from scipy.stats import chi2, kstest
 from stored_runs import RunBuilder, pose_error
 
 from boresight.reports.run.data import read_run
+from boresight.reports.run.outcomes import revolution_ends
 from boresight.reports.schema.records import find
 from boresight.reports.statistics.consistency import (
     BAND,
@@ -141,6 +142,7 @@ def test_sequences_are_judged_after_whole_revolutions(builder):
                             landmark_rmse_m=1.0, settled_landmark_rmse_m=1.0)  # fmt: skip
     run = read_run(builder.write(scenarios={"rock": {}}, estimators=["true", "bold", "silent"]))
     assert [kind.name for kind in normalised_errors(run)] == ["nees_after_1"]
+    assert [(k, set(ends["anomaly_deg"])) for k, ends in revolution_ends(run.table("epochs"))] == [(1, {360.0})]
     grid = consistency_grid(consistency_records(run))
     assert [row[1] for row in grid.rows] == ["bold", "true"]
     records = {r.estimator: r for r in consistency_records(run) if r.statistic == "mean"}

@@ -28,7 +28,13 @@ from boresight.reports.figures.orbit import (
 from boresight.reports.figures.recognition import MatchedLandmarks, draw_matched_landmarks
 from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_effects, draw_heat_maps
 from boresight.reports.figures.sequences import draw_revolutions, draw_traces
-from boresight.reports.figures.style import grid_figure, mark_revolutions, percentile_band, scale_ordinate
+from boresight.reports.figures.style import (
+    grid_figure,
+    mark_revolutions,
+    percentile_band,
+    scale_ordinate,
+    step_histogram,
+)
 from boresight.reports.figures.trajectory import (
     TrackLifetimes,
     TrajectoryErrors,
@@ -132,14 +138,14 @@ def test_spans_and_residuals_are_told_apart():
     spans = pd.DataFrame({"first_days": [2.0, 1.0, 3.0], "last_days": [4.0, 5.0, 6.0], "hits": 3, "n_other": [0, 1, 0]})
     assert legend(draw_landmark_spans(spans, "T")) == ["of one crater (2)", "with sightings of another (1)"]
     residuals = pd.DataFrame(
-        {"time_days": [1.0, 2.0, 3.0, 4.0, 5.0], "u_px": [1.0, 2.0, 3.0, 4.0, 5.0], "v_px": -1.0,
-         "used": [True, True, False, False, True], "wrong": [False, True, False, True, False]}
+        {"time_days": np.arange(1.0, 7.0), "u_px": np.arange(1.0, 7.0), "v_px": -1.0,
+         "used": [True, True, False, False, True, False], "wrong": [False, True, False, True, False, False]}
     )  # fmt: skip
     figure = draw_residuals(residuals, "T")
     assert points(figure.axes[0], marker=".") == [([1.0, 2.0, 5.0], [1.0, 2.0, 5.0])]
-    assert figure.get_suptitle() == "T: 3 of 5 sightings"
+    assert figure.get_suptitle() == "T: 3 of 6 sightings"
     used = draw_sightings_used(residuals, "T")
-    assert legend(used) == ["right, used: 2", "right, edited: 1", "wrong, edited: 1", "wrong, used: 1"]
+    assert legend(used) == ["right, used: 2", "right, edited: 2", "wrong, edited: 1", "wrong, used: 1"]
 
 
 def test_orbit_errors_are_medians_of_the_trials_and_end_of_arc_is_marked():
@@ -256,3 +262,9 @@ def test_landmark_errors_are_split_into_height_and_ground():
     chart, parts, _ = draw_landmark_map(where, error, np.array([False, True]), "T").axes
     np.testing.assert_allclose(chart.collections[0].get_offsets(), [[0.0, 0.0], [0.0, 90.0]])
     np.testing.assert_allclose(points(parts, marker="o"), [([4.0], [3.0]), ([1.0], [-2.0])])
+
+
+def test_a_histogram_is_a_share_of_the_whole_sample():
+    axes = grid_figure(1, 1)[1][0, 0]
+    assert step_histogram(axes, np.array([0.5, 1.5, 9.0, 9.0]), np.array([0.0, 1.0, 3.0])) == 2
+    np.testing.assert_allclose(axes.patches[0].get_data().values, [0.25, 0.125])

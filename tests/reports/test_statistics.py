@@ -12,6 +12,7 @@ from boresight.reports.statistics.measured import (
     RMS,
     ROOT_MEDIAN_SQUARE,
     Measured,
+    Sample,
     Statistic,
     measure,
     measure_share,
@@ -108,3 +109,9 @@ def test_a_share_of_trials_is_bounded_by_trials_where_all_of_every_cluster_succe
     assert share_of(np.ones(100, dtype=bool), data_base).low == pytest.approx(0.963, abs=0.001)
     alike, apart = share_of(data_base < 1, np.arange(100)), share_of(data_base < 1, data_base)
     assert apart.low < alike.low < alike.value == apart.value == 0.2 < alike.high < apart.high
+
+
+def test_a_record_counts_the_values_that_there_are():
+    sample = Sample("scene", "own", "final", 4)
+    (record,) = sample.records("position_error_m", np.array([1.0, np.nan, 3.0]), np.arange(3), (MEDIAN,))
+    assert (record.value, record.unit, record.n_ok, record.n) == (2.0, "m", 2, 4)

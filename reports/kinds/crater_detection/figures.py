@@ -60,12 +60,12 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
             what: {
                 one.estimator: [
                     (f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+", *rate.bar)
-                    for (low, high), (rate, _) in binned_rates(one, of, edges).items()
+                    for (low, high), (rate, _) in binned_rates(one, column, edges).items()
                     if rate.value is not None
                 ]
                 for one in ones
             }
-            for what, of, edges in BINNINGS
+            for what, column, edges in BINNINGS
         }
         title = f"Detectable craters found, {scenario}"
         yield NamedFigure(

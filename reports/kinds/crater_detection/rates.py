@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -35,9 +35,6 @@ BEST = 12
 """So many of the most confident detections of an image are judged by themselves: as many as the paper finds in one."""
 
 FALSE_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
-_DIAMETERS_PX = (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)
-_DEGRADATIONS = (0.0, 0.15, 0.3, 0.45, 0.6)
-_INCIDENCES_DEG = (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
     " world before this run; intervals are 95 %, with images, or worlds of craters where"
@@ -81,6 +78,7 @@ def detector_results(run: RunData) -> Iterator[DetectorResults]:
         matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
         craters = here.merge(matched, on=["trial", "crater"], how="left")
         craters["kept"] = craters["kept"].eq(True)
+        craters["diameter_px"] = 2.0 * np.sqrt(craters["major_px"] * craters["minor_px"])
         yield DetectorResults(scenario, estimator, images, craters, found)
 
 
@@ -248,28 +246,20 @@ def _curve_grid(ones: Sequence[DetectorResults]) -> Grid:
     return Grid("Detection of craters by confidence", _CURVE_HEADS, tuple(rows), frozenset({0, 1}), _CURVE_NOTE)
 
 
-def _diameter_px(craters: pd.DataFrame) -> FloatArray:
-    return np.asarray(2.0 * np.sqrt(craters["major_px"] * craters["minor_px"]), dtype=np.float64)
-
-
-def _column(name: str) -> Callable[[pd.DataFrame], FloatArray]:
-    return lambda craters: craters[name].to_numpy(dtype=np.float64)
-
-
-Binning = tuple[str, Callable[[pd.DataFrame], FloatArray], tuple[float, ...]]
-BINNINGS: tuple[Binning, ...] = (
-    ("diameter, px", _diameter_px, _DIAMETERS_PX),
-    ("degradation", _column("degradation"), _DEGRADATIONS),
-    ("incidence, deg", _column("incidence_deg"), _INCIDENCES_DEG),
+BINNINGS = (
+    ("diameter, px", "diameter_px", (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)),
+    ("degradation", "degradation", (0.0, 0.15, 0.3, 0.45, 0.6)),
+    ("incidence, deg", "incidence_deg", (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)),
 )
+"""What rates are given by, its column, and the edges of the bins."""
 
 
 def binned_rates(
-    one: DetectorResults, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+    one: DetectorResults, column: str, edges: Sequence[float]
 ) -> Mapping[tuple[float, float], tuple[Measured, int]]:
     """Rates of detectable craters found, with intervals, and their numbers, between edges of something of theirs."""
     craters = one.craters[one.craters["detectable"].astype(bool)]
-    of, unit = values(craters), craters["unit"].to_numpy()
+    of, unit = craters[column].to_numpy(dtype=np.float64), craters["unit"].to_numpy()
     was_found = craters["kept"].to_numpy(dtype=bool)
     rates = {}
     for low, high in pairwise(edges):
@@ -278,12 +268,10 @@ def binned_rates(
     return rates
 
 
-def _binned_grid(
-    ones: Sequence[DetectorResults], what: str, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
-) -> Grid:
+def _binned_grid(ones: Sequence[DetectorResults], what: str, column: str, edges: Sequence[float]) -> Grid:
     rows = []
     for one in ones:
-        for (low, high), (rate, n) in binned_rates(one, values, edges).items():
+        for (low, high), (rate, n) in binned_rates(one, column, edges).items():
             span = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
             rows.append((one.scenario, one.estimator, span, _cell(rate), str(n)))
     heads = ("scenario", "detector", what, "detectable found, %", "n")

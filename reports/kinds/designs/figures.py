@@ -70,7 +70,7 @@ def _matrix(data: DesignData, base: str, names: list[str], own: list[Outcome]) -
             for j, column in enumerate(across.levels):
                 name = by_levels.get((row, column))
                 median = data.median(name, outcome) if name else Measured(None)
-                values[i, j] = np.nan if median.value is None else median.value
+                values[i, j] = median.bar[0]
                 interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
                 texts[i][j] = f"{number(median.value)}{interval}\n{data.ok([name], outcome) if name else ''}"
         matrices.append(HeatMap(outcome.label, down.levels, across.levels, values, texts))

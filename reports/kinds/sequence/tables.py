@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from boresight.reports.figures.sequences import (
     AFTER_REVOLUTIONS,
@@ -215,20 +214,21 @@ def sequence_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
     for scenario in dict.fromkeys(run.table("epochs")["scenario"]):
         labels = [name for where, name in run.pairs() if where == scenario]
-        yield NamedFigure(file_stem(f"traces_{scenario}"), *trace_figure(run, scenario, labels))
+        yield trace_figure(run, scenario, labels)
     series = revolution_series(run)
     if series:
-        yield NamedFigure("revolutions", *revolution_figure(run, series))
+        yield revolution_figure(run, series)
 
 
 def trace_figure(
     run: RunData, scenario: str, labels: Sequence[str], panels: Sequence[str] = (POSITION, LANDMARKS)
-) -> tuple[Figure, str, str]:
-    """Draw the errors of some estimators along the frames: the figure, its caption and its description."""
+) -> NamedFigure:
+    """Draw the errors of some estimators along the frames."""
     here = run.table("epochs")[run.table("epochs")["scenario"] == scenario]
     title = f"Errors along the orbit, {scenario}"
     trials = here["trial"].nunique()
-    return (
+    return NamedFigure(
+        file_stem(f"traces_{scenario}"),
         draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
         f"{title}: median over {count_of(trials, 'trial')}, and {band_label(trials)}; a thin line: the"
         " first trial; a trial that failed ends with its last good frame.",
@@ -236,11 +236,12 @@ def trace_figure(
     )
 
 
-def start_figure(run: RunData, scenario: str, estimator: str) -> tuple[Figure, str, str]:
-    """Draw the errors of every trial along the frames: the figure, its caption and its description."""
+def start_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the errors of every trial along the frames."""
     epochs = select(run.table("epochs"), scenario, estimator)
     title = f"Position error from {count_of(epochs['trial'].nunique(), 'start')}, {estimator}"
-    return (
+    return NamedFigure(
+        file_stem(f"starts_{scenario}"),
         draw_starts(epochs, title),
         f"{title}, {scenario}: a line for each trial; a line that ends early is a trial that failed there.",
         f"Position error against the anomaly for {estimator}, one line for each start.",
@@ -271,7 +272,7 @@ def revolution_series(run: RunData) -> dict[str, dict[str, tuple[str, str]]]:
 
 def revolution_figure(
     run: RunData, series: Mapping[str, Mapping[str, tuple[str, str]]], abscissa: str = ""
-) -> tuple[Figure, str, str]:
+) -> NamedFigure:
     """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
     errors = {
         line: {
@@ -283,7 +284,8 @@ def revolution_figure(
     axes = run.manifest.grid.axes if run.manifest.grid is not None else ()
     abscissa = abscissa or ", ".join(axis.label for axis in axes) or "views"
     title = f"Position error after whole revolutions by {abscissa}"
-    return (
+    return NamedFigure(
+        "revolutions",
         draw_revolutions(errors, abscissa, title),
         f"{title}: mean over the trials; thick bar: its 95 % interval; thin bar: one standard deviation of the trials;"
         " tick: median.",
