@@ -158,7 +158,8 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     # Only facets seen from above: those of the far side and overhangs have no height over the plane.
     near = near[mesh.normals[near] @ plane.axes[2] > _LEAST_FACING]
     corners = (mesh.corners_m[near] - plane.centre_m) @ plane.axes.T
-    near, corners = (part[np.abs(corners[:, :, 2]).max(axis=1) <= plane.half_m] for part in (near, corners))
+    within = _largest(np.abs(corners[:, :, 2])) <= plane.half_m
+    near, corners = (part[within] for part in (near, corners))
     grid = corners[:, :, :2] / plane.spacing_m + (plane.side - 1) / 2
     facet, node, weights = _covered_nodes(grid, plane.side)
     heights = np.einsum("nk,nk->n", weights, corners[facet, :, 2])
@@ -191,8 +192,8 @@ def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArr
     weights
         (P, 3) barycentric coordinates.
     """
-    low = np.clip(np.ceil(corners.min(axis=1) - _EDGE_TOLERANCE), 0, side).astype(np.int64)
-    high = np.clip(np.floor(corners.max(axis=1) + _EDGE_TOLERANCE), -1, side - 1).astype(np.int64)
+    low = np.clip(np.ceil(-_largest(-corners) - _EDGE_TOLERANCE), 0, side).astype(np.int64)
+    high = np.clip(np.floor(_largest(corners) + _EDGE_TOLERANCE), -1, side - 1).astype(np.int64)
     size = np.maximum(high - low + 1, 0)
     count = size[:, 0] * size[:, 1]
     facet = np.repeat(np.arange(len(corners)), count)
@@ -207,8 +208,13 @@ def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArr
     w1 = _cross(point - first, third - first)
     w2 = _cross(second - first, point - first)
     weights = np.stack([area - w1 - w2, w1, w2], axis=1) / np.where(area == 0.0, np.nan, area)[:, None]
-    inside = weights.min(axis=1) >= -_EDGE_TOLERANCE
+    inside = -_largest(-weights) >= -_EDGE_TOLERANCE
     return facet[inside], (row * side + column)[inside], weights[inside]
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """Return the largest along the second axis, of length 3: numpy's reduction of so short an axis is slow."""
+    return np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2])
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -223,12 +229,16 @@ def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None
     """
     farthest = int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))
     chosen = [farthest if seed is None else int(np.random.default_rng(seed).integers(len(points_m)))]
-    distance = np.linalg.norm(points_m - points_m[chosen[0]], axis=1)
-    while distance.max() > radius_m:
+    x, y, z = np.ascontiguousarray(points_m.T)
+    distance = np.full(len(points_m), np.inf)
+    while True:
+        a, b, c = points_m[chosen[-1]]
         # Each new point only shortens distances, so that one pass over all points is enough for each.
-        chosen.append(int(np.argmax(distance)))
-        np.minimum(distance, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1), out=distance)
-    return chosen
+        np.minimum(distance, np.sqrt((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2), out=distance)
+        farthest = int(np.argmax(distance))
+        if distance[farthest] <= radius_m:
+            return chosen
+        chosen.append(farthest)
 
 
 def relief(heights_m: FloatArray, spacing_m: float) -> float:
