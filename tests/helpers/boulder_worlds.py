@@ -34,6 +34,7 @@ class BoulderWorld:
         self.prior_covariance = np.diag(prior_sigmas) ** 2
         self.database: object = None
         self.asked: list[tuple[str, object]] = []
+        self._images: dict[int, Image] = {}
 
     def product(self, kind: str, options: object) -> object:
         self.asked.append((kind, options))
@@ -62,7 +63,9 @@ class BoulderWorld:
         axis = rng.normal(size=3)
         angle = np.radians(rng.uniform(-2.0, 2.0)) / np.linalg.norm(axis)
         prior = view.T_cam_body.perturbed(angle * axis, rng.uniform((-50.0, -50.0, -5.0), (50.0, 50.0, 5.0)))
-        image = self.renderer.render(view)
+        if trial not in self._images:
+            self._images[trial] = self.renderer.render(view)
+        image = self._images[trial].copy()
         if noise_dn:
             image = (8000.0 * image + rng.normal(100.0, noise_dn, image.shape)).astype(np.float32)
         return view, Frame(image, view.T_cam_body.rotate(view.sun_dir_body), prior, self.prior_covariance)
