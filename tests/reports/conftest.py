@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
 from boresight.reports.pages.build import ReportFiles, write_report
@@ -21,6 +22,20 @@ def builder(tmp_path: Path) -> RunBuilder:
 def full_run(builder: RunBuilder) -> Callable[..., Path]:
     """A run like the paper's: 120 trials of uniform priors, with every table."""
     return lambda **manifest: write_full_run(builder, **manifest)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write an empty file for each figure, for tests that read the texts of a report: drawing takes most of the time."""
+
+    def save(_: Figure, stem: Path, kinds: Sequence[str]) -> tuple[Path, ...]:
+        paths = tuple(stem.with_name(f"{stem.name}.{kind}") for kind in kinds)
+        for path in paths:
+            path.touch()
+        return paths
+
+    monkeypatch.setattr("boresight.reports.pages.build.save_figure", save)
+    monkeypatch.setattr("boresight.reports.pages.build.add_provenance", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

@@ -62,6 +62,7 @@ def test_report_holds_every_table_and_figure(report):
     assert {path for path in files.folder.rglob("*") if path.is_file()} == written
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_figures_are_pdf_on_request_and_none_of_an_earlier_report_is_left(full_run):
     run = full_run()
     asked = write_report(run, pdf=True)
@@ -124,6 +125,7 @@ def card_of(files):
     return dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_card_has_the_result_of_each_estimator(report, builder):
     rows = pd.read_parquet(report.folder.parent / "rows").query("estimator == 'landmark-harris'")
     won = int((rows["position_error_m"] <= rows["prior_position_error_m"]).sum())
@@ -166,6 +168,7 @@ def titles_and_pictures(files):
     return re.findall(r'<h2[^>]*>(.*?)</h2>|<img src="data:[^"]*" alt="([^"]*)">', text)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("typical", [True, False])
 def test_the_first_picture_comes_after_the_first_table(full_run, typical):
     lead = (
@@ -181,6 +184,7 @@ def test_the_first_picture_comes_after_the_first_table(full_run, typical):
     assert len(pictures) == len(set(pictures)) == 4 + typical
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_long_first_table_comes_after_the_first_picture(builder):
     for estimator in map(str, range(9)):
         for trial in range(3):
@@ -189,6 +193,7 @@ def test_a_long_first_table_comes_after_the_first_picture(builder):
     assert [bool(alt) for _, alt in order[:2]] == [True, False]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_page_says_what_was_run_and_escapes_it(full_run):
     files = write_report(full_run(commit="abc123", command="boresight run x --set 'a=<b>'"))
     text = "".join(_page(files).text)
@@ -205,6 +210,7 @@ def test_page_reproduces_by_name_seed_and_trials_where_no_command_is_stored(repo
     assert "boresight run rowell2015-simulated --trials 120 --seed 7" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_unfinished_run_says_so(full_run, report):
     files = write_report(full_run(trials=6000))
     assert "Unfinished: 120 of 6000 trials" in "".join(_page(files).text)
@@ -212,6 +218,7 @@ def test_unfinished_run_says_so(full_run, report):
     assert "Unfinished" not in "".join(_page(report).text)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_credit_lines_stand_under_every_figure_and_at_the_end(full_run):
     credit = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
     files = write_report(full_run(credits=[credit]))
@@ -229,6 +236,7 @@ def test_what_is_not_stored_is_left_out_and_said(builder):
     assert "Time per stage" not in files.markdown.read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_notes_on_poses_stand_where_there_are_poses(builder, full_run):
     about, absent = "components turned into the true camera's axes", "so left out"
     text = write_report(full_run()).markdown.read_text(encoding="utf-8")
@@ -241,6 +249,7 @@ def test_notes_on_poses_stand_where_there_are_poses(builder, full_run):
     assert not any(about in note or absent in note for note in notes)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_control_character_of_a_stored_text_reaches_no_file_of_a_report(builder):
     steering = "\x1b[2Jsteering"
     for trial in range(3):
@@ -256,6 +265,7 @@ def test_a_control_character_of_a_stored_text_reaches_no_file_of_a_report(builde
     assert sum(r"\x1b[2Jsteering" in text for text in texts) >= 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_texts_of_a_manifest_cannot_steer_a_terminal_or_the_markup_of_a_report(builder):
     for trial in range(3):
         builder.trial(trial, ([3, 4, 0], 1), ([1, 1, 0], 1))

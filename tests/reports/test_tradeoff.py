@@ -71,6 +71,7 @@ def test_the_size_is_a_number_of_the_report(builder):
     assert "Accuracy and its cost" in files.markdown.read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("products", [[], [{**PRODUCTS[0], "scenario": "elsewhere", "estimator": "corners"}]])
 def test_nothing_is_traded_where_no_data_base_is_known(builder, products):
     content = read_content(fill(builder, products=products))
