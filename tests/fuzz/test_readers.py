@@ -18,7 +18,7 @@ from boresight.scenarios.errors import BoresightError
 
 ROOT = Path(__file__).parents[2]
 OURS = ("/scenarios/", "/renderers/", "/estimators/", "/reports/", "/campaign/")
-FEW, MANY = 200, 10_000
+FEW, MANY = 100, 10_000
 
 
 def faults(name: str, contents: Iterable[bytes], folder: Path) -> dict[str, bytes]:
