@@ -41,8 +41,14 @@ def test_an_ideal_bowl_is_found(detector, place):
     assert abs(offset @ sun) < (0.5 if detector.name == "crater-classic" else 0.3)
 
 
-@pytest.mark.parametrize("incidence_deg", [35.0, 65.0])
-@pytest.mark.parametrize("azimuth_deg", [20.0, 250.0])
+@pytest.mark.parametrize(
+    ("azimuth_deg", "incidence_deg"),
+    [
+        (20.0, 35.0),
+        (250.0, 65.0),
+        *(pytest.param(*sun, marks=pytest.mark.long) for sun in ((20.0, 65.0), (250.0, 35.0))),
+    ],
+)
 def test_bowls_of_a_plain_are_found_and_little_else(detector, azimuth_deg, incidence_deg):
     azimuth, incidence = np.radians([azimuth_deg, incidence_deg])
     bowls = scattered(np.random.default_rng(3), 20)
