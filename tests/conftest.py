@@ -19,6 +19,8 @@ from yardstick import yardstick_s
 
 from boresight.scenarios.cache import default_cache
 
+gc.disable()  # importing makes hardly any garbage: what is imported is left out of every collection from then on
+
 # Each cache of its own would compile the kernels again, which takes a minute.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache().root / "kernels"))
 
@@ -83,7 +85,6 @@ def pytest_collection_finish() -> None:
     """
     gc.collect()
     gc.freeze()
-    gc.disable()
     if TIMES:
         del os.environ["BORESIGHT_TEST_TIMES"]
         note("collecting", processor_s())
