@@ -26,7 +26,7 @@ def full_run(builder: RunBuilder) -> Callable[..., Path]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write an empty file for each figure, for tests that read the texts of a report: drawing takes most of the time."""
+    """Write an empty file for each figure, for tests that read texts alone: drawing takes most of a report's time."""
 
     def save(_: Figure, stem: Path, kinds: Sequence[str]) -> tuple[Path, ...]:
         paths = tuple(stem.with_name(f"{stem.name}.{kind}") for kind in kinds)

@@ -125,7 +125,7 @@ def test_pictures_are_drawn_and_the_same_each_time(name, tmp_path):
 
 @pytest.mark.parametrize("name", some_long(*FIGURES.keys() - {"pose", "clusters", "triangulation"}))
 def test_vector_files_are_the_same_each_time(name, tmp_path):
-    _, pdf = save_figure(FIGURES[name](), tmp_path / "figure")
+    (pdf,) = save_figure(FIGURES[name](), tmp_path / "figure", ("pdf",))
     assert pdf.read_bytes().startswith(b"%PDF")
     assert render(FIGURES[name](), "pdf") == pdf.read_bytes()
 
