@@ -25,7 +25,7 @@ from boresight.scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([7.0, -4.0, 11.0])
 IMAGING = {
-    "epochs": 40,
+    "epochs": 30,
     "detections": "drawn",
     "craters": {"count": 500, "min_diameter_m": 9.0, "max_diameter_m": 60.0},
     "errors": {"height_m": 0.5, "least_radius_px": 5.0},
@@ -79,7 +79,7 @@ def test_the_chain_comes_to_an_orbit_that_is_far_better_than_the_a_priori_one(do
     assert chain["n_wrong"] < 0.05 * chain["n_correct"]
     assert chain["n_correct"] > 0.6 * chain["n_common"]
     assert chain["n_numbered"] <= chain["n_detections"]
-    assert len(records["navigated_images"]) == chain["n_images"] <= 40
+    assert len(records["navigated_images"]) == chain["n_images"] <= 30
     assert sum(line["hits"] for line in records["navigated_landmarks"]) == chain["n_numbered"]
     for table, lines in records.items():
         wanted = {column.name for column in TABLES[table]}
@@ -102,7 +102,7 @@ def test_an_interrupted_chain_goes_on_and_comes_to_the_same(done):
 
 
 def test_images_without_a_crater_and_with_one_do_not_stop_it(tmp_path):
-    records = _trials(tmp_path, _world(imaging={"epochs": 25}), sights=_Lost).run(range(1))
+    records = _trials(tmp_path, _world(imaging={"epochs": 14}), sights=_Lost).run(range(1))
     assert [line["n_detections"] for line in records["navigated_images"]][2:4] == [0, 1]
     assert records["rows"][0]["status"] == "ok"
 
@@ -110,7 +110,7 @@ def test_images_without_a_crater_and_with_one_do_not_stop_it(tmp_path):
 @pytest.mark.parametrize(("position_m", "count"), [(150.0, 1), (2900.0, 2)])
 def test_an_a_priori_orbit_that_is_far_off_is_solved_or_fails_with_its_reason(tmp_path, position_m, count):
     """As 10 km are to 200 km, and into the body: the run goes on either way."""
-    far = _world(knowledge={"position_m": position_m}, imaging={"epochs": 25})
+    far = _world(knowledge={"position_m": position_m}, imaging={"epochs": 14})
     records = _trials(tmp_path, far).run(range(count))
     assert [row["trial"] for row in records["rows"]] == list(range(count))
     assert all(row["status"] == "ok" or (row["status"] == "failed" and row["reason"]) for row in records["rows"])
@@ -162,7 +162,7 @@ class _DoubtsOnce(CraterNavigation):
 
 
 def test_a_rejected_orbit_begins_again_with_images_placed_by_it(tmp_path):
-    navigator, world = _DoubtsOnce(NavigationOptions(matcher="vote")), _world(imaging={"epochs": 25})
+    navigator, world = _DoubtsOnce(NavigationOptions(matcher="vote")), _world(imaging={"epochs": 14})
     trials = _trials(tmp_path, world, {"vote": navigator})
     records = trials.run(range(1))
     (row,), (chain,) = records["rows"], records["navigation"]
