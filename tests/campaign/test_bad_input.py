@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from tiny_campaign import CAMPAIGN, SCENE, assert_same_results, boresight, compute, files, run, write_campaign
+from tiny_sequences import write_sequences
 
 from boresight.campaign.cli import main
 from boresight.campaign.store import RunFolder
@@ -213,41 +215,44 @@ def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def started_by(preparation: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process that is prepared before, and whose workers inherit that."""
-    started = "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'boresight', *sys.argv[1:]])"
-    words = [sys.executable, "-c", f"{preparation}; {started}", *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+def started_by(preparation: str, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run Python in a process that is prepared before, and whose workers inherit that."""
+    started = "import os, sys; os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    line = [sys.executable, "-c", f"{preparation}; {started}", *map(str, words)]
+    return subprocess.run(line, capture_output=True, text=True, check=False, timeout=120)
 
 
 # Root writes everywhere: it starts the command without CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH. Nobody else has them.
 AS_A_USER = "import ctypes; [ctypes.CDLL(None).prctl(24, capability) for capability in (1, 2)]"
+IN_TURN = """
+import json, sys
+from boresight.campaign.cli import main
+for words in json.loads(sys.argv[1]):
+    print(main(words), end="\\f", file=sys.stderr)
+"""
 
 
-def test_a_new_run_in_a_read_only_folder(tiny_run, tmp_path):
-    locked = tmp_path / "locked"
-    locked.mkdir(mode=0o555)
-    done = started_by(AS_A_USER, "run", tiny_run.file, "--trials", 2, "--out", locked / "run")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert str(locked / "run") in done.stderr
-    assert "--out" in done.stderr
-    assert not list(locked.iterdir())
-
-
-def test_a_run_that_became_read_only_is_left_alone(tiny_run, tmp_path):
-    out = tmp_path / "run"
-    compute(tiny_run.file, out, 10)
+def test_read_only_folders_are_left_alone(tmp_path):
+    """A folder for a new run, and a run that became read-only: it neither goes on nor has a report."""
+    file, out, locked = write_sequences(tmp_path / "campaign", 4), tmp_path / "run", tmp_path / "locked"
+    compute(file, out, 2)
     before = files(out)
-    folders = [out, *(path for path in out.rglob("*") if path.is_dir())]
+    locked.mkdir()
+    folders = [locked, out, *(path for path in out.rglob("*") if path.is_dir())]
     for path in folders:
         path.chmod(0o555)
-    for words in (("run", tiny_run.file, "--trials", 15, "--out", out), ("report", out)):
-        done = started_by(AS_A_USER, *words)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-        assert str(out) in done.stderr
-        assert files(out) == before
+    new, on, report = ("run", file, "--out", locked / "run"), ("run", file, "--out", out), ("report", out)
+    commands = json.dumps([[*map(str, words)] for words in (new, on, report)])
+    done = started_by(AS_A_USER, "-c", IN_TURN, commands)
     for path in folders:
         path.chmod(0o755)
+    errors = done.stderr.split("\f")[:3]
+    assert [(error.count("\n"), error[-2:]) for error in errors] == [(1, "\n2")] * 3, errors
+    assert str(locked / "run") in errors[0]
+    assert "--out" in errors[0]
+    assert not list(locked.iterdir())
+    assert all(str(out) in error for error in errors[1:])
+    assert files(out) == before
 
 
 @pytest.mark.parametrize("name", ["landmarks", "products"])
@@ -277,7 +282,7 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
         "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
     )
-    return started_by(preparation, *arguments)
+    return started_by(preparation, "-m", "boresight", *arguments)
 
 
 @pytest.mark.parametrize(
