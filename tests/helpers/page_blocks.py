@@ -19,6 +19,8 @@ LONG = (
     "boresight.campaign.cli.bench.benchmark",
     "benchmarks.door.speed_table",
     "boresight.campaign.cli.fetch.bring",
+    "boresight.campaign.cli.report.write",
+    "boresight.campaign.cli.compare.write_comparison",
 )
 """Where what takes long begins: all that a command names was read and checked by then."""
 
@@ -80,5 +82,5 @@ def run_command(words: list[str]) -> int:
     try:
         return main(words)
     except ReachedError:
-        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch")
+        assert words[0] in ("run", "sensitivity", "figures", "bench", "fetch", "report", "compare")
         return 0
