@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from ruamel.yaml import YAML
-from tiny_campaign import CAMPAIGN, SCENE, compute, write_campaign
+from tiny_campaign import SCENE, SMALL, compute, write_campaign
 
 from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
@@ -43,8 +43,6 @@ from boresight.scenarios.data import DATA_VARIABLE
 from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.load import load_campaign, load_scenario, scenario_names
 from boresight.scenarios.load.files import CATALOG as SCENARIOS
-
-SMALL = CAMPAIGN.replace("images: 40, min_observations: 6", "images: 20, min_observations: 4")
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

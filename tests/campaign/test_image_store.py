@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from tiny_campaign import (
-    CAMPAIGN,
     SCENE,
+    SMALL,
     TRIALS,
     assert_same_results,
     boresight,
@@ -153,10 +153,11 @@ def in_a_process(file, out, trials, jobs):
     return boresight("run", file, "--out", out, "--trials", trials, "--jobs", jobs).stdout
 
 
-def test_rows_are_the_same_from_the_store(own_cache, tmp_path):
-    noisy = write_campaign(tmp_path / "noisy", scene=SCENE + "detector: {psf_sigma_px: 0.6}\n")
+@pytest.mark.parametrize("first_jobs", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_rows_are_the_same_from_the_store(own_cache, tmp_path, first_jobs):
+    noisy = write_campaign(tmp_path / "noisy", SMALL, SCENE + "detector: {psf_sigma_px: 0.6}\n")
     for out, jobs, rendered, stored in (
-        ("fresh", 1, FEW, 0), ("first", 2, FEW, 0), ("second", 1, 0, FEW),
+        ("fresh", 1, FEW, 0), ("first", first_jobs, FEW, 0), ("second", 1, 0, FEW),
     ):  # fmt: skip
         with store_switched(on=out != "fresh"):
             said = compute(noisy, tmp_path / out, FEW) if jobs == 1 else in_a_process(noisy, tmp_path / out, FEW, jobs)
@@ -168,10 +169,10 @@ def test_rows_are_the_same_from_the_store(own_cache, tmp_path):
 
 
 def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path):
-    compute(write_campaign(tmp_path / "first"), tmp_path / "a", FEW)
-    other = CAMPAIGN.replace("database:", "pose: {match_d2_max: 25}\n      database:")
+    compute(write_campaign(tmp_path / "first", SMALL), tmp_path / "a", FEW)
+    other = SMALL.replace("database:", "pose: {match_d2_max: 25}\n      database:")
     noisy = SCENE + "detector: {psf_sigma_px: 0.6}\n"
-    for name, campaign, scene in (("threshold", other, SCENE), ("detector", CAMPAIGN, noisy)):
+    for name, campaign, scene in (("threshold", other, SCENE), ("detector", SMALL, noisy)):
         said = compute(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}", FEW)
         assert f"images: 0 rendered or read, {FEW} from the store" in said
 
@@ -179,28 +180,28 @@ def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path):
 def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
     """The same data base comes out, and other corners are looked for in the images that are there."""
 
-    def made(name, campaign=CAMPAIGN):
+    def made(name, campaign=SMALL):
         return compute(write_campaign(tmp_path / f"files-{name}", campaign), tmp_path / name, trials=1)
 
-    assert "images: 40; images from store: 0" in made("a")
-    kernel = CAMPAIGN.replace("images: 40,", "images: 40, corners: {patch_px: 9},")
-    assert "images: 40; images from store: 40" in made("b", kernel)
-    assert "images: 45; images from store: 40" in made("c", CAMPAIGN.replace("images: 40,", "images: 45,"))
+    assert "images: 20; images from store: 0" in made("a")
+    kernel = SMALL.replace("images: 20,", "images: 20, corners: {patch_px: 9},")
+    assert "images: 20; images from store: 20" in made("b", kernel)
+    assert "images: 25; images from store: 20" in made("c", SMALL.replace("images: 20,", "images: 25,"))
     for kind in ("landmark-database", "landmark-candidates"):
         assert main(["cache", "--clear", kind]) == 0
-    assert "images: 40; images from store: 40" in made("d")
+    assert "images: 20; images from store: 20" in made("d")
     for name in ("landmarks.csv", "facets.csv"):
         first, again = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "ad")
         assert first == again
 
 
 def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, monkeypatch):
-    compute(write_campaign(tmp_path / "first"), tmp_path / "a", trials=1)
+    compute(write_campaign(tmp_path / "first", SMALL), tmp_path / "a", trials=1)
     assert main(["cache", "--clear", "images"]) == 0
     monkeypatch.setattr("boresight.campaign.products.landmark_database.extract_candidates", None)
-    clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
+    clusters = SMALL.replace("seed_radius_m: 15", "seed_radius_m: 16")
     said = compute(write_campaign(tmp_path / "other", clusters), tmp_path / "b", trials=1)
-    count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])
+    count = int(re.search(r"images: 20; candidates from cache: (\d+)", said)[1])
     heads = [json.loads(next(tmp_path.glob(f"{out}/products/*/database.json")).read_text()) for out in "ab"]
     assert [head["provenance"]["candidates"] for head in heads] == [count, count]
     monkeypatch.undo()
@@ -213,7 +214,7 @@ def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, mo
 
 @pytest.mark.long
 def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
-    file = write_campaign(tmp_path / "campaign", CAMPAIGN.replace(f"trials: {TRIALS}", "trials: 400"))
+    file = write_campaign(tmp_path / "campaign", SMALL.replace(f"trials: {TRIALS}", "trials: 400"))
     arguments = ("run", file, "--jobs", 2, "--out", tmp_path / "killed", "--trials", 400)
     with started(*arguments) as process:
         wait_for_blocks(process, tmp_path / "killed", 3)
@@ -233,9 +234,9 @@ def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path, c
         assert main(["cache", *words]) == 0
         return capsys.readouterr().out
 
-    compute(write_campaign(tmp_path), tmp_path / "run")
-    assert "images: 7 entries" in said()  # three blocks of trials, four of the data base
-    assert "7 entries removed" in said("--clear", "images")
+    compute(write_campaign(tmp_path, SMALL), tmp_path / "run")
+    assert "images: 5 entries" in said()  # three blocks of trials, two of the data base
+    assert "5 entries removed" in said("--clear", "images")
     left = said()
     assert "images:" not in left
     assert "landmark-database: 1 entries" in left

@@ -46,6 +46,8 @@ estimators:
 trials: {TRIALS}
 seed: 5
 """
+SMALL = CAMPAIGN.replace("images: 40, min_observations: 6", "images: 20, min_observations: 4")
+"""The same with a data base that is quicker to build."""
 # What a run stores of its trials, but for the wall times, the tracebacks and what methods print.
 RESULTS = tuple(name for name in TABLES if name not in ("timings", "tracebacks", "said"))
 
