@@ -1,20 +1,22 @@
 """What a worker takes of a machine."""
 
-import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pandas as pd
 import pytest
 from rounding import round_rays_otherwise
+from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import TRIALS, run
 from variants import variant_or_skip
 
 from boresight.campaign import threads
+from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import recompute, reopened
 from boresight.campaign.machine import cores, sharing_cores
 from boresight.campaign.pool import workers as parallel
+from boresight.campaign.runs.worker import trials_of
 from boresight.campaign.store import RunFolder
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import variant
@@ -26,17 +28,21 @@ import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
 import boresight.campaign.runs.worker
 from boresight.campaign.threads import use_threads
-use_threads(int(sys.argv[1]))
-blas = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
-print(drjit.thread_count(), cv2.getNumThreads(), *blas)
+for jobs in sys.argv[1:]:
+    use_threads(int(jobs))
+    blas = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+    print(drjit.thread_count(), cv2.getNumThreads(), *blas)
 """
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 1000])
-def test_a_worker_takes_its_share_of_threads(jobs):
-    share = max(1, cores() // jobs)
-    done = subprocess.run([sys.executable, "-c", SCRIPT, str(jobs)], capture_output=True, text=True, check=True)
-    assert [int(word) for word in done.stdout.split()] == [share, share, 1]
+def test_a_worker_takes_its_share_of_threads():
+    jobs = (1000, 1, 2)
+    words = [sys.executable, "-c", SCRIPT, *map(str, jobs)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    shares = [max(1, cores() // one) for one in jobs]
+    assert [[int(word) for word in line.split()] for line in done.stdout.splitlines()] == [
+        [share, share, 1] for share in shares
+    ]
 
 
 def test_what_works_side_by_side_shares_the_cores():
@@ -48,31 +54,21 @@ def test_what_works_side_by_side_shares_the_cores():
     assert cores() == every
 
 
-AGAIN = """
-import sys
-from pathlib import Path
-from threadpoolctl import threadpool_info
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import recompute, reopened
-from boresight.campaign.store import RunFolder
-folder = RunFolder(Path(sys.argv[1]))
-found = recompute(reopened(folder), folder, Case("scene", "landmark-harris", 1))
-print(*{pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
-"""
+def blas_threads() -> set[int]:
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def test_a_case_is_recomputed_with_the_threads_of_its_run(tiny_run):
     """With two, matrices of a whole arc differ in their last bits, and a sound case would not be what is stored."""
-    done = subprocess.run([sys.executable, "-c", AGAIN, tiny_run.folder], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1"]
+    folder = RunFolder(tiny_run.folder)
+    trials_of.cache_clear()  # as in a process that only inspects
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert blas_threads() == {2}
+        recompute(reopened(folder), folder, Case("scene", "landmark-harris", 1))
+        assert blas_threads() == {1}
 
 
 # --- Each worker renders on a GPU of its own, told by the driver's own variable --------------------------------------
-
-
-def told(wait_s: float) -> tuple[int, str | None]:
-    time.sleep(wait_s)
-    return os.getpid(), os.environ.get(variant.VISIBLE_GPUS)
 
 
 @pytest.mark.parametrize(
@@ -82,12 +78,12 @@ def test_workers_share_the_gpus_out(monkeypatch, chosen, expected):
     rested = parallel._IdleWorkers()
     monkeypatch.setattr(parallel, "_idle_workers", lambda: rested)
     monkeypatch.setenv(variant.VISIBLE_GPUS, chosen)
-    found = set(parallel.in_order(2, told, [(0.05,)] * 8))
-    again = set(parallel.in_order(2, told, [(0.05,)] * 8))
+    told = f"sleep 0.05; echo $PPID ${variant.VISIBLE_GPUS}"
+    found, again = (set(parallel.in_order(2, subprocess.getoutput, [(told,)] * 8)) for _ in range(2))
     for worker in rested.taken(2):
         worker.close(kill=True)
     assert len(found) == 2, "two processes, each with one answer throughout"
-    assert {name for _, name in found} == expected
+    assert {one.split()[1] for one in found} == expected
     assert again == found, "they rest, and go on with the GPU that they have"
 
 
