@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
+from page_blocks import run_command, stop_before_long
 from tiny_campaign import run
 
 from boresight.campaign.cli import main
@@ -36,7 +37,7 @@ def test_a_run_is_compared(tiny_run, here, capsys):
     assert line["n_ok"].item() == len(errors)
 
 
-def test_what_cannot_be_compared(tiny_run, here, capsys):
+def test_what_cannot_be_compared(tiny_run, here, capsys, monkeypatch):
     assert "--metric speed" in refused(capsys, tiny_run.folder, "--metric", "speed")
     assert "--by weather" in refused(capsys, tiny_run.folder, "--by", "weather")
     assert "--by: empty" in refused(capsys, tiny_run.folder, "--by", ",")
@@ -47,4 +48,5 @@ def test_what_cannot_be_compared(tiny_run, here, capsys):
     capsys.readouterr()
     assert "their seeds are 5 and 6: give --unpaired" in refused(capsys, tiny_run.folder, other)
     assert not (here / "comparisons").exists()
-    assert main(["compare", str(tiny_run.folder), str(other), "--unpaired"]) == 0
+    stop_before_long(monkeypatch)
+    assert run_command(["compare", str(tiny_run.folder), str(other), "--unpaired"]) == 0

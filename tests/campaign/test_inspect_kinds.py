@@ -17,6 +17,8 @@ from boresight.campaign.inspection.recompute import recompute, reopened
 from boresight.campaign.kinds.crater_matching.show import draw_pair_case
 from boresight.campaign.kinds.sequence.show import followed_of, last_seen, lives_of
 from boresight.campaign.store import RunFolder
+from boresight.reports.compare import compare_runs
+from boresight.reports.compare.tables import subject_table
 from boresight.reports.run.data import read_run
 
 SEQUENCE = """\
@@ -135,15 +137,14 @@ def test_a_look_at_pairs_has_the_matches_that_are_stored(pairs):
     assert np.linalg.norm(look.marks[0].points_m, axis=1).max() <= np.linalg.norm(look.vertices_m, axis=1).max()
 
 
-def compared(run, out, metric):
-    """Compare a run with itself by its command; return the medians over the solved trials by estimator."""
-    chosen = () if metric is None else ("--metric", metric)
-    assert main(["compare", str(run), "--by", "estimator", "--out", str(out), *chosen]) == 0
-    found = pd.read_csv(out / "subjects.csv").query("trials == 'solved' and statistic == 'median'")
+def compared(run, metric):
+    """Compare a run with itself; return the medians over the solved trials by estimator."""
+    subjects = subject_table(compare_runs([run], metric, ["estimator"]))
+    found = subjects.query("trials == 'solved' and statistic == 'median'")
     return found.set_index("estimator")["value"].to_dict()
 
 
-def test_matchers_are_compared_by_what_they_miss_and_mistake(pairs, tmp_path, capsys):
+def test_matchers_are_compared_by_what_they_miss_and_mistake(pairs, capsys):
     stored, rows = pd.read_parquet(pairs / "crater_matches"), pd.read_parquet(pairs / "rows")
     solved = stored[(rows["status"] == "ok").to_numpy()]
     wanted = {
@@ -151,14 +152,20 @@ def test_matchers_are_compared_by_what_they_miss_and_mistake(pairs, tmp_path, ca
         "wrong_share": 100.0 * solved["n_wrong"] / (solved["n_wrong"] + solved["n_correct"]),
     }
     for metric, values in wanted.items():
-        assert compared(pairs, tmp_path / str(metric), metric) == {"vote": pytest.approx(values.median())}
+        assert compared(pairs, metric) == {"vote": pytest.approx(values.median())}
     assert main(["compare", str(pairs), "--metric", "speed"]) == 2
     assert "choose one of missed_share, wrong_share" in capsys.readouterr().err
 
 
 def test_an_orbit_is_drawn_with_its_residuals_and_looked_at(cache, tmp_path, capsys):
-    orbit = "orbit: {arc: {days: 1, predicted_days: 0.5}, sightings: {images: 50, craters: 200}}"
-    campaign = ORBITS + f"set:\n  {orbit}\n"
+    campaign = ORBITS + (
+        "set:\n"
+        "  orbit:\n"
+        "    arc: {days: 0.6, predicted_days: 0.2}\n"
+        "    asteroid: {gravity_degree: 4}\n"
+        "    knowledge: {shape_degree: 6}\n"
+        "    sightings: {images: 30, craters: 120}\n"
+    )
     (tmp_path / "campaign.yaml").write_text(campaign, encoding="utf-8")
     compute(tmp_path / "campaign.yaml", tmp_path / "run", trials=2)
     assert main(["inspect", str(tmp_path / "run"), "--trial", "1", "--look"]) == 2
@@ -168,13 +175,13 @@ def test_an_orbit_is_drawn_with_its_residuals_and_looked_at(cache, tmp_path, cap
     assert len(list((tmp_path / "run" / "inspect").glob("*/residuals.png"))) == 1
     folder = RunFolder(tmp_path / "run")
     look = look_of(reopened(folder), folder, read_run(folder.path), Choice())
-    assert sum(len(cameras.points_m) for cameras in look.cameras) == 2 * 50
+    assert sum(len(cameras.points_m) for cameras in look.cameras) == 2 * 30
     solved = {marks.name: marks for marks in look.marks}["landmark error, worst trial"]
     rows = pd.read_parquet(folder.path / "rows")
     worst = rows.loc[rows["position_error_m"].abs().idxmax()]
     assert len(solved.values) == worst["n_landmarks"]
     orbits = pd.read_parquet(folder.path / "orbits")
-    found = compared(folder.path, tmp_path / "compared", "arc_rms_m")
+    found = compared(folder.path, "arc_rms_m")
     assert found == {"batch-filter": pytest.approx(orbits["arc_rms_m"].median())}
 
 
