@@ -30,7 +30,7 @@ estimators:
   - prior
   - crater-pose:
       association: {centre_sigma_px: 0.3, centre_sigma_radii: 0.05}
-      database: {images: 30, detector: crater-learned, most_detections: 40}
+      database: {images: 24, detector: crater-learned, most_detections: 40}
 trials: 3
 seed: 2
 """
@@ -44,5 +44,5 @@ def test_craters_of_rendered_images_bring_poses_near_the_truth_and_images_are_ke
     assert list(rows.loc[rows.estimator == "crater-pose", "status"]) == ["ok"] * 3
     error = rows.pivot_table(index="trial", columns="estimator", values="position_error_m").median()
     assert error["crater-pose"] < 0.3 * error["prior"]
-    other = database_images(resolve(str(campaign)).scenarios[0], range(30), (20.0, 80.0), 0, choose_variant().name)
+    other = database_images(resolve(str(campaign)).scenarios[0], range(24), (20.0, 80.0), 0, choose_variant().name)
     assert all(image.from_store for image in other)

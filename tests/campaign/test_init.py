@@ -5,18 +5,26 @@ from __future__ import annotations
 import re
 
 import pandas as pd
+import pytest
 
 from boresight.campaign.cli.init import FILES
 from boresight.campaign.cli.main import main
 
+SMALLER = ["--set", "camera.width_px=128", "--set", "camera.height_px=128", "--set", "body.detail.facets=20000"]
 
-def test_the_campaign_runs_as_it_is_written(cache, tmp_path, monkeypatch, capsys):
+
+@pytest.mark.parametrize("changes", [SMALLER, pytest.param([], marks=pytest.mark.long)], ids=["smaller", "as written"])
+def test_the_campaign_runs(cache, tmp_path, monkeypatch, capsys, changes):
     monkeypatch.chdir(tmp_path)
     assert main(["init", "mine"]) == 0
     said = capsys.readouterr().out
     assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == sorted(FILES)
     assert "boresight run mine/campaign.yaml" in said
-    assert main(["run", "mine/campaign.yaml", "--trials", "4", "--out", "run", "--no-report"]) == 0
+    assert main(["validate", "mine/campaign.yaml"]) == 0
+    assert (
+        main(["run", "mine/campaign.yaml", "--trials", "4", "--out", "run", "--no-report", "--jobs", "1", *changes])
+        == 0
+    )
     rows = pd.read_parquet(tmp_path / "run" / "rows")
     assert rows.groupby("estimator").size().to_dict() == {"landmark-harris": 4, "landmark-ransac": 4, "prior": 4}
     assert (rows["status"] != "error").all()

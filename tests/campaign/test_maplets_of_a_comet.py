@@ -14,7 +14,7 @@ TIMES = 10.0
 CAMPAIGN = """\
 scenarios: [scene]
 estimators: [prior, lmaps: {maplets: {spacing_m: 30, side: 25}}]
-trials: 4
+trials: 2
 seed: 5
 """
 
@@ -38,7 +38,7 @@ def stored(cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("comet")
     shape = load_body(BodySpec(), ()).mesh
     trimesh.Trimesh(TIMES * shape.vertices_m / 1000.0, shape.faces, process=False).export(folder / "comet.obj")
-    compute(write_campaign(folder, CAMPAIGN, ten_times_larger(SCENE)), folder / "run", 4)
+    compute(write_campaign(folder, CAMPAIGN, ten_times_larger(SCENE)), folder / "run", 2)
     return RunFolder(folder / "run")
 
 

@@ -8,6 +8,8 @@ from tiny_campaign import CAMPAIGN, RESULTS, assert_same_results, compute, files
 
 from boresight.campaign.cli import main
 from boresight.campaign.store import RunFolder
+from boresight.reports.pages.build import markdown
+from boresight.reports.pages.content import read_content
 
 HOPELESS = """\
   - landmark-harris:
@@ -63,7 +65,7 @@ def test_it_is_the_same_in_another_order_with_workers_and_a_cache_of_its_own(sto
 
 def test_it_can_be_reported_and_inspected(stored, tmp_path, capsys):
     file, folder, _ = stored
-    assert run(file, folder.path, "--trials", TRIALS, "--worst", 0) == 3
-    assert f"all trials of hopeless in scene are errors: {REASON}" in (folder.path / "report" / "report.md").read_text()
+    assert run(file, folder.path, "--trials", TRIALS) == 3
+    assert f"all trials of hopeless in scene are errors: {REASON}" in markdown(read_content(folder.path), ())
     assert main(["inspect", str(folder.path), "--estimator", "hopeless", "--out", str(tmp_path / "case")]) == 0
     assert REASON in capsys.readouterr().out
