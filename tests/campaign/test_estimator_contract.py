@@ -23,6 +23,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.observation import Frame, Observation
 
+MAPLETS = {"spacing_m": 15, "side": 15}
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {
     "landmark-harris": {"database": DATABASE},
@@ -31,7 +32,7 @@ QUICK = {
     "whole-image": {"database": DATABASE},
     "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
     "landmark-altimeter": {"options": {"database": DATABASE}},
-    "lmaps": {"maplets": {"spacing_m": 15, "side": 15}},
+    "lmaps": {"maplets": MAPLETS},
 }
 # Need what the scene has not: their contract is tested with bodies that have craters.
 ELSEWHERE = {"crater-pose"}
@@ -67,8 +68,8 @@ def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
     return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.assets)
 
 
-class DefaultDatabase:
-    """Lends the quick data base to whoever asks for one by default options."""
+class QuickProducts:
+    """Lends quick data bases to whoever asks for one by default options."""
 
     def __init__(self, assets: BuiltAssets) -> None:
         self.camera = assets.camera
@@ -77,7 +78,7 @@ class DefaultDatabase:
         self._assets = assets
 
     def product(self, kind: str, options: object) -> object:
-        return self._assets.product(kind, DATABASE if kind == "landmark-database" else options)
+        return self._assets.product(kind, {"landmark-database": DATABASE, "maplets": MAPLETS}.get(kind, options))
 
 
 def answer(estimator: Estimator, observation: Observation, seed: int = 1) -> Estimate:
@@ -106,7 +107,7 @@ def with_image(observation: Observation, image: np.ndarray) -> Observation:
 @pytest.mark.parametrize("name", NAMES)
 def test_default_options_build(bench, name):
     found = estimator_class(name)
-    assets: Assets = DefaultDatabase(bench.assets)
+    assets: Assets = QuickProducts(bench.assets)
     estimator = found.from_options({}, assets)
     assert isinstance(estimator, found)
     assert found.name == name
