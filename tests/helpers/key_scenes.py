@@ -14,7 +14,7 @@ from tiny_pairs import PAIRS
 RENDERED = """
 body:
   detail:
-    facets: 5000
+    facets: 3000
     boulders: {count: 60, min_diameter_m: 15, max_diameter_m: 60}
     craters: {count: 10, min_diameter_m: 40, max_diameter_m: 120}
     roughness: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 20}
