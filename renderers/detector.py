@@ -1,4 +1,7 @@
-"""Frame detector: point spread, shot noise, saturation, read noise and quantisation of an image."""
+"""Frame detector: point spread, shot noise, saturation, read noise and quantisation of an image.
+
+Another artefact is a key of `DetectorSpec` (`scenarios/spec/camera.py`) and a step of `Detector.collect` or `digitise`.
+"""
 
 from __future__ import annotations
 

@@ -21,11 +21,11 @@ from boresight.campaign.papers.page import gather, paper_called, paper_campaigns
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign, check_data
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.request import RUNS, RunRequest
 from boresight.campaign.runs.requirements import needs
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.rich_tables import FittedTable

@@ -8,9 +8,9 @@ from dataclasses import replace
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RUNS, RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.runs.sensitivity import analyse, make_design, parse_over
 from boresight.campaign.runs.until import CONTROLS, STATISTICS
 from boresight.campaign.threads import workers

@@ -12,8 +12,8 @@ import pyarrow as pa
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.pool.guard import STOPPED, Call, Loss, guarding
 from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.blocks import trials_of
 from boresight.campaign.runs.resolve import reload, unlike
-from boresight.campaign.runs.worker import trials_of
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trials, WorkerContext
 from boresight.reports.schema.tables import schema

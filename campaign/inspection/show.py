@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import Recomputed
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.worker import opened
+from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import module_of
 from boresight.reports.pages.view3d import View3D

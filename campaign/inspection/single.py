@@ -22,10 +22,10 @@ from boresight.campaign.inspection.show import show_of
 from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign, kind_of
+from boresight.campaign.runs.execute import build_products
 from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import of_scenario
-from boresight.campaign.runs.runner import build_products
 from boresight.campaign.store import RunFolder
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.schema.named_figure import NamedFigure

@@ -31,10 +31,10 @@ from boresight.renderers.mitsuba3.variant import gpu_of_worker
 from boresight.scenarios.errors import MachineError
 
 T = TypeVar("T")
-Call = tuple[object, ...]
-AfterDeath = Callable[[Sequence[Call], Path], Sequence[Call]]
-"""Called with the calls that a process did not finish, the current one first, and its note file; returns as many calls
-to make instead."""
+Arguments = tuple[object, ...]
+AfterDeath = Callable[[Sequence[Arguments], Path], Sequence[Arguments]]
+"""Called with what a process did not finish, the current call first, and its note file; returns as many calls to make
+instead."""
 
 MOST_CALLS = 1_000_000
 _SHORT_S = 1.0
@@ -49,7 +49,7 @@ _STEPS = "steps"
 _LOOK_S = 1.0
 
 
-def no_replacement(lost: Sequence[Call], note: Path) -> Sequence[Call]:
+def no_replacement(lost: Sequence[Arguments], note: Path) -> Sequence[Arguments]:
     """Raise an error when a worker process ends during a call."""
     del lost, note
     raise MachineError(
@@ -61,7 +61,7 @@ def no_replacement(lost: Sequence[Call], note: Path) -> Sequence[Call]:
 def in_order(
     jobs: int,
     function: Callable[..., T],
-    calls: Iterable[Call],
+    calls: Iterable[Arguments],
     *,
     apart: bool = False,
     renew_after: int = MOST_CALLS,
@@ -95,10 +95,10 @@ def in_order(
 
 
 def _spread(
-    jobs: int, function: Callable[..., T], calls: Iterable[Call], renew_after: int, after_death: AfterDeath
+    jobs: int, function: Callable[..., T], calls: Iterable[Arguments], renew_after: int, after_death: AfterDeath
 ) -> Iterator[T]:
     workers = _idle_workers().taken(jobs)
-    waiting, again = enumerate(calls), deque[tuple[int, Call]]()
+    waiting, again = enumerate(calls), deque[tuple[int, Arguments]]()
     results: dict[int, object] = {}
     next_index = 0
     try:
@@ -159,7 +159,7 @@ class _Worker:
         folder = Path(tempfile.mkdtemp(prefix="boresight-worker-"))
         self._remove_folder = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.note, self.steps = folder / "call", folder / _STEPS
-        self.in_flight: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
+        self.in_flight: deque[tuple[tuple[int, Arguments], Future[tuple[float, object]]]] = deque()
         self._executor: ProcessPoolExecutor | None = None
         self._calls_made = 0
         self.last_s = math.inf
@@ -173,7 +173,7 @@ class _Worker:
         if self._calls_made >= renew_after and not self.in_flight:
             self._end(kill=False)
 
-    def give(self, item: tuple[int, Call], function: Callable[..., object]) -> bool:
+    def give(self, item: tuple[int, Arguments], function: Callable[..., object]) -> bool:
         """Submit a call; return False if the process has just ended with other calls in flight."""
         call = (_timed_call, store_is_on(), self.note, function, item[1])
         with _allow_child_processes(), _sigint_deferred():
@@ -205,7 +205,7 @@ class _Worker:
             self.last_s, answer = future.result()
             yield index, answer
 
-    def calls_to_repeat(self, after_death: AfterDeath) -> list[tuple[int, Call]]:
+    def calls_to_repeat(self, after_death: AfterDeath) -> list[tuple[int, Arguments]]:
         """Return the calls to make again if the process has ended; none while it is alive."""
         if not self._is_lost():
             return []
@@ -258,7 +258,7 @@ def _idle_workers() -> _IdleWorkers:
     return _IdleWorkers()
 
 
-def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
+def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Arguments) -> tuple[float, T]:
     """Make a call in a worker, with the parent's switch of the image store; return its duration, s, and result."""
     with store_switched(images_kept), guarding(note=note), written_to(note.with_name(_STEPS)):
         start = time.perf_counter()

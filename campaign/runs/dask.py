@@ -25,8 +25,8 @@ from boresight.campaign.imaging.real_images import image_files
 from boresight.campaign.machine import cores
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.runs.blocks import Losses, run_block
 from boresight.campaign.runs.request import Cluster
-from boresight.campaign.runs.worker import Losses, run_block
 from boresight.campaign.store.folder import Block
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.scenarios.bodies import EMBEDDED

@@ -14,9 +14,9 @@ import pandas as pd
 
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.execute import Listener, run_campaign
 from boresight.campaign.runs.request import RUNS, Cluster, RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import Listener, run_campaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.threads import workers
 from boresight.campaign.trial.kind import Records

@@ -23,8 +23,8 @@ import numpy as np
 
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
+from boresight.campaign.runs.execute import Listener, run_campaign
 from boresight.campaign.runs.request import RunRequest
-from boresight.campaign.runs.runner import Listener, run_campaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.compare.metrics import Metric, metric_values

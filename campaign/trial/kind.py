@@ -77,7 +77,7 @@ class WorkerContext:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trials(ABC):
-    """The trials of one scenario with one data base in a worker; the class of such trials is a kind of trial.
+    """The trials of one scenario in a worker, with one of its data bases; a subclass is a kind of trial.
 
     Parameters
     ----------
@@ -134,7 +134,13 @@ class Trials(ABC):
     @classmethod
     @abstractmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
-        """Build the methods that need no assets, by their labels; raise BoresightError for options that cannot run."""
+        """Build the methods that need no assets, by their labels.
+
+        Raises
+        ------
+        BoresightError
+            For options that cannot run, also of methods that `open` builds with their assets.
+        """
 
     @classmethod
     def prepare(

@@ -37,16 +37,16 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     """Trials in which every method is asked about the same draw: a kind is ``draw``, ``ask``, ``check`` and ``score``.
 
     What a method raises or returns against its contract becomes a row with status ``error``. What the other steps
-    raise is an error of boresight or of the machine, and ends the run, but for `lost`.
+    raise is an error of boresight or of the machine, and ends the run, but for `undrawable`.
     """
 
     called: ClassVar[str] = "estimator"
     """Sort of the methods, for messages."""
 
-    lost: ClassVar[tuple[type[BoresightError], ...]] = ()
+    undrawable: ClassVar[tuple[type[BoresightError], ...]] = ()
     """Raised by ``draw`` where chance leaves nothing to ask about; all methods have failed then."""
 
-    lost_trial: ClassVar[str] = "there is no such trial"
+    undrawable_reason: ClassVar[str] = "there is no such trial"
 
     methods: Mapping[str, Method | Unbuilt]
 
@@ -92,8 +92,8 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
             drawn = self.draw(trial)
         except MachineError:
             raise
-        except self.lost as error:
-            reason = f"{self.lost_trial}: {error}"
+        except self.undrawable as error:
+            reason = f"{self.undrawable_reason}: {error}"
             failed: Record = {"image": "", "status": "failed", "reason": reason, "n_landmarks": 0}
             rows = [
                 {**key, "estimator": label, **failed, "database": self.database.get(label)} for label in self.methods

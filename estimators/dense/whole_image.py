@@ -14,7 +14,7 @@ from boresight.estimators.contract import Assets, Stopwatch
 from boresight.estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
 from boresight.estimators.dense.registration import STAGE, register
 from boresight.estimators.landmark.alignment import Alignment, MeshView
-from boresight.estimators.landmark.pose.outliers import PoseOptions
+from boresight.estimators.landmark.pose.match_and_solve import PoseOptions
 from boresight.estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,

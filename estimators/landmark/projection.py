@@ -1,4 +1,7 @@
-"""Predict landmarks in an image: visibility (section 3.1.1) and projection, equations (4) to (10)."""
+"""Predict landmarks and their covariances in an image.
+
+Rowell et al. (2015): visibility (section 3.1.1), projection (equations (4) to (6)) and covariance ((7) to (10)).
+"""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from boresight.estimators.landmark.corners import CornerOptions, Corners, detect
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import MatchedFrame, matched_table
 from boresight.estimators.landmark.pose.levenberg_marquardt import PoseFit
-from boresight.estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
+from boresight.estimators.landmark.pose.match_and_solve import PoseOptions, PoseSolution, solve_pose
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
 from boresight.scenarios.geometry import Camera, Pose

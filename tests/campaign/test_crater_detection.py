@@ -19,9 +19,9 @@ from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.kinds.crater_detection import trial as crater_detection
 from boresight.campaign.products import BuiltAssets
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.renderers.mitsuba3 import choose_variant

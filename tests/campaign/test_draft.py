@@ -7,9 +7,9 @@ from mission_data import needs_data
 from tiny_campaign import Heard
 
 from boresight.campaign.draft import as_draft, drafted, kept
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.run.data import read_run

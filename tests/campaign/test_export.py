@@ -16,7 +16,7 @@ from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import recompute, reopened
 from boresight.campaign.kinds.single_image.trial import SingleImage
-from boresight.campaign.runs.worker import opened
+from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.reports.schema.grid import _SPECIAL, Grid
 from boresight.scenarios.geometry import Pose, View

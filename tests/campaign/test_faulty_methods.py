@@ -11,7 +11,7 @@ from test_crater_score import circles
 
 from boresight.campaign.kinds.crater_matching.trial import check_matches
 from boresight.campaign.kinds.sequence.score import check_sequence
-from boresight.campaign.kinds.single_image.score import check
+from boresight.campaign.kinds.single_image.check import check
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.trial.crater_score import check_detections
 from boresight.campaign.trial.methods import try_build

@@ -26,7 +26,7 @@ SCRIPT = """
 import sys
 import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
-import boresight.campaign.runs.worker
+import boresight.campaign.runs.blocks
 from boresight.campaign.threads import use_threads
 for jobs in sys.argv[1:]:
     use_threads(int(jobs))

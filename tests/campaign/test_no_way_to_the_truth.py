@@ -24,9 +24,9 @@ from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Watch
 from boresight.campaign.kinds.single_image import trial as single_image
 from boresight.campaign.products import BuiltAssets
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial import runner
 from boresight.campaign.trial.methods import require_built

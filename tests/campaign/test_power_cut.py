@@ -27,9 +27,9 @@ from tiny_sequences import write_sequences
 
 from boresight.campaign.kinds.sequence import KIND
 from boresight.campaign.pool import workers as parallel
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.store.folder import BlockState, blocks
 from boresight.scenarios import atomic
@@ -123,7 +123,7 @@ from pathlib import Path
 import boresight.campaign.kinds.sequence.trial
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
+from boresight.campaign.runs.execute import run_campaign
 campaign = resolve(sys.argv[1])
 campaign.digest
 

@@ -21,7 +21,7 @@ class _NoNumberError(BoresightError):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Halves(TrialRunner):
     name, version, block_trials = "halves", 1, 4
-    called, lost, lost_trial = "halver", (_NoNumberError,), "no number"
+    called, undrawable, undrawable_reason = "halver", (_NoNumberError,), "no number"
 
     flushed: list[int] = field(default_factory=list)
 

@@ -33,8 +33,8 @@ from boresight.campaign.cli import main
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import KIND
 from boresight.campaign.pool import workers as pool
+from boresight.campaign.runs.blocks import run_block
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.worker import run_block
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.campaign.store.folder import blocks
 from boresight.campaign.trial.kind import WorkerContext

@@ -16,9 +16,9 @@ import pandas as pd
 
 from boresight.campaign.cli import main
 from boresight.campaign.kinds.single_image.trial import Records
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.runner import run_campaign
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.renderers.mitsuba3 import choose_variant
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from boresight.estimators.craters.detection.candidates import fit_reweighted
+from boresight.estimators.craters.detection.ellipse_fit import fit_reweighted
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 

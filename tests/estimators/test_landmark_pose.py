@@ -16,7 +16,7 @@ from boresight.estimators.landmark.pose.levenberg_marquardt import (
     quaternion_jacobian,
     refine_pose,
 )
-from boresight.estimators.landmark.pose.outliers import PoseOptions, solve_pose
+from boresight.estimators.landmark.pose.match_and_solve import PoseOptions, solve_pose
 from boresight.estimators.landmark.pose.problem import PoseProblem, solve_epnp
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
 from boresight.scenarios.errors import BoresightError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from boresight.estimators.craters.detection.candidates import fit_reweighted
+from boresight.estimators.craters.detection.ellipse_fit import fit_reweighted
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
 from boresight.scenarios.observation import Frame

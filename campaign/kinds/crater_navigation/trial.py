@@ -93,7 +93,7 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
     version = 2
     block_trials = 1
     called = "chain"
-    lost = (BoresightError,)
+    undrawable = (BoresightError,)
 
     world: OrbitWorld
     sights: CraterSights

@@ -93,8 +93,8 @@ class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
     name = "image-survey"
     version = 1
     block_trials = 1
-    lost = (BoresightError,)
-    lost_trial = "there is no such arc"
+    undrawable = (BoresightError,)
+    undrawable_reason = "there is no such arc"
 
     world: OrbitWorld
     sights: DrawnSights

@@ -68,7 +68,7 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
     version = 3
     block_trials = 2
     databases = True
-    lost = (OrbitLostError,)
+    undrawable = (OrbitLostError,)
 
     world: OrbitWorld
 

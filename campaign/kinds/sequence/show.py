@@ -21,7 +21,7 @@ from boresight.campaign.inspection.show import (
 from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame
 from boresight.campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.worker import opened
+from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.contract import SequenceEstimate

@@ -79,7 +79,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     name = "sequence"
     version = 5
     block_trials = 5
-    lost = (OrbitLostError,)
+    undrawable = (OrbitLostError,)
 
     spec: SequenceSpec
     camera: Camera

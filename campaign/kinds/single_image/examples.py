@@ -13,7 +13,7 @@ from boresight.campaign.imaging.observe import observe
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.kinds.single_image.trial import SingleImage
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.worker import opened
+from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
-from boresight.campaign.kinds.single_image.score import check
+from boresight.campaign.kinds.single_image.check import check
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
@@ -83,7 +83,7 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
-        """Refuse wrong options; estimators are built later, with their assets."""
+        """Refuse wrong options; estimators need assets, and `open` builds them."""
         check_options(campaign, scenario)
         return {}
 

@@ -1,4 +1,4 @@
-"""Refinement of ellipses in the image by their merit (3), their confidence (4), and removal of duplicates."""
+"""Refinement of ellipses by the merit of Cheng et al. (2003), equation (3), confidence (4), removal of duplicates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The least-squares problem of the pose from matched landmarks, its Jacobians and EPnP: equations (15) to (23)."""
+"""The least-squares problem of the pose from matched landmarks, its Jacobians and EPnP.
+
+Equations (15) to (24) of Rowell et al. (2015); the covariances that weight it are predicted by `landmark.projection`.
+"""
 
 from __future__ import annotations
 

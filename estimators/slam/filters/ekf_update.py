@@ -1,4 +1,4 @@
-"""Measurement model of EKF-SLAM and its updates: extended Kalman filter, and iterated (Gauss-Newton)."""
+"""Measurement model of EKF-SLAM and its updates: that of Delpech et al. (2015), section 3.3, and an iterated one."""
 
 from __future__ import annotations
 
@@ -146,6 +146,8 @@ def _matched(held: IndexArray, seen: IndexArray) -> tuple[IndexArray, IndexArray
 
 def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
     """Update with all measurements at once; return the state and the squared normalised innovation.
+
+    This is the update of the extended Kalman filter of Delpech et al. (2015), step (2) of section 3.3.
 
     With S = L L' and W = L^-1 H P, the covariance is reduced by W' W: symmetric by construction, and 6 times faster
     than Joseph's form at 20 landmarks.

@@ -1,4 +1,7 @@
-"""Match landmarks and solve for the pose alternately, until the matches no longer change: section 3.4.3."""
+"""Match landmarks and solve for the pose alternately, until the matches no longer change.
+
+Section 3.4.3 of Rowell et al. (2015).
+"""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
+from boresight.campaign.runs.blocks import Losses, run_block
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.requirements import remember
-from boresight.campaign.runs.worker import Losses, run_block
 from boresight.campaign.store import TABLES, RunFolder, RunLock
 from boresight.campaign.store.folder import Block, BlockState, blocks
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named

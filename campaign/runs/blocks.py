@@ -48,7 +48,7 @@ class Losses:
         self._blocks: Counter[Block] = Counter()
 
     def after(self, lost: Sequence[tuple[Any, ...]], note: Path) -> list[tuple[Any, ...]]:
-        """Return the arguments of `campaign.runs.worker.run_block` to go on with.
+        """Return the arguments of `run_block` to go on with.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Ellipse fit (1) to pairs of arcs, and selection by edges on the rim and by the brightness profile across it."""
+"""Ellipse fit to pairs of arcs, equation (1) of Cheng et al. (2003), and selection by rim edges and brightness."""
 
 from __future__ import annotations
 
@@ -207,8 +207,8 @@ def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) ->
 def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sectors: int = 36) -> FloatArray:
     """Return the share (n, 2) of the sectors of each half of the rim with an edge within a tenth of the radius.
 
-    The halves are those on either side of the longer axis: parameters t of equation (2) below and above pi, whatever
-    the direction of the Sun.
+    The halves are those on either side of the longer axis, whatever the direction of the Sun: parameters t of the
+    paper's equation (2) below and above pi.
     """
     # In the axes of the ellipse, divided by its semi-axes, the rim is the unit circle and t the polar angle.
     c, s = np.cos(ellipses.angle_rad), np.sin(ellipses.angle_rad)
