@@ -16,7 +16,7 @@ from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import recompute, reopened
 from boresight.campaign.machine import cores, sharing_cores
 from boresight.campaign.pool import workers as parallel
-from boresight.campaign.runs.worker import trials_of
+from boresight.campaign.runs.blocks import trials_of
 from boresight.campaign.store import RunFolder
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import variant
