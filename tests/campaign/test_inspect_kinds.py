@@ -18,7 +18,7 @@ from boresight.campaign.kinds.crater_matching.show import draw_pair_case
 from boresight.campaign.kinds.sequence.show import followed_of, last_seen, lives_of
 from boresight.campaign.store import RunFolder
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.tables import subject_table
+from boresight.reports.compare.tables import subject_tables
 from boresight.reports.run.data import read_run
 
 SEQUENCE = """\
@@ -139,7 +139,7 @@ def test_a_look_at_pairs_has_the_matches_that_are_stored(pairs):
 
 def compared(run, metric):
     """Compare a run with itself; return the medians over the solved trials by estimator."""
-    subjects = subject_table(compare_runs([run], metric, ["estimator"]))
+    _, subjects = subject_tables(compare_runs([run], metric, ["estimator"]))
     found = subjects.query("trials == 'solved' and statistic == 'median'")
     return found.set_index("estimator")["value"].to_dict()
 
