@@ -197,21 +197,25 @@ def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
 
 
 def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.random.Generator) -> Pose:
-    """Degrade a true pose: shift its translation in camera axes and turn its attitude, independently.
+    """Degrade a true pose: shift its translation in camera axes and turn its attitude.
 
     This is the error of Rowell et al. (2015), section 4.2. The translation is T of equation (4): the shift alone moves
     the body in the image, and the error of the camera's position in the body frame is the shift plus the attitude
     error times the range.
 
     With ``position_body_m`` the camera's position in the body frame has that error, whatever the attitude's is.
+    `prior_covariance` is the second moment of the same laws.
     """
+    if spec.pose_cam_deg_m is not None:
+        joint = spec.pose_cam_deg_m.draw(rng)
+        return T_cam_body.perturbed(np.radians(joint[:3]), joint[3:])
     if spec.position_body_m is not None:
         position_m = T_cam_body.camera_position_m + spec.position_body_m.draw(rng)
         turned = T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), np.zeros(3)).rotation
         return Pose(turned, -turned @ position_m)
-    range_m = float(np.linalg.norm(T_cam_body.translation_m))
     # Drawn before the attitude: the order belongs to the stream.
-    shift_m = _shift(spec, range_m, camera, rng)
+    law, unit_m = _shift(spec, T_cam_body, camera)
+    shift_m = law.draw(rng) * unit_m
     return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
 
 
@@ -228,18 +232,14 @@ def prior_covariance(spec: PoseErrorSpec, prior: Pose, camera: Camera) -> FloatA
     camera
         The camera: scales them as well.
     """
-    attitude = spec.attitude
-    if attitude.rotation_vector_deg is not None:
-        rotation_deg2 = attitude.rotation_vector_deg.second_moment
-    else:
-        angle = attitude.angle_deg
-        # E[angle^2 n n^T] = E[angle^2] / 3 I for an isotropic axis n.
-        rotation_deg2 = np.eye(3) * (0.0 if angle is None else angle.second_moment / 3.0)
+    if spec.pose_cam_deg_m is not None:
+        units = np.array([*np.full(3, np.radians(1.0)), 1.0, 1.0, 1.0])
+        return spec.pose_cam_deg_m.second_moment * np.outer(units, units)
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = rotation_deg2 * np.radians(1.0) ** 2
+    covariance[:3, :3] = spec.attitude.second_moment_rad2
     if spec.position_body_m is None:
-        position, scale_m = _position(spec, float(np.linalg.norm(prior.translation_m)), camera)
-        covariance[3:, 3:] = position.second_moment * scale_m**2
+        law, unit_m = _shift(spec, prior, camera)
+        covariance[3:, 3:] = law.second_moment * unit_m**2
         return covariance
     # T = -R c: an error e of the camera's position c and a turn w of the attitude change T by w x T - R e.
     covariance[3:, 3:] = spec.position_body_m.second_moment
@@ -248,18 +248,13 @@ def prior_covariance(spec: PoseErrorSpec, prior: Pose, camera: Camera) -> FloatA
     return np.asarray(0.5 * (moved + moved.T), dtype=np.float64)
 
 
-def _shift(spec: PoseErrorSpec, range_m: float, camera: Camera, rng: np.random.Generator) -> FloatArray:
-    position, scale_m = _position(spec, range_m, camera)
-    return position.draw(rng) * scale_m
-
-
-def _position(spec: PoseErrorSpec, range_m: float, camera: Camera) -> tuple[Vector3, float]:
-    """Return the distribution of the shift, and the metres of one of its units."""
+def _shift(spec: PoseErrorSpec, pose: Pose, camera: Camera) -> tuple[Vector3, float]:
+    """Return the distribution of the shift in camera axes, and the metres of one of its units."""
     if spec.position_cam_m is not None:
         return spec.position_cam_m, 1.0
     if spec.position_cam_px is not None:
-        return spec.position_cam_px, range_m * camera.pixel_angle_rad
-    raise BoresightError("pose_error: give position_cam_m, position_cam_px or position_body_m")
+        return spec.position_cam_px, float(np.linalg.norm(pose.translation_m)) * camera.pixel_angle_rad
+    raise BoresightError("pose_error: give position_cam_m, position_cam_px, position_body_m or pose_cam_deg_m")
 
 
 def _rotation_vector(spec: AttitudeErrorSpec, rng: np.random.Generator) -> FloatArray:

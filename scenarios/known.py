@@ -271,17 +271,19 @@ def _errors(name: str, laws: dict[str, Law | None]) -> Item:
 
 def _nothing(law: Law | Law3 | None) -> bool:
     """Return whether a distribution draws only zeros."""
-    return law is None or not any(np.any(value) for name, value in law if name != "within")
+    return law is None or not any(np.any(value) for name, value in law if name not in {"within", "student_t"})
 
 
 def _pose(spec: ScenarioSpec) -> list[Item]:
     """List the pose and the error distributions of its prior and of an altimeter."""
     wrong = spec.pose_error
     places = (wrong.position_cam_m, wrong.position_cam_px, wrong.position_body_m)
-    if all(map(_nothing, (*places, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg))):
+    turns = (wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
+    if _nothing(wrong.pose_cam_deg_m) if wrong.pose_cam_deg_m is not None else all(map(_nothing, (*places, *turns))):
         return _exacts("pose")
+    law = _item("law of the pose errors", spec.believed_pose_error == wrong, "another is believed in")
     altimeter = ["law of the altimeter's error"] if spec.sensors.altimeter is not None else []
-    return [*_exacts("law of the pose errors", *altimeter), *_nots("pose")]
+    return [law, *_exacts(*altimeter), *_nots("pose")]
 
 
 # --- orbits and sequences ---------------------------------------------------------------------------------------------

@@ -30,9 +30,12 @@ from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.distribution import (
     Choice,
+    Choice3,
     Correlated3,
+    Correlated6,
     LogNormal,
     LogUniform,
+    Mixture3,
     Normal,
     Normal3,
     Uniform,
@@ -99,8 +102,8 @@ def _pages() -> Iterator[tuple[str, str]]:
             "## Distributions",
             "A key whose type is a distribution takes a number, which is a constant, or one of these:",
             "\n".join(f"- {words_of(law)}" for law in (Uniform, Normal, LogUniform, LogNormal, Choice)),
-            "Those of pose errors have three components, in camera axes:",
-            "\n".join(f"- {words_of(law)}" for law in (Uniform3, Normal3, Correlated3)),
+            "Those of pose errors have three components, or six with one covariance:",
+            "\n".join(f"- {words_of(law)}" for law in (Uniform3, Normal3, Correlated3, Choice3, Mixture3, Correlated6)),
         ),
     )
     yield (

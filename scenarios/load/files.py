@@ -111,7 +111,7 @@ def load_scenario(
     ]
     layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
     root = apply(file.root, layers, (ScenarioSpec,))
-    return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
+    return LoadedScenario(validated(ScenarioSpec, _without_nulls(root), file.folders), path, file.folders)
 
 
 def _without_nulls(root: ConfigEntry) -> ConfigEntry:
@@ -135,8 +135,10 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     return LoadedCampaign(validated(CampaignSpec, root), path, root)
 
 
-def validated(model: type[Spec], root: ConfigEntry) -> Spec:
+def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = ()) -> Spec:
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
+
+    Tables that it names are read from ``folders`` or the data folder.
 
     Raises
     ------
@@ -145,7 +147,8 @@ def validated(model: type[Spec], root: ConfigEntry) -> Spec:
     """
     try:
         # As JSON, because strict validation of Python values would refuse lists for tuples.
-        return model.model_validate_json(json.dumps(_completed(model, root.plain())), strict=True)
+        text = json.dumps(_completed(model, root.plain()))
+        return model.model_validate_json(text, strict=True, context={"folders": folders})
     except ValidationError as error:
         raise BoresightError(explain(error, root, model)) from error
 

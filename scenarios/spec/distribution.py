@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
 from statistics import NormalDist
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 
 Bounds = tuple[float, float]
@@ -288,10 +292,51 @@ class LogUniform(Law):
         return f"{self.log_uniform[0]:g} to {self.log_uniform[1]:g} {unit}, uniform in the logarithm"
 
 
-class Choice(Law):
-    """One of some values, all equally probable: ``{choice: [1, 2, 2, 5]}``; a repeated value is drawn as often."""
+def _tabled(value: object, info: ValidationInfo) -> object:
+    """Read ``{table: FILE, columns: NAMES}``, a CSV or Parquet file, in place of values that are written out.
 
-    choice: tuple[float, ...] = Field(min_length=1, max_length=100_000, description="The values")
+    The values become part of the scenario and of its digest; the file is looked for as the scenario's other files are.
+    """
+    # Tuples: what comes from here is checked strictly, and only JSON may have a list for a tuple.
+    if isinstance(value, list):
+        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
+    if not isinstance(value, dict):
+        return value
+    if value.keys() != {"table", "columns"} or not isinstance(value["table"], str):
+        raise ValueError("is not a list, nor {table: FILE, columns: NAMES}")
+    names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
+    try:
+        rows = _columns(value["table"], names, (info.context or {}).get("folders", ()))
+    except (BoresightError, OSError, ValueError, TypeError) as error:
+        raise ValueError(f"{value['table']} cannot be used: {error}") from None
+    return tuple(map(tuple, rows.tolist())) if isinstance(value["columns"], list) else tuple(rows[:, 0].tolist())
+
+
+def _columns(file: str, names: Sequence[str], folders: Sequence[Path]) -> FloatArray:
+    """Read columns of a CSV or Parquet file, (n, len(names))."""
+    import pandas as pd  # 0.4 s, which most commands do without
+
+    path = find_data_file(file, folders, "tables", "table")
+    table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, comment="#")
+    absent = [str(name) for name in names if name not in table]
+    if absent:
+        raise ValueError(f"no column {absent[0]}; it has {', '.join(map(str, table))}")
+    rows = table[names].to_numpy(dtype=np.float64)
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"row {int(np.argmin(finite))} (from 0) is not all finite numbers")
+    return rows
+
+
+class Choice(Law):
+    """One of some values, all equally probable: ``{choice: [1, 2, 2, 5]}``; a repeated value is drawn as often.
+
+    ``{choice: {table: FILE, columns: NAME}}`` takes them from a column of a CSV or Parquet file.
+    """
+
+    choice: Annotated[tuple[float, ...], BeforeValidator(_tabled)] = Field(
+        min_length=1, max_length=100_000, description="The values, or the column of a table"
+    )
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw one value."""
@@ -323,7 +368,7 @@ def _law(value: object) -> str | None:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return "number"
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
-    laws = ("normal", "uniform", "log_normal", "log_uniform", "choice", "covariance")
+    laws = ("normal", "uniform", "log_normal", "log_uniform", "choice", "covariance", "mixture")
     return next((law for law in laws if law in keys), None)
 
 
@@ -415,53 +460,169 @@ class Uniform3(Law3):
         return np.asarray(moments, dtype=np.float64)
 
 
-class Normal3(Law3):
-    """Three independent normal components about zero: ``{normal: [sx, sy, sz]}``."""
+Row3 = tuple[float, float, float]
+Row6 = tuple[float, float, float, float, float, float]
 
-    normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
+
+class _NormalVector(Law3):
+    """Normal components about zero or a ``mean``; with ``student_t`` of heavier tails and the same covariance."""
+
+    mean: tuple[float, ...] | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+    student_t: float | None = Field(
+        None, gt=2, le=1e6, exclude_if=is_none, description="Degrees of freedom of Student's t, with this covariance"
+    )
+
+    @property
+    @abstractmethod
+    def _covariance(self) -> FloatArray:
+        """(n, n) covariance."""
+
+    @abstractmethod
+    def _deviation(self, rng: np.random.Generator) -> FloatArray:
+        """Draw a normal deviation, (n,), from the mean."""
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw (3,) values."""
+        """Draw one vector, (n,)."""
+        value = self._deviation(rng)
+        if self.student_t is not None:
+            # t = z sqrt(f / W), W of a chi-square law of f degrees of freedom, has f / (f - 2) times the covariance.
+            value = value * math.sqrt((self.student_t - 2.0) / rng.chisquare(self.student_t))
+        return value if self.mean is None else np.array(self.mean) + value
+
+    @property
+    def second_moment(self) -> FloatArray:
+        """(n, n) covariance plus the outer product of the mean with itself."""
+        return self._covariance if self.mean is None else self._covariance + np.outer(self.mean, self.mean)
+
+
+class Normal3(_NormalVector):
+    """Three independent normal components about zero or a ``mean``: ``{normal: [sx, sy, sz]}``."""
+
+    normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
+    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+
+    @property
+    def _covariance(self) -> FloatArray:
+        return np.diag(np.square(np.array(self.normal, dtype=np.float64)))
+
+    def _deviation(self, rng: np.random.Generator) -> FloatArray:
         return rng.normal(0.0, self.normal)
+
+
+class _Correlated(_NormalVector):
+    """Normal components with a covariance."""
+
+    covariance: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        matrix = np.array(self.covariance, dtype=np.float64)
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise ValueError("covariance is not symmetric")
+        # Of the correlations, as components may differ in unit; one without variance is left as it is.
+        sigmas = np.sqrt(np.abs(np.diag(matrix)))
+        sigmas[sigmas == 0.0] = 1.0
+        least = float(np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0])
+        if least < -1e-9:
+            raise ValueError(
+                f"covariance is not positive semidefinite: its correlations have the eigenvalue {least:.3g}"
+            )
+        return self
+
+    @property
+    def _covariance(self) -> FloatArray:
+        matrix = np.array(self.covariance, dtype=np.float64)
+        return 0.5 * (matrix + matrix.T)
+
+    def _deviation(self, rng: np.random.Generator) -> FloatArray:
+        # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
+        values, vectors = np.linalg.eigh(np.array(self.covariance))
+        normal = rng.standard_normal(len(values))
+        return np.asarray(vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal), dtype=np.float64)
+
+
+class Correlated3(_Correlated):
+    """Normal components with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
+
+    covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
+    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+
+
+class Correlated6(_Correlated):
+    """Six normal components with a covariance: ``{covariance: [[...], ...]}``, 6 x 6."""
+
+    covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6] = Field(description="Symmetric, positive semidefinite")
+    mean: Row6 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+
+
+class Choice3(Law3):
+    """One of some vectors, all equally probable: ``{choice: [[x, y, z], ...]}``, for example drawn errors.
+
+    ``{choice: {table: FILE, columns: [X, Y, Z]}}`` takes them from three columns of a CSV or Parquet file.
+    """
+
+    choice: Annotated[tuple[Row3, ...], BeforeValidator(_tabled)] = Field(
+        min_length=1, max_length=100_000, description="The vectors, or the columns of a table"
+    )
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Draw one vector."""
+        return np.array(self.choice[int(rng.integers(len(self.choice)))])
 
     @property
     def second_moment(self) -> FloatArray:
         """(3, 3) mean of the outer product of a vector with itself."""
-        return np.diag(np.square(np.array(self.normal, dtype=np.float64)))
+        values = np.array(self.choice)
+        return np.asarray(values.T @ values / len(values), dtype=np.float64)
 
 
-Row3 = tuple[float, float, float]
+_VECTOR = (
+    "uniform: [[low, high], [low, high], [low, high]], normal: [sx, sy, sz], covariance: 3 x 3"
+    " or choice: [[x, y, z], ...]"
+)
+
+PlainVector3 = Annotated[
+    Annotated[Uniform3, Tag("uniform")]
+    | Annotated[Normal3, Tag("normal")]
+    | Annotated[Correlated3, Tag("covariance")]
+    | Annotated[Choice3, Tag("choice")],
+    _either(_VECTOR),
+]
 
 
-class Correlated3(Law3):
-    """Normal components about zero with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
+class Component3(SpecModel):
+    """A distribution in a mixture, with its weight."""
 
-    covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
+    weight: float = Field(gt=0, le=1e6, description="Its share over the sum of all weights is its probability")
+    law: PlainVector3 = Field(description="The distribution")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        matrix = np.array(self.covariance)
-        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-            raise ValueError("covariance is not symmetric")
-        values = np.linalg.eigvalsh(matrix)
-        if values[0] < -1e-9 * max(values[-1], 0.0) or values[-1] < 0.0:
-            raise ValueError(f"covariance has the negative eigenvalue {values[0]:g}")
-        return self
+
+class Mixture3(Law3):
+    """One of several distributions: ``{mixture: [{weight: 0.95, law: {normal: [...]}}, {weight: 0.05, law: ...}]}``."""
+
+    mixture: tuple[Component3, ...] = Field(min_length=2, max_length=100, description="The distributions")
+
+    @property
+    def _shares(self) -> FloatArray:
+        weights = np.array([one.weight for one in self.mixture])
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw (3,) values."""
-        # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
-        values, vectors = np.linalg.eigh(np.array(self.covariance))
-        return np.asarray(vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(3)), dtype=np.float64)
+        """Draw a distribution, then a vector of it."""
+        return self.mixture[int(rng.choice(len(self.mixture), p=self._shares))].law.draw(rng)
 
     @property
     def second_moment(self) -> FloatArray:
-        """(3, 3) the covariance, as the mean is zero."""
-        matrix = np.array(self.covariance, dtype=np.float64)
-        return 0.5 * (matrix + matrix.T)
+        """(3, 3) weighted mean of those of the distributions."""
+        moments = [share * one.law.second_moment for share, one in zip(self._shares, self.mixture, strict=True)]
+        return np.asarray(np.sum(moments, axis=0), dtype=np.float64)
 
 
 Vector3 = Annotated[
-    Annotated[Uniform3, Tag("uniform")] | Annotated[Normal3, Tag("normal")] | Annotated[Correlated3, Tag("covariance")],
-    _either("uniform: [[low, high], [low, high], [low, high]], normal: [sx, sy, sz] or covariance: 3 x 3"),
+    Annotated[Uniform3, Tag("uniform")]
+    | Annotated[Normal3, Tag("normal")]
+    | Annotated[Correlated3, Tag("covariance")]
+    | Annotated[Choice3, Tag("choice")]
+    | Annotated[Mixture3, Tag("mixture")],
+    _either(f"{_VECTOR}, or mixture: [{{weight: w, law: ...}}, ...]"),
 ]

@@ -31,7 +31,7 @@ class OnboardSpec(SpecModel):
     """Onboard model; parts that are left out are identical with the truth.
 
     Data bases, shapes, renderings and the camera of estimators are made from it; only the image comes from the truth.
-    Random errors are drawn in each trial and are not included in the prior's covariance.
+    Random errors of the Sun and the spin are drawn in each trial and are not included in the prior's covariance.
     """
 
     brdf: BrdfSpec | None = Field(None, description="Reflectance that the spacecraft believes in")
@@ -54,6 +54,12 @@ class OnboardSpec(SpecModel):
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
     pole_error_deg: Scalar | None = Field(None, description="Tilt of the spin axis, about a random equatorial axis")
     rotation_error_deg: Scalar | None = Field(None, description="Error of the rotation phase about the spin axis")
+    pose_error: PoseErrorSpec | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Distribution of the prior's error that the spacecraft believes in: its covariance is given to"
+        " estimators, while errors are drawn from the scenario's pose_error",
+    )
 
 
 class AltimeterSpec(SpecModel):
@@ -131,6 +137,11 @@ class ScenarioSpec(SpecModel):
             )
         listed = {"known_diameter_m": LISTED_PX * self.m_per_px}
         return self.model_copy(update={"craters": self.craters.model_copy(update=listed)})
+
+    @property
+    def believed_pose_error(self) -> PoseErrorSpec:
+        """The distribution of the prior's error that the spacecraft believes in."""
+        return self.onboard.pose_error or self.pose_error
 
     @property
     def m_per_px(self) -> float | None:

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
-from boresight.scenarios.spec.distribution import PositiveScalar, Scalar, Uniform, Uniform3, Vector3, check_support
+from boresight.scenarios.spec.distribution import (
+    Correlated6,
+    PositiveScalar,
+    Scalar,
+    Uniform,
+    Uniform3,
+    Vector3,
+    check_support,
+)
 
 
 class ViewpointSpec(SpecModel):
@@ -75,6 +85,19 @@ class AttitudeErrorSpec(SpecModel):
     angle_deg: Scalar | None = Field(None, description="Angle about a random axis")
     rotation_vector_deg: Vector3 | None = Field(None, description="Components in camera axes, instead of angle_deg")
 
+    @property
+    def second_moment_rad2(self) -> FloatArray:
+        """(3, 3) mean of the outer product of the rotation vector with itself."""
+        if self.rotation_vector_deg is not None:
+            moment_deg2 = self.rotation_vector_deg.second_moment
+        else:
+            # E[angle^2 n n^T] = E[angle^2] / 3 I for an isotropic axis n.
+            moment_deg2 = np.eye(3) * (0.0 if self.angle_deg is None else self.angle_deg.second_moment / 3.0)
+        return np.asarray(moment_deg2 * np.radians(1.0) ** 2, dtype=np.float64)
+
+
+PAPER_ATTITUDE_ERROR = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
+
 
 class PoseErrorSpec(SpecModel):
     """Error of the prior pose given to estimators (Rowell et al. 2015, section 4.2).
@@ -84,7 +107,7 @@ class PoseErrorSpec(SpecModel):
     determination has it, and the attitude one of its own, which then moves the body in the image.
     """
 
-    alternatives: ClassVar = (("position_cam_m", "position_cam_px", "position_body_m"),)
+    alternatives: ClassVar = (("position_cam_m", "position_cam_px", "position_body_m", "pose_cam_deg_m"),)
 
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
     position_cam_px: Vector3 | None = Field(
@@ -95,10 +118,23 @@ class PoseErrorSpec(SpecModel):
         exclude_if=is_none,
         description="Error of the camera's position about the body, body axes, instead of position_cam_m",
     )
-    attitude: AttitudeErrorSpec = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
+    pose_cam_deg_m: Correlated6 | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Rotation vector, deg, and shift, m, in camera axes with one covariance, instead of position_cam_m"
+        " and attitude",
+    )
+    attitude: AttitudeErrorSpec = Field(
+        PAPER_ATTITUDE_ERROR, description="Error of the attitude, independent of the position's"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.pose_cam_deg_m is not None and self.attitude != PAPER_ATTITUDE_ERROR:
+            raise ValueError("attitude has no part where pose_cam_deg_m is given: leave one of the two out")
+        return self
 
 
 PAPER_POSE_ERROR = PoseErrorSpec(
     position_cam_m=Uniform3(uniform=((-50.0, 50.0), (-50.0, 50.0), (-5.0, 5.0))),
-    attitude=AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0))),
 )

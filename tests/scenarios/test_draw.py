@@ -25,9 +25,13 @@ from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.distribution import (
     Choice,
+    Choice3,
+    Component3,
     Correlated3,
+    Correlated6,
     LogNormal,
     LogUniform,
+    Mixture3,
     Normal,
     Normal3,
     Uniform,
@@ -205,6 +209,16 @@ def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
             position_cam_m=Correlated3(covariance=((900, 600, -30), (600, 800, 0), (-30, 0, 25))),
             attitude=AttitudeErrorSpec(angle_deg=Normal(normal=(1.0, 0.5), within=(0.0, 1.5))),
         ),
+        PoseErrorSpec(position_cam_m=Normal3(normal=(30, 20, 3), mean=(5, -10, 2), student_t=9.0)),
+        PoseErrorSpec(position_cam_m=Choice3(choice=((1, 2, 3), (-4, 5, 0), (0, 0, 30)))),
+        PoseErrorSpec(
+            position_cam_px=Mixture3(
+                mixture=(
+                    Component3(weight=3, law=Normal3(normal=(5, 4, 1))),
+                    Component3(weight=1, law=Uniform3(uniform=((20, 40), (-40, 40), (0, 4)))),
+                )
+            )
+        ),
     ],
 )
 def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_error):
@@ -218,6 +232,56 @@ def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_err
     assert (np.abs(products.mean(axis=0) - covariance) < 5.0 * error + 1e-15).all()
     assert np.array_equal(covariance, covariance.T)
     assert not covariance[:3, 3:].any(), "shift and turn are independent"
+
+
+JOINT = np.array([0.3, 0.2, 0.1, 30.0, 20.0, 5.0])[:, None] * (np.eye(6) + 0.5 * np.eye(6, k=3) + 0.5 * np.eye(6, k=-3))
+JOINT = JOINT * np.array([0.3, 0.2, 0.1, 30.0, 20.0, 5.0])
+
+
+@pytest.mark.parametrize("more", [{}, {"mean": (0.1, 0.0, 0.0, 0.0, 0.0, 9.0), "student_t": 12.0}])
+def test_attitude_and_position_with_one_covariance(paper, more):
+    camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]))
+    spec = PoseErrorSpec(pose_cam_deg_m=Correlated6(covariance=JOINT.tolist(), **more))
+    turns, shifts = errors_of(spec, [pose] * N, camera)
+    sample = np.hstack([np.degrees(turns), shifts])
+    mean = np.array(more.get("mean", np.zeros(6)))
+    products = sample[:, :, None] * sample[:, None, :]
+    expected = JOINT + np.outer(mean, mean)
+    assert (np.abs(products.mean(axis=0) - expected) < 5.0 * products.std(axis=0) / np.sqrt(N)).all()
+    units = np.repeat([np.radians(1.0), 1.0], 3)
+    assert np.allclose(prior_covariance(spec, pose, camera), expected * np.outer(units, units), rtol=1e-12)
+
+
+def test_students_t_has_the_tails_of_scipys():
+    law = Normal3(normal=(2.0, 1.0, 3.0), student_t=4.0)
+    rng = np.random.default_rng(3)
+    draws = np.array([law.draw(rng) for _ in range(N)])
+    scale = np.array(law.normal) * np.sqrt(2.0 / 4.0)  # its covariance is 4 / (4 - 2) times the squared scale
+    assert stats.kstest(draws[:, 2], stats.t(4.0, scale=scale[2]).cdf).pvalue > FALSE_ALARM
+    # The components of one draw have the same tails: Hotelling's T^2 of known scale is 3 F(3, 4).
+    squares = np.sum((draws / scale) ** 2, axis=1) / 3.0
+    assert stats.kstest(squares, stats.f(3, 4).cdf).pvalue > FALSE_ALARM
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{normal: [1, 1, 1], student_t: 2}", "is not in \\(2, "),
+        ("{mixture: [{weight: 1, law: {normal: [1, 1, 1]}}]}", "at least 2"),
+        ("{mixture: [{weight: 0, law: {normal: [1, 1, 1]}}, {weight: 1, law: {normal: [1, 1, 1]}}]}", "is not above 0"),
+        ("{choice: []}", "at least 1"),
+        ("{covariance: [[1, 2, 0], [2, 1, 0], [0, 0, 1]]}", "not positive semidefinite"),
+    ],
+)
+def test_laws_of_vectors_that_are_none_are_refused(text, said):
+    with pytest.raises(BoresightError, match=said):
+        load_scenario("quickstart", [f"pose_error.position_cam_m={text}"])
+
+
+def test_an_attitude_next_to_a_joint_covariance_is_refused():
+    joint = f"pose_error.pose_cam_deg_m.covariance={JOINT.tolist()}"
+    with pytest.raises(BoresightError, match="leave one of the two out"):
+        load_scenario("quickstart", [joint, "pose_error.attitude={angle_deg: 3}"])
 
 
 def test_an_error_in_body_axes_is_that_of_the_camera_whatever_the_attitude_is(paper):
@@ -389,6 +453,7 @@ CHANGES = {
     "pose_error.position_cam_m": "pose_error.position_cam_m.uniform=[[-50, 50], [-50, 50], [-6, 5]]",
     "pose_error.position_cam_px": "pose_error.position_cam_px.uniform=[[-50, 50], [-50, 50], [-5, 5]]",
     "pose_error.position_body_m": "pose_error.position_body_m.normal=[9, 9, 4]",
+    "pose_error.pose_cam_deg_m": f"pose_error.pose_cam_deg_m.covariance={np.diag([1, 1, 1, 400, 400, 4]).tolist()}",
     "pose_error.attitude.angle_deg": "pose_error.attitude.angle_deg.uniform=[-2, 3]",
     "pose_error.attitude.rotation_vector_deg": "pose_error.attitude.rotation_vector_deg.normal=[1, 1, 1]",
     "camera.width_px": "camera.width_px=511",

@@ -26,6 +26,7 @@ WRONG = {
     "sun_error_deg": ({"normal": 1.0}, "Sun"),
     "pole_error_deg": ({"uniform": [0.0, 1.0]}, "spin"),
     "rotation_error_deg": ({"normal": 0.1}, "spin"),
+    "pose_error": ({"position_cam_m": {"normal": [1, 2, 3]}}, "law of the pose errors"),
 }
 NEEDS = {"distortion_error": "camera.distortion={k1: -0.1}", "albedo": "body.detail.albedo={sigma: 0.1}"}
 LENT_SHAPE = frozenset({"body", "facets", "relief", "height_error"})

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -23,7 +24,7 @@ from boresight.scenarios.load import (
 )
 from boresight.scenarios.load.files import CATALOG
 from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec
-from boresight.scenarios.spec.distribution import Normal, Normal3, Uniform
+from boresight.scenarios.spec.distribution import Choice, Normal, Normal3, Uniform
 
 MINIMAL = "camera: {fov_deg: 20}\nviewpoint: {range_m: 1000}\n"
 CAMPAIGN = "scenarios: [quickstart]\nestimators: [prior]\ntrials: 3\nseed: 1\n"
@@ -485,3 +486,50 @@ def test_null_takes_a_section_back_to_its_default(tmp_path):
     spec = load_scenario(str(tmp_path / "child.yaml")).spec
     assert spec.lighting.phase_deg.uniform == (0.0, 60.0)
     assert spec.detector is None
+
+
+# --- values of tables ------------------------------------------------------------------------------------------------
+
+_LAW = "pose_error: {{position_cam_m: {{choice: {}}}}}\n"
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_values_of_a_table_are_those_of_the_scenario(tmp_path, ending):
+    errors = pd.DataFrame({"t": [0.0, 1.0], "x_m": [1.0, 4.0], "y_m": [2, 5], "z_m": [3.5, -6.0]})
+    (errors.to_csv if ending == "csv" else errors.to_parquet)(tmp_path / f"errors.{ending}", index=False)
+    law = _LAW.format(f"{{table: errors.{ending}, columns: [x_m, y_m, z_m]}}")
+    (tmp_path / "base.yaml").write_text(f"extends: quickstart\n{law}")
+    (tmp_path / "written.yaml").write_text("extends: quickstart\n" + _LAW.format("[[1, 2, 3.5], [4, 5, -6]]"))
+    read, written = (load_scenario(str(tmp_path / name)).spec for name in ("base.yaml", "written.yaml"))
+    assert digest(read) == digest(written)
+    assert read.pose_error == written.pose_error
+    errors["x_m"] += 1.0
+    (errors.to_csv if ending == "csv" else errors.to_parquet)(tmp_path / f"errors.{ending}", index=False)
+    assert digest(load_scenario(str(tmp_path / "base.yaml")).spec) != digest(read), "the values are part of the digest"
+
+
+def test_a_column_of_a_table_is_a_law_of_a_number(tmp_path):
+    (tmp_path / "ranges.csv").write_text("# of an orbit\nrange_m\n1000\n3000\n2500\n")
+    law = f"viewpoint.range_m={{choice: {{table: {tmp_path / 'ranges.csv'}, columns: range_m}}}}"
+    assert load_scenario("quickstart", [law]).spec.viewpoint.range_m == Choice(choice=(1000.0, 3000.0, 2500.0))
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("{table: none.csv, columns: [x, y, z]}", "none.csv was not found"),
+        ("{table: errors.csv, columns: [x, y, q]}", "no column q; it has x, x2, y, z"),
+        ("{table: errors.csv, columns: [x, y, z]}", r"row 1 \(from 0\) is not all finite numbers"),
+        ("{table: errors.csv, columns: [x, x2]}", "this value of the list is missing"),
+        ("{table: errors.csv}", "nor {table: FILE, columns: NAMES}"),
+        ("{table: words.csv, columns: [x, y, z]}", "words.csv cannot be used: could not convert string to float"),
+        ("{table: scene.yaml, columns: [x, y, z]}", "scene.yaml cannot be used: no column x"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_one_line(tmp_path, law, said):
+    (tmp_path / "errors.csv").write_text("x,x2,y,z\n1,1,2,3\n4,4,,6\n")
+    (tmp_path / "words.csv").write_text("x,y,z\n1,2,three\n")
+    (tmp_path / "scene.yaml").write_text("extends: quickstart\n" + _LAW.format(law))
+    with pytest.raises(BoresightError, match=said) as caught:
+        load_scenario(str(tmp_path / "scene.yaml"))
+    assert all("scene.yaml:2: pose_error.position_cam_m.choice" in line for line in str(caught.value).splitlines())
