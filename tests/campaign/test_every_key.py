@@ -42,6 +42,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "viewpoint.targets": (None, "[terminator]"),
     "viewpoint.keep_clear_px": (None, "[[0, 0, 48, 5]]"),
     "pose_error.position_body_m": (None, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
+    "pose_error.pose_cam_deg_m": (None, f"{{covariance: {[[float(i == j) for j in range(6)] for i in range(6)]}}}"),
+    "onboard.pose_error": (None, "{position_cam_m: {normal: [1, 2, 3]}}"),
     "onboard.brdf": (None, "{kind: oren-nayar}"),
     "onboard.body": (None, "{shape: sphere}"),
     "onboard.facets": (None, "20000"),
@@ -79,7 +81,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "orbit.imaging.errors.least_radius_px": (None, "1.5"),
 }
 # Said in the terms of the body and its reflectance, whose keys have their own lines.
-SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.relief", "onboard.height_error"}
+SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.relief", "onboard.height_error", "onboard.pose_error"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",
