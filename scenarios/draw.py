@@ -28,7 +28,12 @@ TARGET_KINDS: tuple[TargetKind, ...] = ("nadir", "limb", "terminator")
 
 
 def draw_aimed_view(
-    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, shape: TriangleMesh, rng: np.random.Generator
+    viewpoint: ViewpointSpec,
+    lighting: LightingSpec,
+    camera: Camera,
+    shape: TriangleMesh,
+    rng: np.random.Generator,
+    state: int = 0,
 ) -> View:
     """Draw a camera position and a Sun direction as `draw_lit_view` does, and point at a sunlit target.
 
@@ -36,7 +41,7 @@ def draw_aimed_view(
     The target is a facet of ``shape``, drawn by area; occlusion by other parts is not checked. If no facet fits the
     kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre.
     """
-    view = draw_lit_view(viewpoint, lighting, camera, rng)
+    view = draw_lit_view(viewpoint, lighting, camera, rng, state)
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
@@ -108,6 +113,7 @@ class Stream(IntEnum):
     ROTATION = 14
     RANGES = 15
     REVISIT = 16
+    STATES = 17
     ORBIT_CRATERS = 32
     ORBIT_IMAGES = 33
     ORBIT_SIGHTINGS = 34
@@ -139,8 +145,17 @@ def estimator_generator(seed: int, trial: int) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(hashlib.blake2b(address, digest_size=16).digest(), "little"))
 
 
-def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator) -> View:
-    """Draw the true view of a trial.
+def state_of_trial(viewpoint: ViewpointSpec | None, seed: int, trial: int) -> int:
+    """Return the index of a trial's state of a trajectory; 0 for a viewpoint that has none."""
+    if viewpoint is None or viewpoint.states is None:
+        return 0
+    if viewpoint.states.order == "in-turn":
+        return trial % len(viewpoint.states)
+    return int(generator(seed, Stream.STATES, trial).integers(len(viewpoint.states)))
+
+
+def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator, state: int = 0) -> View:
+    """Draw the true view of a trial, at a state of the trajectory if there is one.
 
     Raises
     ------
@@ -151,23 +166,39 @@ def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator) -> V
         raise BoresightError(
             f"{spec.name}: viewpoint: missing, so there is no view to draw; real images have their own"
         )
-    return draw_lit_view(spec.viewpoint, spec.lighting, camera, rng)
+    return draw_lit_view(spec.viewpoint, spec.lighting, camera, rng, state)
 
 
-def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator) -> View:
+def draw_lit_view(
+    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator, state: int = 0
+) -> View:
     """Draw a camera pose with the boresight on the body's origin, and a direction to the Sun.
 
     The direction to the camera is uniform over the area of the latitude band. The direction to the Sun is at the phase
-    angle from it, at an azimuth uniform about it.
+    angle from it, at an azimuth uniform about it. A ``state`` of a trajectory, by its index, has the position, and the
+    attitude and the Sun if its table has them; only what it has not is drawn.
     """
-    south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
-    camera_dir_body = draw_direction((south_rad, north_rad), rng)
+    if viewpoint.states is None:
+        south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
+        camera_dir_body = draw_direction((south_rad, north_rad), rng)
     roll_rad = np.radians(viewpoint.roll_deg.draw(rng))
     phase_rad = draw_phase(lighting, rng)
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
-    # From a stream of its own, so that all else of a view is the same at every range.
-    range_m = viewpoint.range_m if isinstance(viewpoint.range_m, float) else viewpoint.range_m.draw(rng.spawn(1)[0])
-    T_cam_body = look_at(range_m * camera_dir_body, float(roll_rad))
+    if viewpoint.states is not None:
+        position_m = np.array(viewpoint.states.position_m[state])
+    elif isinstance(viewpoint.range_m, float):
+        position_m = viewpoint.range_m * camera_dir_body
+    elif viewpoint.range_m is not None:
+        # From a stream of its own, so that all else of a view is the same at every range.
+        position_m = viewpoint.range_m.draw(rng.spawn(1)[0]) * camera_dir_body
+    else:
+        raise BoresightError("viewpoint: give range_m or trajectory")
+    T_cam_body = look_at(position_m, float(roll_rad))
+    if viewpoint.states is not None and viewpoint.states.attitude is not None:
+        turned = Pose.from_quat_wxyz(np.array(viewpoint.states.attitude[state]), np.zeros(3)).rotation
+        T_cam_body = Pose(turned, -turned @ position_m)
+    if viewpoint.states is not None and viewpoint.states.sun_dir is not None:
+        return View(camera, T_cam_body, np.array(viewpoint.states.sun_dir[state]))
     # In camera axes the body's origin is at +z, so that the camera lies towards -z from it.
     across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards_camera_cam = np.array([0.0, 0.0, -1.0])

@@ -14,7 +14,7 @@ from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
-from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator
+from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator, state_of_trial
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
@@ -41,7 +41,7 @@ class TrialImage:
     image_name
         File name of a real image, else ''.
     time_s
-        Epoch of a real image, else 0.
+        Epoch of a real image or of a state of a trajectory, else 0.
     from_store
         Whether the image was rendered in an earlier run.
     """
@@ -67,7 +67,10 @@ class RenderedImageSource:
         """Draw a view, render it and expose the detector."""
         view = self.view(seed, trial)
         image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
-        return TrialImage(image, view, {}, from_store=from_store)
+        viewpoint = self.scenario.spec.viewpoint
+        states = None if viewpoint is None else viewpoint.states
+        time_s = 0.0 if states is None else states.time_s[state_of_trial(viewpoint, seed, trial)]
+        return TrialImage(image, view, {}, time_s=time_s, from_store=from_store)
 
     def flush(self) -> None:
         """Write rendered images to the store."""
@@ -77,11 +80,12 @@ class RenderedImageSource:
         """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
         rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
         clear = () if viewpoint is None else viewpoint.keep_clear_px
+        state = state_of_trial(viewpoint, seed, trial)
         for _ in range(_MOST_DRAWS):
             if viewpoint is not None and viewpoint.targets:
-                view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng)
+                view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng, state)
             else:
-                view = draw_view(self.scenario.spec, self.camera, rng)
+                view = draw_view(self.scenario.spec, self.camera, rng, state)
             if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(

@@ -187,6 +187,13 @@ class ScenarioSpec(SpecModel):
         return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
 
     @model_validator(mode="after")
+    def _states_bring_their_sun(self) -> Self:
+        states = None if self.viewpoint is None else self.viewpoint.states
+        if states is not None and states.sun_dir is not None and self.lighting != LightingSpec():
+            raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
+        return self
+
+    @model_validator(mode="after")
     def _real_images_bring_their_own(self) -> Self:
         if self.images is not None and self.detector is not None:
             raise ValueError("detector has no part in a scenario with images: they carry their own noise; leave it out")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import (
@@ -19,13 +20,25 @@ from boresight.scenarios.spec.distribution import (
     Vector3,
     check_support,
 )
+from boresight.scenarios.spec.trajectory import StatesSpec, TrajectorySpec
 
 
 class ViewpointSpec(SpecModel):
-    """Random direction at a range, boresight to the body's centre or to a target kind, random roll."""
+    """Random direction at a range, or states of a trajectory; boresight to the body's centre or to a target kind."""
+
+    alternatives: ClassVar = (("range_m", "trajectory"),)
+    prose: ClassVar = frozenset({"trajectory"})
 
     kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
-    range_m: PositiveScalar = Field(description="Distance of the camera from the body's origin, one or drawn")
+    range_m: PositiveScalar | None = Field(
+        None, description="Distance of the camera from the body's origin, one or drawn"
+    )
+    trajectory: TrajectorySpec | None = Field(
+        None, exclude_if=is_none, description="Camera positions of a mission, instead of range_m"
+    )
+    states: StatesSpec | None = Field(
+        None, exclude_if=is_none, description="Filled in from ``trajectory``; not written by hand"
+    )
     roll_deg: Scalar = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
     latitude_deg: Uniform = Field(
         Uniform(uniform=(-90.0, 90.0)),
@@ -46,19 +59,50 @@ class ViewpointSpec(SpecModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         check_support("latitude_deg", self.latitude_deg, -90.0, 90.0)
-        if not isinstance(self.range_m, float):
+        if self.range_m is not None and not isinstance(self.range_m, float):
             check_support("range_m", self.range_m, 1e-3)
         return self
+
+    @model_validator(mode="after")
+    def _states_of_a_trajectory(self, info: ValidationInfo) -> Self:
+        if self.trajectory is None:
+            if self.states is not None:
+                raise ValueError("states are filled in from a trajectory: give trajectory: {table: FILE}")
+            return self
+        try:
+            states = self.states or self.trajectory.read((info.context or {}).get("folders", ()))
+        except (BoresightError, OSError, ValueError, TypeError) as error:
+            raise ValueError(f"trajectory.table: {self.trajectory.table} cannot be used: {error}") from None
+        fields = type(self).model_fields
+        idle = ["latitude_deg", "keep_clear_px", *(["roll_deg", "targets"] if states.attitude is not None else [])]
+        given = [key for key in idle if getattr(self, key) != fields[key].default]
+        if given:
+            raise ValueError(f"{given[0]} has no part where a table of states has the views: leave it out")
+        return self.model_copy(update={"states": states})
 
     @property
     def range_bounds_m(self) -> tuple[float, float]:
         """The shortest and the longest range, m; infinite where there is none."""
-        return (self.range_m, self.range_m) if isinstance(self.range_m, float) else self.range_m.support
+        if isinstance(self.range_m, float):
+            return self.range_m, self.range_m
+        if self.range_m is not None:
+            return self.range_m.support
+        ranges = self._state_ranges_m
+        return float(ranges.min()), float(ranges.max())
 
     @property
     def median_range_m(self) -> float:
         """The median of the range, m, at which data bases are built."""
-        return self.range_m if isinstance(self.range_m, float) else self.range_m.median
+        if isinstance(self.range_m, float):
+            return self.range_m
+        return float(np.median(self._state_ranges_m)) if self.range_m is None else self.range_m.median
+
+    @property
+    def _state_ranges_m(self) -> FloatArray:
+        """(n,) ranges of the states of a trajectory."""
+        if self.states is None:
+            raise ValueError("a viewpoint without range_m has the states of a trajectory")
+        return np.asarray(np.linalg.norm(self.states.position_m, axis=1), dtype=np.float64)
 
 
 class LightingSpec(SpecModel):

@@ -30,7 +30,7 @@ from boresight.estimators.landmark.pose.stack import (
 from boresight.estimators.landmark.projection import faces_camera, image_covariances, is_occluded
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.draw import Stream, degrade, draw_view, generator
+from boresight.scenarios.draw import Stream, degrade, draw_view, generator, state_of_trial
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
@@ -72,7 +72,7 @@ def draw_landmarks(spec: ScenarioSpec, database: LandmarkDatabase, seed: int, tr
     drawn from the visible ones.
     """
     camera = spec.camera.camera()
-    view = draw_view(spec, camera, generator(seed, Stream.TRUTH, trial))
+    view = draw_view(spec, camera, generator(seed, Stream.TRUTH, trial), state_of_trial(spec.viewpoint, seed, trial))
     truth = view.T_cam_body
     rng = generator(seed, Stream.LANDMARKS, trial)
     chosen = first_visible(database.mesh(), camera, truth, rng.permutation(len(database)))

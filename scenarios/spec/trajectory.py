@@ -1,0 +1,164 @@
+"""Trajectory of the camera about the body, read from a table of states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.distribution import Row3
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOST_STATES = 20_000
+_DAY_S = 86400.0
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_SUN = ("sun_x", "sun_y", "sun_z")
+_UNITS = {"m": 1.0, "km": 1000.0}
+
+
+class RotationSpec(SpecModel):
+    """Rotation of the body by the angles of the IAU: pole, prime meridian at time 0, and rate."""
+
+    pole_ra_deg: float = Field(description="Right ascension of the pole in the inertial frame")
+    pole_dec_deg: float = Field(ge=-90, le=90, description="Declination of the pole")
+    meridian_deg: float = Field(0.0, description="W: angle of the prime meridian at time 0")
+    rate_deg_day: float = Field(description="Rate of W; negative for a retrograde rotation")
+
+    def matrices(self, time_s: FloatArray) -> FloatArray:
+        """(n, 3, 3) rotations from inertial to body axes at times (n,): Rz(W) Rx(90 deg - dec) Rz(90 deg + ra)."""
+        from scipy.spatial.transform import Rotation  # 0.3 s
+
+        meridian = np.radians(self.meridian_deg + self.rate_deg_day * time_s / _DAY_S)
+        tilt = Rotation.from_euler("zx", [-(90.0 + self.pole_ra_deg), -(90.0 - self.pole_dec_deg)], degrees=True)
+        turn = Rotation.from_euler("z", -meridian)
+        return np.asarray((turn * tilt).as_matrix(), dtype=np.float64)
+
+
+class StatesSpec(SpecModel):
+    """States of the camera in body axes, one for each epoch, as `TrajectorySpec` reads them."""
+
+    time_s: tuple[float, ...] = Field(min_length=1, max_length=MOST_STATES, description="Epochs")
+    position_m: tuple[Row3, ...] = Field(description="Camera from the body's origin")
+    velocity_m_s: tuple[Row3, ...] | None = Field(None, description="Inertial velocity about the body's origin")
+    attitude: tuple[tuple[float, float, float, float], ...] | None = Field(
+        None, description="Quaternions w, x, y, z from body to camera axes"
+    )
+    sun_dir: tuple[Row3, ...] | None = Field(None, description="Unit vectors towards the Sun")
+    order: Literal["in-turn", "random"] = Field("in-turn", description="Whether trials have them in turn")
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+class TrajectorySpec(SpecModel):
+    """States of the camera from a table (CSV or Parquet), one view each.
+
+    Its columns are ``time_s``; ``x_m``, ``y_m``, ``z_m``, the camera from the body's origin; and any of ``vx_m_s``,
+    ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the rotation from the table's axes to
+    those of the camera (x right, y down, z along the boresight); ``sun_x``, ``sun_y``, ``sun_z``, the direction to the
+    Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``). Without a rotation the boresight is on
+    the body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
+    """
+
+    table: str = Field(min_length=1, description="CSV or Parquet file of states, in increasing order of time")
+    frame: Literal["body", "inertial"] = Field("body", description="Axes of the table; inertial needs ``rotation``")
+    rotation: RotationSpec | None = Field(None, description="Rotation of the body, for a table in inertial axes")
+    order: Literal["in-turn", "random"] = Field(
+        "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.frame == "inertial") != (self.rotation is not None):
+            raise ValueError("frame: inertial and rotation belong together: give both, or neither")
+        return self
+
+    def read(self, folders: tuple[Path, ...]) -> StatesSpec:
+        """Read the states, searching ``folders`` and the data folder.
+
+        Raises
+        ------
+        ValueError, BoresightError
+            If the table is missing, or has not what it must have.
+        """
+        import pandas as pd  # 0.4 s, which most commands do without
+
+        path = find_data_file(self.table, folders, "tables", "table")
+        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, comment="#")
+        if not 1 <= len(table) <= MOST_STATES:
+            raise ValueError(f"{len(table)} states are not within [1, {MOST_STATES}]")
+        times = _columns(table, ("time_s",))[:, 0]
+        steps = np.diff(times)
+        if not (steps > 0.0).all():
+            at = int(np.argmin(steps > 0.0)) + 1
+            raise ValueError(
+                f"time_s {times[at]:.10g} of row {at} (from 0) is not after the one before: sort the table"
+            )
+        to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
+        position = _metres(table, "", "_{}")
+        velocity = _metres(table, "v", "_{}_s") if any(name.startswith("vx_") for name in table) else None
+        quaternions = _columns(table, _QUATERNION) if _QUATERNION[0] in table else None
+        sun = _columns(table, _SUN) if _SUN[0] in table else None
+        if not np.linalg.norm(position, axis=1).all():
+            raise ValueError("a position is the body's origin")
+        return StatesSpec(
+            time_s=tuple(times.tolist()),
+            position_m=_rows(_turned(to_body, position)),
+            velocity_m_s=None if velocity is None else _rows(_turned(to_body, velocity)),
+            attitude=None if quaternions is None else _rows(_from_body(quaternions, to_body)),
+            sun_dir=None if sun is None else _rows(_turned(to_body, _unit(sun, "the direction to the Sun"))),
+            order=self.order,
+        )
+
+
+def _columns(table: pd.DataFrame, names: tuple[str, ...]) -> FloatArray:
+    """Return columns of a table, (n, len(names)), all finite."""
+    absent = [name for name in names if name not in table]
+    if absent:
+        raise ValueError(f"no column {absent[0]}; it has {', '.join(map(str, table))}")
+    values = table[list(names)].to_numpy(dtype=np.float64)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"row {int(np.argmin(finite))} (from 0) of {', '.join(names)} is not all finite numbers")
+    return values
+
+
+def _metres(table: pd.DataFrame, prefix: str, suffix: str) -> FloatArray:
+    """Return x, y and z, (n, 3), in metres or m/s, from columns in metres or kilometres."""
+    given = [unit for unit in _UNITS if f"{prefix}x{suffix.format(unit)}" in table]
+    if len(given) == 2:
+        raise ValueError(f"{prefix}x is given in m and in km: leave one out")
+    unit = given[0] if given else "m"
+    return _UNITS[unit] * _columns(table, tuple(f"{prefix}{axis}{suffix.format(unit)}" for axis in "xyz"))
+
+
+def _unit(vectors: FloatArray, what: str) -> FloatArray:
+    """Return vectors divided by their length, which must be 1 within a hundredth, as rounded digits leave it."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not (np.abs(lengths - 1.0) < 0.01).all():
+        row = int(np.argmax(np.abs(lengths - 1.0)))
+        raise ValueError(f"row {row} (from 0): {what} has the length {float(lengths[row, 0]):.4g}, not 1")
+    return np.asarray(vectors / lengths, dtype=np.float64)
+
+
+def _turned(to_body: FloatArray, vectors: FloatArray) -> FloatArray:
+    return np.einsum("nij,nj->ni", np.broadcast_to(to_body, (len(vectors), 3, 3)), vectors)
+
+
+def _from_body(quaternions: FloatArray, to_body: FloatArray) -> FloatArray:
+    """Return quaternions from body to camera axes of those from the table's axes, (n, 4), w first."""
+    from scipy.spatial.transform import Rotation
+
+    of_table = Rotation.from_quat(_unit(quaternions, "the quaternion"), scalar_first=True)
+    return (of_table * Rotation.from_matrix(to_body).inv()).as_quat(canonical=True, scalar_first=True)
+
+
+def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, values.tolist()))
