@@ -147,11 +147,12 @@ def estimator_generator(seed: int, trial: int) -> np.random.Generator:
 
 def state_of_trial(viewpoint: ViewpointSpec | None, seed: int, trial: int) -> int:
     """Return the index of a trial's state of a trajectory; 0 for a viewpoint that has none."""
-    if viewpoint is None or viewpoint.states is None:
+    if viewpoint is None or viewpoint.trajectory is None:
         return 0
-    if viewpoint.states.order == "in-turn":
-        return trial % len(viewpoint.states)
-    return int(generator(seed, Stream.STATES, trial).integers(len(viewpoint.states)))
+    count = len(viewpoint.trajectory.states)
+    if viewpoint.trajectory.order == "in-turn":
+        return trial % count
+    return int(generator(seed, Stream.STATES, trial).integers(count))
 
 
 def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator, state: int = 0) -> View:
@@ -227,21 +228,38 @@ def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
     return float(np.arccos(rng.uniform(np.cos(high), np.cos(low))))
 
 
-def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.random.Generator) -> Pose:
+def rtn_axes(position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
+    """(3, 3) matrix of the radial, transverse and normal unit vectors, as columns, of a position and velocity (3,)."""
+    radial = position_m / np.linalg.norm(position_m)
+    normal = np.cross(position_m, velocity_m_s)
+    normal /= np.linalg.norm(normal)
+    return np.column_stack([radial, np.cross(normal, radial), normal])
+
+
+def degrade(
+    T_cam_body: Pose,
+    spec: PoseErrorSpec,
+    camera: Camera,
+    rng: np.random.Generator,
+    velocity_m_s: FloatArray | None = None,
+) -> Pose:
     """Degrade a true pose: shift its translation in camera axes and turn its attitude.
 
     This is the error of Rowell et al. (2015), section 4.2. The translation is T of equation (4): the shift alone moves
     the body in the image, and the error of the camera's position in the body frame is the shift plus the attitude
     error times the range.
 
-    With ``position_body_m`` the camera's position in the body frame has that error, whatever the attitude's is.
-    `prior_covariance` is the second moment of the same laws.
+    With ``position_body_m`` or ``position_rtn_m`` the camera's position has that error, whatever the attitude's is; the
+    latter needs the camera's velocity (3,), in body axes. `prior_covariance` is the second moment of the same laws.
     """
     if spec.pose_cam_deg_m is not None:
         joint = spec.pose_cam_deg_m.draw(rng)
         return T_cam_body.perturbed(np.radians(joint[:3]), joint[3:])
-    if spec.position_body_m is not None:
-        position_m = T_cam_body.camera_position_m + spec.position_body_m.draw(rng)
+    position_m = T_cam_body.camera_position_m
+    of_camera = _of_camera(spec, position_m, velocity_m_s)
+    if of_camera is not None:
+        law, axes = of_camera
+        position_m = position_m + (law.draw(rng) if axes is None else axes @ law.draw(rng))
         turned = T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), np.zeros(3)).rotation
         return Pose(turned, -turned @ position_m)
     # Drawn before the attitude: the order belongs to the stream.
@@ -250,7 +268,9 @@ def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.rando
     return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
 
 
-def prior_covariance(spec: PoseErrorSpec, prior: Pose, camera: Camera) -> FloatArray:
+def prior_covariance(
+    spec: PoseErrorSpec, prior: Pose, camera: Camera, velocity_m_s: FloatArray | None = None
+) -> FloatArray:
     """Return the (6, 6) second moment of the error that ``degrade`` adds, [rotation_rad, translation_m] in camera axes.
 
     Parameters
@@ -262,21 +282,38 @@ def prior_covariance(spec: PoseErrorSpec, prior: Pose, camera: Camera) -> FloatA
         error in body axes is turned by it, to first order.
     camera
         The camera: scales them as well.
+    velocity_m_s
+        (3,) velocity of the camera in body axes, for errors in radial, transverse and normal direction.
     """
     if spec.pose_cam_deg_m is not None:
         units = np.array([*np.full(3, np.radians(1.0)), 1.0, 1.0, 1.0])
         return spec.pose_cam_deg_m.second_moment * np.outer(units, units)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = spec.attitude.second_moment_rad2
-    if spec.position_body_m is None:
+    of_camera = _of_camera(spec, prior.camera_position_m, velocity_m_s)
+    if of_camera is None:
         law, unit_m = _shift(spec, prior, camera)
         covariance[3:, 3:] = law.second_moment * unit_m**2
         return covariance
     # T = -R c: an error e of the camera's position c and a turn w of the attitude change T by w x T - R e.
-    covariance[3:, 3:] = spec.position_body_m.second_moment
+    law, axes = of_camera
+    covariance[3:, 3:] = law.second_moment if axes is None else axes @ law.second_moment @ axes.T
     by_error = np.block([[np.eye(3), np.zeros((3, 3))], [-cross_matrix(prior.translation_m), -prior.rotation]])
     moved = by_error @ covariance @ by_error.T
     return np.asarray(0.5 * (moved + moved.T), dtype=np.float64)
+
+
+def _of_camera(
+    spec: PoseErrorSpec, position_m: FloatArray, velocity_m_s: FloatArray | None
+) -> tuple[Vector3, FloatArray | None] | None:
+    """Return the law of the camera's position and its axes, None for those of the body; None if it has no such law."""
+    if spec.position_body_m is not None:
+        return spec.position_body_m, None
+    if spec.position_rtn_m is None:
+        return None
+    if velocity_m_s is None:
+        raise BoresightError("pose_error.position_rtn_m: needs a trajectory whose table has velocities")
+    return spec.position_rtn_m, rtn_axes(position_m, velocity_m_s)
 
 
 def _shift(spec: PoseErrorSpec, pose: Pose, camera: Camera) -> tuple[Vector3, float]:
@@ -285,7 +322,9 @@ def _shift(spec: PoseErrorSpec, pose: Pose, camera: Camera) -> tuple[Vector3, fl
         return spec.position_cam_m, 1.0
     if spec.position_cam_px is not None:
         return spec.position_cam_px, float(np.linalg.norm(pose.translation_m)) * camera.pixel_angle_rad
-    raise BoresightError("pose_error: give position_cam_m, position_cam_px, position_body_m or pose_cam_deg_m")
+    raise BoresightError(
+        "pose_error: give position_cam_m, position_cam_px, position_body_m, position_rtn_m or pose_cam_deg_m"
+    )
 
 
 def _rotation_vector(spec: AttitudeErrorSpec, rng: np.random.Generator) -> FloatArray:

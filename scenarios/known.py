@@ -277,7 +277,7 @@ def _nothing(law: Law | Law3 | None) -> bool:
 def _pose(spec: ScenarioSpec) -> list[Item]:
     """List the pose and the error distributions of its prior and of an altimeter."""
     wrong = spec.pose_error
-    places = (wrong.position_cam_m, wrong.position_cam_px, wrong.position_body_m)
+    places = (wrong.position_cam_m, wrong.position_cam_px, wrong.position_body_m, wrong.position_rtn_m)
     turns = (wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
     if _nothing(wrong.pose_cam_deg_m) if wrong.pose_cam_deg_m is not None else all(map(_nothing, (*places, *turns))):
         return _exacts("pose")

@@ -42,7 +42,8 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
     """
     spec = world.scenario.spec
     true = trial_image.view.T_cam_body
-    prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial))
+    velocity_m_s = trial_image.velocity_m_s
+    prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial), velocity_m_s)
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
     prior = onboard_attitude(prior, spec.onboard, knowledge)
     camera = onboard_camera(spec)
@@ -50,7 +51,7 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
         image=_read_only(rectify(trial_image.image, camera)),
         sun_dir_cam=_read_only(onboard_sun_dir(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
         prior_T_cam_body=prior,
-        prior_covariance=_read_only(prior_covariance(spec.believed_pose_error, prior, world.camera)),
+        prior_covariance=_read_only(prior_covariance(spec.believed_pose_error, prior, world.camera, velocity_m_s)),
         time_s=trial_image.time_s,
         altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
     )

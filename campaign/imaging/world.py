@@ -12,9 +12,11 @@ from boresight.campaign.imaging.image_store import Imager, open_ground, open_ren
 from boresight.campaign.imaging.real_images import images_digest, open_images
 from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
 from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator, state_of_trial
+from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
@@ -44,6 +46,8 @@ class TrialImage:
         Epoch of a real image or of a state of a trajectory, else 0.
     from_store
         Whether the image was rendered in an earlier run.
+    velocity_m_s
+        (3,) velocity of the camera about the body, body axes, of a trajectory that has it.
     """
 
     image: NDArray[np.float32]
@@ -52,6 +56,7 @@ class TrialImage:
     image_name: str = ""
     time_s: float = 0.0
     from_store: bool = False
+    velocity_m_s: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +73,11 @@ class RenderedImageSource:
         view = self.view(seed, trial)
         image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
         viewpoint = self.scenario.spec.viewpoint
-        states = None if viewpoint is None else viewpoint.states
-        time_s = 0.0 if states is None else states.time_s[state_of_trial(viewpoint, seed, trial)]
-        return TrialImage(image, view, {}, time_s=time_s, from_store=from_store)
+        states, state = None if viewpoint is None else viewpoint.states, state_of_trial(viewpoint, seed, trial)
+        if states is None:
+            return TrialImage(image, view, {}, from_store=from_store)
+        velocity_m_s = None if states.velocity_m_s is None else np.array(states.velocity_m_s[state])
+        return TrialImage(image, view, {}, "", states.time_s[state], from_store, velocity_m_s)
 
     def flush(self) -> None:
         """Write rendered images to the store."""
@@ -247,6 +254,9 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
             f"{scenario.path}: viewpoint.range_m: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
+    if viewpoint.states is not None:
+        _check_outside(scenario, mesh, np.array(viewpoint.states.position_m))
+        return
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
     south_deg, north_deg = viewpoint.latitude_deg.uniform
@@ -257,3 +267,16 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
             f"{scenario.path}: viewpoint.range_m: {viewpoint.range_bounds_m[0]:g} m leads into the body, which reaches"
             f" {reach_m:.6g} m from its origin at those latitudes: choose a larger range"
         )
+
+
+def _check_outside(scenario: LoadedScenario, mesh: TriangleMesh, positions_m: FloatArray) -> None:
+    """Refuse states (n, 3) of a trajectory that are inside the body."""
+    volume = Polyhedron(mesh, mesh.volume_m3)
+    reach_m = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
+    for row in np.flatnonzero(np.linalg.norm(positions_m, axis=1) <= reach_m):
+        # The Laplacian of the potential is -4 pi inside, for this gravity parameter, and 0 outside.
+        if volume.laplacian(positions_m[row]) < -2.0 * np.pi:
+            raise BoresightError(
+                f"{scenario.path}: viewpoint.trajectory: row {row} (from 0) of the table is inside the body: check its"
+                " units and axes"
+            )

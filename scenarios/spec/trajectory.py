@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.distribution import Row3
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class RotationSpec(SpecModel):
 
         meridian = np.radians(self.meridian_deg + self.rate_deg_day * time_s / _DAY_S)
         tilt = Rotation.from_euler("zx", [-(90.0 + self.pole_ra_deg), -(90.0 - self.pole_dec_deg)], degrees=True)
-        turn = Rotation.from_euler("z", -meridian)
+        turn = Rotation.from_euler("z", -meridian[:, None])
         return np.asarray((turn * tilt).as_matrix(), dtype=np.float64)
 
 
@@ -51,7 +52,6 @@ class StatesSpec(SpecModel):
         None, description="Quaternions w, x, y, z from body to camera axes"
     )
     sun_dir: tuple[Row3, ...] | None = Field(None, description="Unit vectors towards the Sun")
-    order: Literal["in-turn", "random"] = Field("in-turn", description="Whether trials have them in turn")
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -67,18 +67,36 @@ class TrajectorySpec(SpecModel):
     the body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
     """
 
+    prose: ClassVar = frozenset({"table", "rotation"})
+
     table: str = Field(min_length=1, description="CSV or Parquet file of states, in increasing order of time")
-    frame: Literal["body", "inertial"] = Field("body", description="Axes of the table; inertial needs ``rotation``")
-    rotation: RotationSpec | None = Field(None, description="Rotation of the body, for a table in inertial axes")
+    rotation: RotationSpec | None = Field(
+        None, description="Rotation of the body, for a table in inertial axes; left out: the table is in body axes"
+    )
     order: Literal["in-turn", "random"] = Field(
         "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
     )
 
+    read_states: StatesSpec | None = Field(
+        None, exclude_if=is_none, description="Filled in from the table; not written by hand"
+    )
+
     @model_validator(mode="after")
-    def _check(self) -> Self:
-        if (self.frame == "inertial") != (self.rotation is not None):
-            raise ValueError("frame: inertial and rotation belong together: give both, or neither")
-        return self
+    def _read_table(self, info: ValidationInfo) -> Self:
+        if self.read_states is not None:
+            return self
+        try:
+            read = self.read((info.context or {}).get("folders", ()))
+        except (BoresightError, OSError, ValueError, TypeError) as error:
+            raise ValueError(f"{self.table} cannot be used: {error}") from None
+        return self.model_copy(update={"read_states": read})
+
+    @property
+    def states(self) -> StatesSpec:
+        """The states."""
+        if self.read_states is None:
+            raise ValueError("a trajectory is read when its scenario is")
+        return self.read_states
 
     def read(self, folders: tuple[Path, ...]) -> StatesSpec:
         """Read the states, searching ``folders`` and the data folder.
@@ -103,7 +121,7 @@ class TrajectorySpec(SpecModel):
             )
         to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
         position = _metres(table, "", "_{}")
-        velocity = _metres(table, "v", "_{}_s") if any(name.startswith("vx_") for name in table) else None
+        velocity = _metres(table, "v", "_{}_s") if any(str(name).startswith("vx_") for name in table) else None
         quaternions = _columns(table, _QUATERNION) if _QUATERNION[0] in table else None
         sun = _columns(table, _SUN) if _SUN[0] in table else None
         if not np.linalg.norm(position, axis=1).all():
@@ -114,7 +132,6 @@ class TrajectorySpec(SpecModel):
             velocity_m_s=None if velocity is None else _rows(_turned(to_body, velocity)),
             attitude=None if quaternions is None else _rows(_from_body(quaternions, to_body)),
             sun_dir=None if sun is None else _rows(_turned(to_body, _unit(sun, "the direction to the Sun"))),
-            order=self.order,
         )
 
 
@@ -149,7 +166,8 @@ def _unit(vectors: FloatArray, what: str) -> FloatArray:
 
 
 def _turned(to_body: FloatArray, vectors: FloatArray) -> FloatArray:
-    return np.einsum("nij,nj->ni", np.broadcast_to(to_body, (len(vectors), 3, 3)), vectors)
+    turned = np.einsum("nij,nj->ni", np.broadcast_to(to_body, (len(vectors), 3, 3)), vectors)
+    return np.asarray(turned, dtype=np.float64)
 
 
 def _from_body(quaternions: FloatArray, to_body: FloatArray) -> FloatArray:
@@ -157,7 +175,8 @@ def _from_body(quaternions: FloatArray, to_body: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     of_table = Rotation.from_quat(_unit(quaternions, "the quaternion"), scalar_first=True)
-    return (of_table * Rotation.from_matrix(to_body).inv()).as_quat(canonical=True, scalar_first=True)
+    from_body = of_table * Rotation.from_matrix(to_body).inv()
+    return np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
 
 def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import (
@@ -27,7 +26,6 @@ class ViewpointSpec(SpecModel):
     """Random direction at a range, or states of a trajectory; boresight to the body's centre or to a target kind."""
 
     alternatives: ClassVar = (("range_m", "trajectory"),)
-    prose: ClassVar = frozenset({"trajectory"})
 
     kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
     range_m: PositiveScalar | None = Field(
@@ -35,9 +33,6 @@ class ViewpointSpec(SpecModel):
     )
     trajectory: TrajectorySpec | None = Field(
         None, exclude_if=is_none, description="Camera positions of a mission, instead of range_m"
-    )
-    states: StatesSpec | None = Field(
-        None, exclude_if=is_none, description="Filled in from ``trajectory``; not written by hand"
     )
     roll_deg: Scalar = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
     latitude_deg: Uniform = Field(
@@ -64,21 +59,19 @@ class ViewpointSpec(SpecModel):
         return self
 
     @model_validator(mode="after")
-    def _states_of_a_trajectory(self, info: ValidationInfo) -> Self:
-        if self.trajectory is None:
-            if self.states is not None:
-                raise ValueError("states are filled in from a trajectory: give trajectory: {table: FILE}")
+    def _a_trajectory_has_the_views(self) -> Self:
+        if self.states is None:
             return self
-        try:
-            states = self.states or self.trajectory.read((info.context or {}).get("folders", ()))
-        except (BoresightError, OSError, ValueError, TypeError) as error:
-            raise ValueError(f"trajectory.table: {self.trajectory.table} cannot be used: {error}") from None
-        fields = type(self).model_fields
-        idle = ["latitude_deg", "keep_clear_px", *(["roll_deg", "targets"] if states.attitude is not None else [])]
-        given = [key for key in idle if getattr(self, key) != fields[key].default]
+        idle = ["latitude_deg", "keep_clear_px", *(["roll_deg", "targets"] if self.states.attitude is not None else [])]
+        given = [key for key in idle if getattr(self, key) != type(self).model_fields[key].default]
         if given:
-            raise ValueError(f"{given[0]} has no part where a table of states has the views: leave it out")
-        return self.model_copy(update={"states": states})
+            raise ValueError(f"{given[0]} has no part where a trajectory has the views: leave it out")
+        return self
+
+    @property
+    def states(self) -> StatesSpec | None:
+        """The states of the trajectory; None without one."""
+        return None if self.trajectory is None else self.trajectory.states
 
     @property
     def range_bounds_m(self) -> tuple[float, float]:
@@ -151,7 +144,9 @@ class PoseErrorSpec(SpecModel):
     determination has it, and the attitude one of its own, which then moves the body in the image.
     """
 
-    alternatives: ClassVar = (("position_cam_m", "position_cam_px", "position_body_m", "pose_cam_deg_m"),)
+    alternatives: ClassVar = (
+        ("position_cam_m", "position_cam_px", "position_body_m", "position_rtn_m", "pose_cam_deg_m"),
+    )
 
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
     position_cam_px: Vector3 | None = Field(
@@ -161,6 +156,12 @@ class PoseErrorSpec(SpecModel):
         None,
         exclude_if=is_none,
         description="Error of the camera's position about the body, body axes, instead of position_cam_m",
+    )
+    position_rtn_m: Vector3 | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Error of the camera's position about the body: radial, transverse and normal, with a trajectory"
+        " that has velocities, instead of position_cam_m",
     )
     pose_cam_deg_m: Correlated6 | None = Field(
         None,

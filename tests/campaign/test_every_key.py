@@ -41,6 +41,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "brdf.H_function": (None, "'1981'"),
     "viewpoint.targets": (None, "[terminator]"),
     "viewpoint.keep_clear_px": (None, "[[0, 0, 48, 5]]"),
+    "viewpoint.trajectory.table": ("states", "other.csv"),
+    "viewpoint.trajectory.order": ("states", "random"),
     "pose_error.position_body_m": (None, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
     "pose_error.pose_cam_deg_m": (None, f"{{covariance: {[[float(i == j) for j in range(6)] for i in range(6)]}}}"),
     "onboard.pose_error": (None, "{position_cam_m: {normal: [1, 2, 3]}}"),
@@ -81,7 +83,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "orbit.imaging.errors.least_radius_px": (None, "1.5"),
 }
 # Said in the terms of the body and its reflectance, whose keys have their own lines.
-SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.relief", "onboard.height_error", "onboard.pose_error"}
+SAME_TERMS = {f"onboard.{key}" for key in ("brdf", "body", "relief", "height_error", "pose_error")}
+SAME_TERMS |= {"viewpoint.trajectory.read_states"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",
@@ -93,6 +96,7 @@ NO_RESULT = {
     "body.format": "says how to read the file; a wrong one is refused",
     "body.expected_diameter_m": "a guard: a body outside is refused",
     "viewpoint.kind": "has one value",
+    "viewpoint.trajectory.read_states": "filled in from the table",
     "pose_error.attitude.axis": "has one value",
 }
 

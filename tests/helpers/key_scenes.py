@@ -59,6 +59,11 @@ SCENES = {
     "shape": RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n")
     .replace("range_m: 2000", "range_m: 800000")
     .replace("fov_deg: 18.3", "fov_deg: 0.5"),
+    "states": RENDERED.replace(
+        "range_m: 2000",
+        "trajectory: {table: states.csv, rotation: {pole_ra_deg: 40, pole_dec_deg: 60, rate_deg_day: 700}}",
+    )
+    + "pose_error: {position_rtn_m: {normal: [9, 20, 5]}}\n",
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
     "real": """
@@ -138,13 +143,16 @@ orbit:
 
 
 def write_scenes(folder: Path) -> None:
-    """Write the scenes, an egg of 600 m, a grid, two image sets of two images, and a mission of three."""
+    """Write the scenes, an egg of 600 m, a grid, tables of states, two image sets of two images, a mission of three."""
     for name, text in SCENES.items():
         (folder / f"{name}.yaml").write_text(text)
     trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale([1.5, 1.0, 0.8]).export(folder / "egg.obj")
     places = [(latitude, longitude) for latitude in range(-90, 91, 15) for longitude in range(0, 361, 15)]
     lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    for name, height_m in (("states", 300.0), ("other", 400.0)):
+        rows = [f"{600 * k},{-1500 - 90 * k},1200,{height_m},0.1,0.1,0" for k in range(3)]
+        (folder / f"{name}.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *rows]) + "\n")
     for number, name in enumerate(("set", "other")):
         _write_image_set(folder / name, np.random.default_rng(number))
     mission = make_mission(folder / "mission")
