@@ -13,13 +13,14 @@ from scipy.ndimage import map_coordinates
 
 from boresight.renderers.images import open_product
 from boresight.renderers.images.product import ImageProduct
-from boresight.renderers.spice import INSTRUMENTS, loaded_kernels
+from boresight.renderers.spice import INSTRUMENTS
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, pixel_to_opencv
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.observation import Frame
+from boresight.scenarios.spice.kernels import loaded_kernels
 
 IMAGE = "images/near_msi/m0126865998f4_2p_iof.lbl"
 KERNELS = tuple(

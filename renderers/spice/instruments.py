@@ -15,9 +15,9 @@ from types import MappingProxyType
 import spiceypy
 
 from boresight.renderers.images.product import ImageMetadata, ImageProduct
-from boresight.renderers.spice.kernels import Constants
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion
+from boresight.scenarios.spice.kernels import Constants
 
 
 @dataclass(frozen=True, slots=True)

@@ -190,8 +190,10 @@ class ScenarioSpec(SpecModel):
     def _states_bring_their_own(self) -> Self:
         states = None if self.viewpoint is None else self.viewpoint.states
         for key, law in (("pose_error", self.pose_error), ("onboard.pose_error", self.onboard.pose_error)):
-            if law is not None and law.position_rtn_m is not None and (states is None or states.velocity_m_s is None):
-                raise ValueError(f"{key}.position_rtn_m needs viewpoint.trajectory, with velocities in its table")
+            if law is not None and law.position_rtn_m is not None and not (states and states.has_planes):
+                raise ValueError(
+                    f"{key}.position_rtn_m needs viewpoint.trajectory, with velocities that are not along the positions"
+                )
         if states is not None and states.sun_dir is not None and self.lighting != LightingSpec():
             raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
         return self

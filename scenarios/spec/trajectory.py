@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
@@ -56,40 +57,89 @@ class StatesSpec(SpecModel):
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @property
+    def has_planes(self) -> bool:
+        """Whether position and velocity span a plane at every epoch."""
+        if self.velocity_m_s is None:
+            return False
+        return bool(np.cross(self.position_m, self.velocity_m_s).any(axis=1).all())
+
+
+class SpiceTrajectorySpec(SpecModel):
+    """States of a spacecraft from SPICE kernels, at equal steps of time."""
+
+    kernels: tuple[str, ...] = Field(
+        min_length=1,
+        description="Kernels in the order of loading, a later one overrides: paths beside the scenario file, or under"
+        " BORESIGHT_DATA/spice",
+    )
+    observer: str = Field(min_length=1, description="NAIF's name of the spacecraft")
+    target: str = Field(min_length=1, description="NAIF's name of the body")
+    target_frame: str = Field(min_length=1, description="NAIF's name of the body-fixed frame, that of the shape")
+    camera_frame: str | None = Field(
+        None,
+        min_length=1,
+        description="NAIF's name of the camera's frame (x right, y down, z along the boresight), for attitudes from a"
+        " CK; left out: the boresight is on the body's origin, or on targets",
+    )
+    start_utc: str = Field(min_length=1, description="First epoch, as SPICE reads it: 2005-10-07T19:33:00")
+    stop_utc: str = Field(min_length=1, description="Last epoch")
+    step_s: float = Field(gt=0, description="Time from state to state")
+    aberration: Literal["LT+S", "NONE"] = Field(
+        "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
+    )
+
 
 class TrajectorySpec(SpecModel):
-    """States of the camera from a table (CSV or Parquet), one view each.
+    """States of the camera from a table (CSV or Parquet) or from SPICE kernels, one view each.
 
-    Its columns are ``time_s``; ``x_m``, ``y_m``, ``z_m``, the camera from the body's origin; and any of ``vx_m_s``,
-    ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the rotation from the table's axes to
-    those of the camera (x right, y down, z along the boresight); ``sun_x``, ``sun_y``, ``sun_z``, the direction to the
-    Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``). Without a rotation the boresight is on
-    the body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
+    A table has the columns ``time_s`` and ``x_m``, ``y_m``, ``z_m``, the camera from the body's origin. It may have
+    ``vx_m_s``, ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the rotation from the
+    table's axes to those of the camera (x right, y down, z along the boresight); and ``sun_x``, ``sun_y``, ``sun_z``,
+    the direction to the Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``). Without an attitude
+    the boresight is on the body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
     """
 
-    prose: ClassVar = frozenset({"table", "rotation"})
+    alternatives: ClassVar = (("table", "spice"),)
+    prose: ClassVar = frozenset({"table", "rotation", "spice"})
 
-    table: str = Field(min_length=1, description="CSV or Parquet file of states, in increasing order of time")
+    table: str | None = Field(
+        None, min_length=1, description="CSV or Parquet file of states, in increasing order of time"
+    )
+    spice: SpiceTrajectorySpec | None = Field(
+        None, exclude_if=is_none, description="States from SPICE kernels, instead of table"
+    )
     rotation: RotationSpec | None = Field(
         None, description="Rotation of the body, for a table in inertial axes; left out: the table is in body axes"
     )
     order: Literal["in-turn", "random"] = Field(
         "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
     )
-
     read_states: StatesSpec | None = Field(
-        None, exclude_if=is_none, description="Filled in from the table; not written by hand"
+        None, exclude_if=is_none, description="Filled in from table or kernels; not written by hand"
     )
 
     @model_validator(mode="after")
-    def _read_table(self, info: ValidationInfo) -> Self:
+    def _kernels_have_the_rotation(self) -> Self:
+        if self.spice is not None and self.rotation is not None:
+            raise ValueError("rotation has no part where kernels have it: leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> Self:
         if self.read_states is not None:
             return self
+        folders = (info.context or {}).get("folders", ())
         try:
-            read = self.read((info.context or {}).get("folders", ()))
-        except (BoresightError, OSError, ValueError, TypeError) as error:
-            raise ValueError(f"{self.table} cannot be used: {error}") from None
-        return self.model_copy(update={"read_states": read})
+            if self.spice is None:
+                states = self._read_table(folders)
+            else:
+                from boresight.scenarios.spice.trajectory import spice_states  # spiceypy is not always installed
+
+                states = spice_states(self.spice, folders)
+        except (BoresightError, ImportError, OSError, ValueError, TypeError) as error:
+            raise ValueError(f"{self.table or 'spice'} cannot be used: {error}") from None
+        return self.model_copy(update={"read_states": states})
 
     @property
     def states(self) -> StatesSpec:
@@ -98,17 +148,11 @@ class TrajectorySpec(SpecModel):
             raise ValueError("a trajectory is read when its scenario is")
         return self.read_states
 
-    def read(self, folders: tuple[Path, ...]) -> StatesSpec:
-        """Read the states, searching ``folders`` and the data folder.
-
-        Raises
-        ------
-        ValueError, BoresightError
-            If the table is missing, or has not what it must have.
-        """
+    def _read_table(self, folders: Sequence[Path]) -> StatesSpec:
+        """Read the table, searching ``folders`` and the data folder."""
         import pandas as pd  # 0.4 s, which most commands do without
 
-        path = find_data_file(self.table, folders, "tables", "table")
+        path = find_data_file(str(self.table), folders, "tables", "table")
         table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, comment="#")
         if not 1 <= len(table) <= MOST_STATES:
             raise ValueError(f"{len(table)} states are not within [1, {MOST_STATES}]")
@@ -128,10 +172,10 @@ class TrajectorySpec(SpecModel):
             raise ValueError("a position is the body's origin")
         return StatesSpec(
             time_s=tuple(times.tolist()),
-            position_m=_rows(_turned(to_body, position)),
-            velocity_m_s=None if velocity is None else _rows(_turned(to_body, velocity)),
-            attitude=None if quaternions is None else _rows(_from_body(quaternions, to_body)),
-            sun_dir=None if sun is None else _rows(_turned(to_body, _unit(sun, "the direction to the Sun"))),
+            position_m=rows_of(_turned(to_body, position)),
+            velocity_m_s=None if velocity is None else rows_of(_turned(to_body, velocity)),
+            attitude=None if quaternions is None else rows_of(_from_body(quaternions, to_body)),
+            sun_dir=None if sun is None else rows_of(_turned(to_body, _unit(sun, "the direction to the Sun"))),
         )
 
 
@@ -179,5 +223,6 @@ def _from_body(quaternions: FloatArray, to_body: FloatArray) -> FloatArray:
     return np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
 
-def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:
+def rows_of(values: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Return the rows of an array, (n, m), as plain numbers."""
     return tuple(map(tuple, values.tolist()))

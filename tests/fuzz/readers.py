@@ -33,7 +33,6 @@ from boresight.renderers.images import open_product
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
 from boresight.renderers.spice.instruments import INSTRUMENTS
-from boresight.renderers.spice.kernels import loaded_kernels
 from boresight.reports.published import parse as parse_published
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry
@@ -41,6 +40,7 @@ from boresight.scenarios.designs import grid_cells
 from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from boresight.scenarios.load.yaml_text import parse_yaml
 from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spice.kernels import loaded_kernels
 
 SEEDS = Path(__file__).with_name("seeds")
 Read = Callable[[bytes, Path], object]

@@ -18,13 +18,15 @@ from tiny_mission import KERNELS, LENGTH_S, SPICE_SECTION, START_ET, SUN_FROM_BO
 from boresight.renderers.images import keep_clear, open_product
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.renderers.mitsuba3.rays import outline_points
-from boresight.renderers.spice import INSTRUMENTS, SpiceImageSet, SpiceNames, apparent_geometry, loaded_kernels
+from boresight.renderers.spice import INSTRUMENTS, SpiceImageSet
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.brdf import LambertSpec
 from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
+from boresight.scenarios.spice.kernels import loaded_kernels
 
 AMICA, MSI = data_path("spice/hayabusa_amica_st_2458542208"), data_path("spice/near_msi_m0126888978")
 MSI_IMAGE = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import spiceypy
 
-from boresight.renderers.spice import loaded_kernels
-from boresight.renderers.spice.kernels import check_binary
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spice.kernels import check_binary, loaded_kernels
 
 _SEGMENTS = 30  # more than the 25 that one record tells of
 

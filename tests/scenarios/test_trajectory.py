@@ -8,6 +8,7 @@ import pytest
 import spiceypy
 from scipy import stats
 from scipy.spatial.transform import Rotation
+from tiny_mission import KERNELS, START_ET, SUN_FROM_BODY_KM, make_mission
 
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import (
@@ -23,6 +24,8 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import canonical_json, digest, load_scenario
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.trajectory import RotationSpec
+from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
+from boresight.scenarios.spice.kernels import loaded_kernels
 
 TIMES = np.array([-7200.0, 0.0, 600.0, 90000.0])
 POSITIONS = np.array([[2000.0, 0.0, 100.0], [0.0, -1500.0, 0.0], [300.0, 400.0, -1200.0], [-900.0, 900.0, 900.0]])
@@ -175,6 +178,76 @@ def test_errors_in_radial_transverse_and_normal_direction(spec_of):
     assert np.mean(nees) == pytest.approx(6.0, abs=0.6), "an isotropic attitude is no normal law, but of that mean"
 
 
+# --- SPICE ---------------------------------------------------------------------------------------------------------
+
+SPICE = (
+    "spice: {{kernels: [{kernels}], observer: HAYABUSA, target: ITOKAWA, target_frame: ITOKAWA_FIXED{more},"
+    " start_utc: '{start}', stop_utc: '{stop}', step_s: 600}}"
+)
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory):
+    return make_mission(tmp_path_factory.mktemp("mission"))
+
+
+def with_kernels(mission, more="", kernels=KERNELS, first_s=100.0, last_s=3000.0, rest=""):
+    """Load a scenario beside the kernels of a mission."""
+    with loaded_kernels(mission.kernels):
+        start, stop = (spiceypy.et2utc(START_ET + offset, "ISOC", 6) for offset in (first_s, last_s))
+    section = SPICE.format(kernels=", ".join(kernels), more=more, start=start, stop=stop)
+    file = mission.folder / "scene.yaml"
+    file.write_text(f"extends: quickstart\nviewpoint: {{trajectory: {{{section}}}{rest}}}\nlighting: null\n")
+    return load_scenario(str(file)).spec
+
+
+@pytest.mark.parametrize("camera", ["", ", camera_frame: HAYABUSA_AMICA"])
+def test_states_of_kernels_have_their_closed_form(mission, camera):
+    spec = with_kernels(mission, f"{camera}, aberration: NONE")
+    states = spec.viewpoint.states
+    assert np.allclose(states.time_s, START_ET + 100.0 + 600.0 * np.arange(5), atol=1e-4)
+    for trial, et in enumerate(states.time_s):
+        to_body = mission.R_body_j2000(et)
+        view = view_of(spec, trial)
+        assert np.allclose(view.T_cam_body.camera_position_m, -1e3 * to_body @ mission.body_from_craft_km, atol=1e-4)
+        if camera:
+            assert np.allclose(view.T_cam_body.rotation, mission.R_cam_j2000 @ to_body.T, atol=1e-10)
+        else:
+            assert np.allclose(view.T_cam_body.translation_m[:2], 0.0, atol=1e-6)
+        assert np.allclose(view.sun_dir_body @ to_body @ SUN_FROM_BODY_KM, np.linalg.norm(SUN_FROM_BODY_KM), rtol=1e-6)
+    assert np.allclose(states.velocity_m_s, 0.0, atol=1e-6), "both fly side by side"
+
+
+def test_apparent_states_are_those_of_images_from_the_same_kernels(mission):
+    states = with_kernels(mission, ", camera_frame: HAYABUSA_AMICA").viewpoint.states
+    names = SpiceNames("HAYABUSA", "HAYABUSA_AMICA", "ITOKAWA", "ITOKAWA_FIXED")
+    with loaded_kernels(mission.kernels):
+        found = apparent_geometry(names, states.time_s[3])
+    assert np.array_equal(found.T_cam_body.camera_position_m, states.position_m[3])
+    assert np.array_equal(found.sun_dir_body, states.sun_dir[3])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"last_s": 90000.0}, "spice cannot be used: SPICE: .*INSUFF"),
+        ({"last_s": 50.0}, r"0 epochs from start_utc to stop_utc are not within \[1, "),
+        ({"kernels": ("naif.tls", "tiny.bsp", "none.bc")}, "none.bc was not found"),
+        ({"kernels": ("naif.tls", "tiny.bsp")}, "spice cannot be used: SPICE: "),
+        ({"kernels": ("tiny.bsp",)}, "spice cannot be used: SPICE: .*LEAP"),
+        ({"more": ", camera_frame: HAYABUSA_ONC"}, "spice cannot be used: SPICE: .*HAYABUSA_ONC"),
+        ({"more": "}, rotation: {pole_ra_deg: 1, pole_dec_deg: 2, rate_deg_day: 3"}, "rotation"),
+        ({"more": ", aberration: LT"}, "aberration: 'LT' is not 'LT.S' or 'NONE'"),
+    ],
+)
+def test_kernels_that_do_not_have_it_are_one_line(mission, change, said):
+    with pytest.raises(BoresightError, match=said) as caught:
+        with_kernels(mission, **change)
+    assert "scene.yaml:2: viewpoint.trajectory" in str(caught.value)
+
+
+# --- bad input -----------------------------------------------------------------------------------------------------
+
 BAD = {
     "no file": ("", "", "states.csv cannot be used"),
     "order": (table_of(times=TIMES[[0, 2, 1, 3]]), "", r"time_s 0 of row 2 \(from 0\) is not after the one before"),
@@ -207,7 +280,7 @@ def test_a_table_that_cannot_be_used_is_one_line(spec_of, case):
         (", roll_deg: {uniform: [0, 1]}", "", "roll_deg has no part"),
         (", targets: [limb]", "", "targets has no part"),
         ("", "lighting: {phase_deg: 30}", "lighting has no part where the trajectory's table has the Sun"),
-        ("", "pose_error: {position_rtn_m: {normal: [1, 1, 1]}}", "needs viewpoint.trajectory, with velocities"),
+        ("", "pose_error: {position_rtn_m: {normal: [1, 1, 1]}}", "needs viewpoint.trajectory, with velocities that"),
     ],
 )
 def test_keys_that_a_trajectory_leaves_no_part_for_are_refused(spec_of, views, rest, said):

@@ -1,0 +1,1 @@
+"""SPICE kernels, and the geometry of missions that they hold."""

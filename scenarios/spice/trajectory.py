@@ -1,0 +1,48 @@
+"""States of a spacecraft about a body from SPICE kernels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import spiceypy
+
+from boresight.scenarios.data import find_data_file
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
+from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
+from boresight.scenarios.spice.kernels import loaded_kernels
+
+
+def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSpec:
+    """Compute apparent states (see `apparent_geometry`) at the epochs of a trajectory.
+
+    Velocities are geometric: they serve to name the directions along and across an orbit.
+
+    Raises
+    ------
+    BoresightError
+        If a kernel is missing or damaged, or the kernels do not have a name, a frame or an epoch.
+    """
+    kernels = [find_data_file(name, folders, "spice", "spice.kernels") for name in spec.kernels]
+    names = SpiceNames(spec.observer, spec.camera_frame or "J2000", spec.target, spec.target_frame)
+    with loaded_kernels(kernels):
+        start_et, stop_et = (float(spiceypy.str2et(utc)) for utc in (spec.start_utc, spec.stop_utc))
+        count = math.floor((stop_et - start_et) / spec.step_s + 1e-9) + 1
+        if not 1 <= count <= MOST_STATES:
+            raise BoresightError(f"spice: {count} epochs from start_utc to stop_utc are not within [1, {MOST_STATES}]")
+        epochs = start_et + spec.step_s * np.arange(count)
+        found = [apparent_geometry(names, et, spec.aberration) for et in epochs.tolist()]
+        velocities = []
+        for et in epochs.tolist():
+            state_km, _ = spiceypy.spkezr(spec.observer, et, "J2000", "NONE", spec.target)
+            velocities.append(1e3 * np.array(spiceypy.pxform("J2000", spec.target_frame, et)) @ np.array(state_km)[3:])
+    return StatesSpec(
+        time_s=tuple(epochs.tolist()),
+        position_m=rows_of(np.array([one.T_cam_body.camera_position_m for one in found])),
+        velocity_m_s=rows_of(np.array(velocities)),
+        attitude=rows_of(np.array([one.T_cam_body.quat_wxyz for one in found])) if spec.camera_frame else None,
+        sun_dir=rows_of(np.array([one.sun_dir_body for one in found])),
+    )
