@@ -238,6 +238,19 @@ def kernel(path: Path) -> object:
         return instrument.camera(instrument.constants())
 
 
+def states(name: str) -> Callable[[Path], object]:
+    """Read a table as the states of a trajectory, and its first column as ranges."""
+
+    def read(path: Path) -> object:
+        scene = path.with_name("scene.yaml")
+        for viewpoint in (f"trajectory: {{table: {name}}}", f"range_m: {{choice: {{table: {name}, columns: time_s}}}}"):
+            scene.write_text(f"extends: quickstart\nviewpoint: {{{viewpoint}}}\n")
+            digest(load_scenario(str(scene)).spec)
+        return None
+
+    return read
+
+
 READERS = {
     "yaml": Reader(lambda content, _: parse_yaml(text(content), "x.yaml").plain(), YAML, ("scenario", "campaign")),
     "scenario": Reader(in_file("x.yaml", scenario), (*YAML, *KEYS)),
@@ -261,6 +274,8 @@ READERS = {
     "pose-table": Reader(
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")
     ),
+    "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
+    "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),
     **{f"landmarks-{name}": landmarks(name) for name in LANDMARKS},
     "maplets": Reader(in_file(MAPLETS, lambda path: MapletDatabase.load(path.parent), recipes.npz), ARRAYS),
     "maplets-bytes": Reader(in_file(MAPLETS, lambda path: MapletDatabase.load(path.parent))),
