@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion
 from boresight.scenarios.spec.base import SpecModel, is_none
 
@@ -56,13 +57,25 @@ class OpticsSpec(SpecModel):
         return 1000.0 * self.focal_mm / across, 1000.0 * self.focal_mm / down
 
 
+class SpiceCameraSpec(SpecModel):
+    """The camera of an instrument kernel, with its size, focal length, principal point and distortion."""
+
+    instrument: str = Field(min_length=1, description="NAIF's name or number of the camera: ORX_OCAMS_MAPCAM, -64361")
+    kernels: tuple[str, ...] = Field(
+        min_length=1,
+        description="Its instrument kernel and addenda, and a frame kernel if the instrument is named: beside the"
+        " scenario file, or under BORESIGHT_DATA/spice",
+    )
+
+
 class CameraSpec(SpecModel):
     """A pinhole or, with ``distortion``, a real lens.
 
-    Its field is ``fov_deg`` (across the width, square pixels), focal lengths in pixels, or ``optics``.
+    Its field is ``fov_deg`` (across the width, square pixels), focal lengths in pixels, ``optics``, or that of an
+    instrument kernel.
     """
 
-    alternatives: ClassVar = (("fov_deg", "focal_px", "optics"),)
+    alternatives: ClassVar = (("fov_deg", "focal_px", "optics", "spice"),)
 
     width_px: int = Field(512, ge=16, le=8192, description="Columns of the image")
     height_px: int = Field(512, ge=16, le=8192, description="Rows of the image")
@@ -73,12 +86,36 @@ class CameraSpec(SpecModel):
     optics: OpticsSpec | None = Field(
         None, exclude_if=is_none, description="Focal length and pixels in mm and um, instead of fov_deg"
     )
+    spice: SpiceCameraSpec | None = Field(
+        None, exclude_if=is_none, description="Camera of an instrument kernel, instead of fov_deg and the sizes"
+    )
     principal_point_px: tuple[ImagePosition, ImagePosition] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
     distortion: DistortionSpec | None = Field(
         None, description="Distortion of the lens; images are resampled to the pinhole before an estimator sees them"
     )
+
+    @model_validator(mode="after")
+    def _of_a_kernel(self, info: ValidationInfo) -> Self:
+        """Fill in the numbers of the kernel, so that a stored scenario needs none."""
+        if self.spice is None:
+            return self
+        if self.principal_point_px is not None:
+            raise ValueError("principal_point_px has no part where the camera is that of a kernel: leave it out")
+        try:
+            from boresight.scenarios.spice.camera import read_camera  # spiceypy is not always installed
+
+            folders, size_px = (info.context or {}).get("folders", ()), (self.width_px, self.height_px)
+            read = read_camera(self.spice.kernels, self.spice.instrument, size_px, folders)
+        except (BoresightError, ImportError) as error:
+            raise ValueError(f"spice: {error}") from None
+        for key in ("width_px", "height_px"):
+            if getattr(self, key) not in {type(self).model_fields[key].default, getattr(read, key)}:
+                raise ValueError(f"{key} {getattr(self, key)} is not the kernel's {getattr(read, key)}: leave it out")
+        lens = None if read.distortion is None else DistortionSpec(k1=read.distortion[0], k2=read.distortion[1])
+        changes = {key: getattr(read, key) for key in ("width_px", "height_px", "focal_px", "principal_point_px")}
+        return self.model_copy(update={**changes, "distortion": self.distortion or lens, "spice": None})
 
     @model_validator(mode="after")
     def _distortion_does_not_fold(self) -> Self:

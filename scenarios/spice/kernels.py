@@ -144,6 +144,10 @@ class Constants:
 
     kernel_id: int
 
+    def has(self, name: str) -> bool:
+        """Return whether a loaded kernel has ``INS<id>_<name>``."""
+        return bool(spiceypy.expool(f"INS{self.kernel_id}_{name}"))
+
     def numbers(self, name: str, count: int) -> NDArray[np.float64]:
         """Return the ``count`` numbers under ``INS<id>_<name>``.
 

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Union, get_args, get_origin
 
 import pytest
 from fingerprints import fingerprint
-from key_scenes import KERNELS, SCENES, write_scenes
+from key_scenes import FLIGHT, KERNELS, SCENES, write_scenes
 from pydantic.fields import FieldInfo
 
 from boresight.scenarios.errors import BoresightError
@@ -43,6 +43,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "viewpoint.keep_clear_px": (None, "[[0, 0, 48, 5]]"),
     "viewpoint.trajectory.table": ("states", "other.csv"),
     "viewpoint.trajectory.order": ("states", "random"),
+    "viewpoint.trajectory.spice": ("flown", FLIGHT),
+    "camera.spice": (None, "{instrument: '-999100', kernels: [camera.ti]}"),
     "pose_error.position_body_m": (None, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
     "pose_error.pose_cam_deg_m": (None, f"{{covariance: {[[float(i == j) for j in range(6)] for i in range(6)]}}}"),
     "onboard.pose_error": (None, "{position_cam_m: {normal: [1, 2, 3]}}"),
@@ -84,7 +86,8 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
 }
 # Said in the terms of the body and its reflectance, whose keys have their own lines.
 SAME_TERMS = {f"onboard.{key}" for key in ("brdf", "body", "relief", "height_error", "pose_error")}
-SAME_TERMS |= {"viewpoint.trajectory.read_states"}
+# Filled in, or read from kernels with tests of their own: test_trajectory.py, test_spice_camera.py.
+SAME_TERMS |= {"viewpoint.trajectory.read_states", "viewpoint.trajectory.spice", "camera.spice"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",

@@ -38,6 +38,18 @@ sequence:
   vision: {landmarks_per_frame: 30}
 """
 KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
+FLIGHT = (
+    "{kernels: [mission/naif.tls, mission/tiny.tf, mission/tiny.bsp], observer: HAYABUSA, target: ITOKAWA,"
+    " target_frame: ITOKAWA_FIXED, start_utc: '2005-10-07T23:40:00', stop_utc: '2005-10-08T00:10:00', step_s: 600}"
+)
+CAMERA = """KPL/IK
+\\begindata
+INS-999100_FOV_FRAME = 'J2000'
+INS-999100_FOV_SHAPE = 'RECTANGLE'
+INS-999100_BORESIGHT = ( 0 0 1 )
+INS-999100_FOV_BOUNDARY_CORNERS = ( 0.1 0.1 1 -0.1 0.1 1 -0.1 -0.1 1 0.1 -0.1 1 )
+\\begintext
+"""
 SCENES = {
     "rendered": RENDERED,
     "data-sheet": RENDERED.replace("fov_deg: 18.3}", "optics: {focal_mm: 20.9, pixel_um: 140}}"),
@@ -64,6 +76,9 @@ SCENES = {
         "trajectory: {table: states.csv, rotation: {pole_ra_deg: 40, pole_dec_deg: 60, rate_deg_day: 700}}",
     )
     + "pose_error: {position_rtn_m: {normal: [9, 20, 5]}}\n",
+    "flown": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
+        "lighting: {phase_deg: {uniform: [20, 60]}}\n", ""
+    ),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
     "real": """
@@ -150,6 +165,7 @@ def write_scenes(folder: Path) -> None:
     places = [(latitude, longitude) for latitude in range(-90, 91, 15) for longitude in range(0, 361, 15)]
     lines = [f"{lat:9.3f} {lon:9.3f} {200 + 30 * np.sin(np.radians(lon)):9.3f}" for lat, lon in places]
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    (folder / "camera.ti").write_text(CAMERA)
     for name, height_m in (("states", 300.0), ("other", 400.0)):
         rows = [f"{600 * k},{-1500 - 90 * k},1200,{height_m},0.1,0.1,0" for k in range(3)]
         (folder / f"{name}.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *rows]) + "\n")
