@@ -24,6 +24,7 @@ from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
+_PREVIEWED_VIEWS, _PREVIEWED_FACETS = 40, 4000
 _LEAST_PX = 3.0
 """Body across in the image at the median range: no method finds anything in less."""
 
@@ -228,7 +229,8 @@ def views_in_words(scenario: LoadedScenario) -> str:
     viewpoint, camera = scenario.spec.viewpoint, scenario.spec.camera.camera()
     if viewpoint is None:
         return ""
-    size_m = _longest_m(load_body(scenario.spec.body, scenario.search_dirs).mesh)
+    mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
+    size_m, shares = _longest_m(mesh), _shares_in_sight(scenario, viewpoint, mesh)
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
     ends = viewpoint.range_bounds_m
     told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
@@ -236,8 +238,47 @@ def views_in_words(scenario: LoadedScenario) -> str:
     )]  # fmt: skip
     return (
         f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
-        f" body {told[2]} px long in {camera.width_px} x {camera.height_px}"
+        f" body {told[2]} px long in {camera.width_px} x {camera.height_px}; of the side that faces the camera"
+        f" {shares[0]:.0f} % is out of the frame and {shares[1]:.0f} % of the rest in the dark"
     )
+
+
+def _shares_in_sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh) -> tuple[float, float]:
+    """Return what of the projected area that faces the camera is out of the frame, %, and what of the rest is unlit, %.
+
+    Means over some views that are drawn as those of trials; what one part of the body hides or shades of another is
+    not taken into account.
+
+    Raises
+    ------
+    BoresightError
+        If nothing of the body is in the frame.
+    """
+    spec, camera = scenario.spec, scenario.spec.camera.camera()
+    rows = np.linspace(0, len(mesh.faces) - 1, min(len(mesh.faces), _PREVIEWED_FACETS)).astype(np.int64)
+    places, normals = mesh.corners_m[rows].mean(axis=1), mesh.normals[rows]
+    areas, seen, inside, dark = np.linalg.norm(mesh.area_vectors_m2[rows], axis=1), 0.0, 0.0, 0.0
+    for trial in range(_PREVIEWED_VIEWS):
+        rng, state = generator(0, Stream.TRUTH, trial), state_of_trial(viewpoint, 0, trial)
+        if viewpoint.targets:
+            view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, rng, state)
+        else:
+            view = draw_view(spec, camera, rng, state)
+        towards = view.T_cam_body.camera_position_m - places
+        projected = areas * np.einsum("fi,fi->f", normals, towards) / np.linalg.norm(towards, axis=1) ** 3
+        facing = projected > 0.0
+        in_camera = view.T_cam_body.transform(places[facing])
+        framed = (in_camera[:, 2] > 0.0) & camera.contains(camera.project(in_camera))
+        unlit = normals[facing] @ view.sun_dir_body <= 0.0
+        seen += float(projected[facing].sum())
+        inside += float(projected[facing][framed].sum())
+        dark += float(projected[facing][framed & unlit].sum())
+    if inside == 0.0:
+        raise BoresightError(
+            f"{scenario.path}: viewpoint: nothing of the body is in the frame in {_PREVIEWED_VIEWS} views: check"
+            " camera.principal_point_px, and the attitudes of a trajectory"
+        )
+    return 100.0 * (1.0 - inside / seen), 100.0 * dark / inside
 
 
 def _longest_m(mesh: TriangleMesh) -> float:
@@ -251,7 +292,7 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
     across_px = size_m / range_m * scenario.spec.camera.camera().fx_px
     if across_px < _LEAST_PX:
         raise BoresightError(
-            f"{scenario.path}: viewpoint.range_m: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
+            f"{scenario.path}: viewpoint: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
     if viewpoint.states is not None:
@@ -277,6 +318,6 @@ def _check_outside(scenario: LoadedScenario, mesh: TriangleMesh, positions_m: Fl
         # The Laplacian of the potential is -4 pi inside, for this gravity parameter, and 0 outside.
         if volume.laplacian(positions_m[row]) < -2.0 * np.pi:
             raise BoresightError(
-                f"{scenario.path}: viewpoint.trajectory: row {row} (from 0) of the table is inside the body: check its"
-                " units and axes"
+                f"{scenario.path}: viewpoint: row {row} (from 0) of the trajectory is inside the body: check its units"
+                " and axes"
             )

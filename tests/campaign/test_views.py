@@ -1,0 +1,91 @@
+"""What is said of the views of a scenario before any image is made, in closed form, and states of a trajectory."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import check_bodies, open_world, views_in_words
+from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.draw import prior_covariance
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import load_scenario
+
+BALL = "body={shape: sphere}"
+SMALL = ("camera.width_px=64", "camera.height_px=48")
+
+
+def shares(*overrides: str) -> tuple[float, float]:
+    """Share of the side that faces the camera out of the frame, and of the rest in the dark, %."""
+    said = views_in_words(load_scenario("quickstart", (BALL, *overrides)))
+    return tuple(map(float, re.findall(r"(\d+) %", said)))
+
+
+@pytest.mark.parametrize("phase_deg", [0.0, 60.0, 90.0, 150.0])
+def test_the_dark_share_is_that_of_a_sphere(phase_deg):
+    out, dark = shares("viewpoint.range_m=1e5", "camera.fov_deg=1", f"lighting.phase_deg={phase_deg}")
+    # The lit part of the disk of a far sphere is (1 + cos phase) / 2.
+    assert out == 0.0
+    assert dark == pytest.approx(50.0 * (1.0 - np.cos(np.radians(phase_deg))), abs=1.0)
+
+
+def test_half_a_disk_is_out_of_the_frame_where_its_centre_is_on_the_border():
+    out, dark = shares(
+        "viewpoint.range_m=1e5", "camera={fov_deg: 1, principal_point_px: [0, 256]}", "lighting.phase_deg=0"
+    )
+    assert out == pytest.approx(50.0, abs=1.0)
+    assert dark == 0.0
+
+
+def test_a_body_out_of_the_frame_is_refused():
+    with pytest.raises(BoresightError, match="nothing of the body is in the frame in 40 views"):
+        shares("viewpoint.range_m=1e5", "camera={fov_deg: 1, principal_point_px: [-600, 256]}")
+
+
+@pytest.fixture
+def flown(tmp_path):
+    """Scenario of a trajectory in kilometres, the last state inside the body if ``low``."""
+
+    def make(low: bool):
+        places = [[2.0, 0.0, 0.0], [0.0, 0.1, 1.5], [0.0, 0.0, 0.05 if low else 1.0]]
+        table = pd.DataFrame(places, columns=["x_km", "y_km", "z_km"]).assign(time_s=[10.0, 20.0, 30.0])
+        table.assign(vx_km_s=0.0, vy_km_s=1e-4, vz_km_s=2e-5).to_csv(tmp_path / "states.csv", index=False)
+        (tmp_path / "scene.yaml").write_text(
+            "extends: quickstart\nbody: {shape: sphere}\nviewpoint: {trajectory: {table: states.csv}}\n"
+            "pose_error: {position_rtn_m: {normal: [5, 20, 3]}, attitude: {angle_deg: {normal: 0.1}}}\n"
+            "onboard: {pose_error: {position_cam_m: {normal: [7, 7, 7]}, attitude: {angle_deg: {normal: 0.2}}}}\n"
+        )
+        return load_scenario(str(tmp_path / "scene.yaml"), SMALL)
+
+    return make
+
+
+def test_a_state_inside_the_body_is_refused(flown):
+    check_bodies(flown(low=False))
+    with pytest.raises(BoresightError, match=r"row 2 \(from 0\) of the trajectory is inside the body"):
+        check_bodies(flown(low=True))
+
+
+def test_an_estimator_gets_the_epoch_of_its_state_and_the_covariance_that_is_believed(flown):
+    scenario = flown(low=False)
+    world = open_world(scenario, choose_variant().name)
+    for trial in (1, 4):
+        image = world.source.trial_image(3, trial)
+        assert np.allclose(image.view.T_cam_body.camera_position_m, [0.0, 100.0, 1500.0], atol=1e-9)
+        frame = observe(world, image, 3, trial).frame
+        assert frame.time_s == 20.0
+        believed = prior_covariance(scenario.spec.onboard.pose_error, frame.prior_T_cam_body, world.camera)
+        assert np.array_equal(frame.prior_covariance, believed)
+        assert np.allclose(np.diag(believed)[3:], 49.0)
+    errors = []
+    for trial in range(0, 180, 3):  # the state on the body's x axis, which moves along y and z
+        image = world.source.trial_image(3, trial)
+        prior = observe(world, image, 3, trial).frame.prior_T_cam_body
+        errors.append(prior.camera_position_m - image.view.T_cam_body.camera_position_m)
+    along = np.array([0.0, 1e-4, 2e-5]) / np.hypot(1e-4, 2e-5)
+    sigmas = np.std([[e[0], e @ along, e @ np.cross([1.0, 0.0, 0.0], along)] for e in errors], axis=0)
+    assert sigmas == pytest.approx([5.0, 20.0, 3.0], rel=0.35)
