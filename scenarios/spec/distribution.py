@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
-from pathlib import Path
 from statistics import NormalDist
 from typing import Annotated, Any, Self
 
@@ -16,9 +14,9 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.tables import columns_of, read_table
 
 Bounds = tuple[float, float]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -306,26 +304,10 @@ def _tabled(value: object, info: ValidationInfo) -> object:
         raise ValueError("is not a list, nor {table: FILE, columns: NAMES}")
     names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
     try:
-        rows = _columns(value["table"], names, (info.context or {}).get("folders", ()))
+        rows = columns_of(read_table(value["table"], (info.context or {}).get("folders", ())), names)
     except (BoresightError, OSError, ValueError, TypeError) as error:
         raise ValueError(f"{value['table']} cannot be used: {error}") from None
     return tuple(map(tuple, rows.tolist())) if isinstance(value["columns"], list) else tuple(rows[:, 0].tolist())
-
-
-def _columns(file: str, names: Sequence[str], folders: Sequence[Path]) -> FloatArray:
-    """Read columns of a CSV or Parquet file, (n, len(names))."""
-    import pandas as pd  # 0.4 s, which most commands do without
-
-    path = find_data_file(file, folders, "tables", "table")
-    table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, comment="#")
-    absent = [str(name) for name in names if name not in table]
-    if absent:
-        raise ValueError(f"no column {absent[0]}; it has {', '.join(map(str, table))}")
-    rows = table[names].to_numpy(dtype=np.float64)
-    finite = np.isfinite(rows).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"row {int(np.argmin(finite))} (from 0) is not all finite numbers")
-    return rows
 
 
 class Choice(Law):

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.distribution import Row3
+from boresight.scenarios.spec.tables import columns_of, read_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -150,13 +150,10 @@ class TrajectorySpec(SpecModel):
 
     def _read_table(self, folders: Sequence[Path]) -> StatesSpec:
         """Read the table, searching ``folders`` and the data folder."""
-        import pandas as pd  # 0.4 s, which most commands do without
-
-        path = find_data_file(str(self.table), folders, "tables", "table")
-        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, comment="#")
+        table = read_table(str(self.table), folders)
         if not 1 <= len(table) <= MOST_STATES:
             raise ValueError(f"{len(table)} states are not within [1, {MOST_STATES}]")
-        times = _columns(table, ("time_s",))[:, 0]
+        times = columns_of(table, ("time_s",))[:, 0]
         steps = np.diff(times)
         if not (steps > 0.0).all():
             at = int(np.argmin(steps > 0.0)) + 1
@@ -166,8 +163,8 @@ class TrajectorySpec(SpecModel):
         to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
         position = _metres(table, "", "_{}")
         velocity = _metres(table, "v", "_{}_s") if any(str(name).startswith("vx_") for name in table) else None
-        quaternions = _columns(table, _QUATERNION) if _QUATERNION[0] in table else None
-        sun = _columns(table, _SUN) if _SUN[0] in table else None
+        quaternions = columns_of(table, _QUATERNION) if _QUATERNION[0] in table else None
+        sun = columns_of(table, _SUN) if _SUN[0] in table else None
         if not np.linalg.norm(position, axis=1).all():
             raise ValueError("a position is the body's origin")
         return StatesSpec(
@@ -179,25 +176,13 @@ class TrajectorySpec(SpecModel):
         )
 
 
-def _columns(table: pd.DataFrame, names: tuple[str, ...]) -> FloatArray:
-    """Return columns of a table, (n, len(names)), all finite."""
-    absent = [name for name in names if name not in table]
-    if absent:
-        raise ValueError(f"no column {absent[0]}; it has {', '.join(map(str, table))}")
-    values = table[list(names)].to_numpy(dtype=np.float64)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"row {int(np.argmin(finite))} (from 0) of {', '.join(names)} is not all finite numbers")
-    return values
-
-
 def _metres(table: pd.DataFrame, prefix: str, suffix: str) -> FloatArray:
     """Return x, y and z, (n, 3), in metres or m/s, from columns in metres or kilometres."""
     given = [unit for unit in _UNITS if f"{prefix}x{suffix.format(unit)}" in table]
     if len(given) == 2:
         raise ValueError(f"{prefix}x is given in m and in km: leave one out")
     unit = given[0] if given else "m"
-    return _UNITS[unit] * _columns(table, tuple(f"{prefix}{axis}{suffix.format(unit)}" for axis in "xyz"))
+    return _UNITS[unit] * columns_of(table, tuple(f"{prefix}{axis}{suffix.format(unit)}" for axis in "xyz"))
 
 
 def _unit(vectors: FloatArray, what: str) -> FloatArray:
