@@ -41,7 +41,7 @@ def draw_aimed_view(
     The target is a facet of ``shape``, drawn by area; occlusion by other parts is not checked. If no facet fits the
     kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre.
     """
-    view = draw_lit_view(viewpoint, lighting, camera, rng, state)
+    view = _lit_view(viewpoint, lighting, camera, rng, state)
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
@@ -61,7 +61,8 @@ def draw_aimed_view(
         target = places[_nearest_to_nadir(places, position, lit)]
     # look_at points at the origin: the rotation is that of a camera at the same offset from it.
     turned = look_at(position - target, turn_rad)
-    return View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
+    aimed = View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
+    return _off_pointed(aimed, viewpoint, rng)
 
 
 def emission_incidence_deg(
@@ -177,8 +178,26 @@ def draw_lit_view(
 
     The direction to the camera is uniform over the area of the latitude band. The direction to the Sun is at the phase
     angle from it, at an azimuth uniform about it. A ``state`` of a trajectory, by its index, has the position, and the
-    attitude and the Sun if its table has them; only what it has not is drawn.
+    attitude and the Sun if its table has them; only what it has not is drawn. Off-pointing turns the camera in its
+    place.
     """
+    return _off_pointed(_lit_view(viewpoint, lighting, camera, rng, state), viewpoint, rng)
+
+
+def _off_pointed(view: View, viewpoint: ViewpointSpec, rng: np.random.Generator) -> View:
+    """Turn the camera in its place so that its boresight misses what it pointed at."""
+    if viewpoint.off_pointing_deg is None:
+        return view
+    angle_rad, azimuth_rad = np.radians(viewpoint.off_pointing_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi)
+    across = angle_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
+    turned = view.T_cam_body.perturbed(across, np.zeros(3)).rotation
+    return View(view.camera, Pose(turned, -turned @ view.T_cam_body.camera_position_m), view.sun_dir_body)
+
+
+def _lit_view(
+    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator, state: int
+) -> View:
+    """Draw a view that points at the body's origin, or as the state of a trajectory has it."""
     if viewpoint.states is None:
         south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
         camera_dir_body = draw_direction((south_rad, north_rad), rng)

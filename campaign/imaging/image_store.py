@@ -40,6 +40,7 @@ from boresight.scenarios.limits import MOST_PIXELS
 from boresight.scenarios.load import LoadedScenario, canonical_json
 from boresight.scenarios.parquet import PARQUET_FAULTS
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.distribution import Law
 
 KIND = "images"
 SWITCH = "BORESIGHT_IMAGE_STORE"
@@ -262,13 +263,14 @@ def open_ground(scenario: LoadedScenario) -> CrateredSurface | None:
 class Imager:
     """Renderer, store and detector of a scenario's camera, and the surface of a body with craters.
 
-    Without a detector, images are radiance factors.
+    Without a detector, images are radiance factors. All are multiplied by a brightness, a factor or its distribution.
     """
 
     renderer: BodyRenderer
     detector: Detector | None
     store: ImageStore
     ground: CrateredSurface | None
+    brightness: Law | float = 1.0
 
     @classmethod
     def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> Imager:
@@ -276,7 +278,7 @@ class Imager:
         detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
         store = ImageStore.open(scenario, variant, stream, *laws)
         ground = open_ground(scenario)  # once: opening it takes a second, and tens of millions of facets their memory
-        return cls(open_renderer(scenario, variant, ground), detector, store, ground)
+        return cls(open_renderer(scenario, variant, ground), detector, store, ground, scenario.spec.lighting.brightness)
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
         """Image a view.
@@ -296,6 +298,10 @@ class Imager:
             (H, W) float32, and whether the image came from the store.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
+        if self.brightness != 1.0:
+            # From a stream of its own, so that the noise is the same at every brightness.
+            factor = self.brightness if isinstance(self.brightness, float) else self.brightness.draw(noise.spawn(1)[0])
+            radiance = np.float32(factor) * radiance
         return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
 
     def craters(self, view: View) -> CraterTruth:

@@ -35,6 +35,11 @@ class ViewpointSpec(SpecModel):
         None, exclude_if=is_none, description="Camera positions of a mission, instead of range_m"
     )
     roll_deg: Scalar = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
+    off_pointing_deg: Scalar | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Angle by which the boresight misses the body's centre or the target, at a random azimuth",
+    )
     latitude_deg: Uniform = Field(
         Uniform(uniform=(-90.0, 90.0)),
         description="Body-fixed latitudes of the camera, within -90 to 90; uniform over the area",
@@ -56,14 +61,19 @@ class ViewpointSpec(SpecModel):
         check_support("latitude_deg", self.latitude_deg, -90.0, 90.0)
         if self.range_m is not None and not isinstance(self.range_m, float):
             check_support("range_m", self.range_m, 1e-3)
+        if self.off_pointing_deg is not None:
+            check_support("off_pointing_deg", self.off_pointing_deg, -90.0, 90.0)
         return self
 
     @model_validator(mode="after")
     def _a_trajectory_has_the_views(self) -> Self:
         if self.states is None:
             return self
-        idle = ["latitude_deg", "keep_clear_px", *(["roll_deg", "targets"] if self.states.attitude is not None else [])]
-        given = [key for key in idle if getattr(self, key) != type(self).model_fields[key].default]
+        pointed = ["roll_deg", "off_pointing_deg", "targets"] if self.states.attitude is not None else []
+        fields = type(self).model_fields
+        given = [
+            key for key in ("latitude_deg", "keep_clear_px", *pointed) if getattr(self, key) != fields[key].default
+        ]
         if given:
             raise ValueError(f"{given[0]} has no part where a trajectory has the views: leave it out")
         return self
@@ -102,6 +112,11 @@ class LightingSpec(SpecModel):
     """Direction to the Sun by the phase angle; its azimuth about the line of sight is uniform."""
 
     phase_deg: Scalar = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
+    brightness: PositiveScalar = Field(
+        1.0,
+        exclude_if=lambda brightness: brightness == 1.0,
+        description="Factor on the radiance of each image, one or drawn: albedo, distance of the Sun, calibration",
+    )
     measure: Literal["solid-angle", "angle"] = Field(
         "solid-angle",
         description="Uniform over the solid angle of the cap, or in the angle itself, for a uniform phase_deg",
@@ -110,6 +125,8 @@ class LightingSpec(SpecModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         check_support("phase_deg", self.phase_deg, 0.0, 180.0)
+        if not isinstance(self.brightness, float):
+            check_support("brightness", self.brightness, 1e-6)
         return self
 
 

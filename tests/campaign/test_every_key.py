@@ -41,6 +41,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "brdf.H_function": (None, "'1981'"),
     "viewpoint.targets": (None, "[terminator]"),
     "viewpoint.keep_clear_px": (None, "[[0, 0, 48, 5]]"),
+    "viewpoint.off_pointing_deg": ("rendered", "2"),
     "viewpoint.trajectory.table": ("states", "other.csv"),
     "viewpoint.trajectory.order": ("states", "random"),
     "viewpoint.trajectory.spice": ("flown", FLIGHT),

@@ -89,3 +89,24 @@ def test_an_estimator_gets_the_epoch_of_its_state_and_the_covariance_that_is_bel
     along = np.array([0.0, 1e-4, 2e-5]) / np.hypot(1e-4, 2e-5)
     sigmas = np.std([[e[0], e @ along, e @ np.cross([1.0, 0.0, 0.0], along)] for e in errors], axis=0)
     assert sigmas == pytest.approx([5.0, 20.0, 3.0], rel=0.35)
+
+
+def test_brightness_multiplies_the_radiance_of_each_image_before_the_detector():
+    law = "lighting.brightness={uniform: [0.5, 1.5]}"
+    ideal = "shot_noise: false, read_noise_e: 0, psf_sigma_px: 0, dark_e_per_s: 0, offset_dn: 0"
+    detector = f"detector={{{ideal}, exposure_s: 0.02, bits: 16, gain_e_per_dn: 1, full_well_e: 1.0e+6}}"
+    factors = []
+    for overrides in ((), (detector,)):
+        plain, drawn = (
+            open_world(load_scenario("quickstart", (BALL, *SMALL, *overrides, *more)), choose_variant().name)
+            for more in ((), (law,))
+        )
+        for trial in range(12):
+            one, other = (world.source.trial_image(3, trial) for world in (plain, drawn))
+            assert np.array_equal(one.view.T_cam_body.rotation, other.view.T_cam_body.rotation)
+            lit = one.image > 0.2 * one.image.max()
+            ratios = other.image[lit] / one.image[lit]
+            assert np.ptp(ratios) < (1e-6 if not overrides else 2e-3)
+            factors.append(float(np.median(ratios)))
+    assert np.allclose(factors[:12], factors[12:], atol=1e-3), "the factor does not depend on the detector"
+    assert 0.5 <= min(factors) < 0.75 < 1.25 < max(factors) <= 1.5

@@ -417,6 +417,27 @@ def test_a_phase_that_is_not_uniform_follows_its_law(law):
         assert stats.kstest(phases, stats.truncnorm(-3.5, 3.5, 45.0, 10.0).cdf).pvalue > 1e-3
 
 
+def test_off_pointing_turns_the_camera_in_its_place_and_nothing_else():
+    camera = load_scenario("quickstart").spec.camera.camera()
+    lighting = LightingSpec()
+    angles, azimuths = [], []
+    for trial in range(1000):
+        there, off = (
+            draw_lit_view(viewpoint, lighting, camera, generator(4, Stream.TRUTH, trial))
+            for viewpoint in (
+                ViewpointSpec(range_m=2000.0),
+                ViewpointSpec(range_m=2000.0, off_pointing_deg=Uniform(uniform=(1.0, 3.0))),
+            )
+        )
+        assert np.allclose(off.T_cam_body.camera_position_m, there.T_cam_body.camera_position_m, atol=1e-9)
+        assert np.allclose(off.sun_dir_body, there.sun_dir_body, atol=1e-15)
+        x, y, z = off.T_cam_body.translation_m
+        angles.append(np.degrees(np.arctan2(np.hypot(x, y), z)))
+        azimuths.append(np.arctan2(y, x))
+    assert_follows(angles, uniform(1.0, 3.0))
+    assert_follows(azimuths, uniform(-np.pi, np.pi))
+
+
 def test_errors_in_pixels_move_the_body_by_pixels():
     spec = load_scenario("navcam67p-real").spec
     camera = spec.camera.camera()
@@ -448,6 +469,7 @@ CHANGES = {
     "viewpoint.range_m": "viewpoint.range_m=1999",
     "viewpoint.roll_deg": "viewpoint.roll_deg.uniform=[0, 10]",
     "viewpoint.latitude_deg": "viewpoint.latitude_deg.uniform=[0, 10]",
+    "viewpoint.off_pointing_deg": "viewpoint.off_pointing_deg=0.1",
     "lighting.phase_deg": "lighting.phase_deg.uniform=[0, 61]",
     "lighting.measure": "lighting.measure=angle",
     "pose_error.position_cam_m": "pose_error.position_cam_m.uniform=[[-50, 50], [-50, 50], [-6, 5]]",
@@ -468,6 +490,7 @@ ONE_CHOICE = {"viewpoint.kind", "pose_error.attitude.axis"}
 OF_THE_WORLD = {"viewpoint.keep_clear_px", "viewpoint.targets"}  # views are drawn anew where the body is known
 # In test_trajectory.py and test_spice_camera.py.
 OF_A_MISSION = {"viewpoint.trajectory", "pose_error.position_rtn_m", "camera.spice"}
+OF_IMAGES = {"lighting.brightness"}  # test_views.py
 
 
 def outcome(overrides=()):
@@ -494,4 +517,4 @@ def test_no_key_of_these_sections_goes_untested():
         "pose_error.attitude": AttitudeErrorSpec, "camera": type(spec.camera),
     }  # fmt: skip
     keys = {f"{name}.{key}" for name, model in sections.items() for key in model.model_fields}
-    assert keys - set(sections) == set(CHANGES) | ONE_CHOICE | OF_THE_WORLD | OF_A_MISSION
+    assert keys - set(sections) == set(CHANGES) | ONE_CHOICE | OF_THE_WORLD | OF_A_MISSION | OF_IMAGES
