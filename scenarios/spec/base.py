@@ -14,9 +14,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, model_val
 
 def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Add mutually exclusive keys to the JSON Schema."""
-    groups = model.alternatives if issubclass(model, SpecModel) else ()
-    if groups:
+    if issubclass(model, SpecModel) and (groups := model.alternatives):
         schema["allOf"] = [{"not": {"required": list(pair)}} for keys in groups for pair in combinations(keys, 2)]
+        if model.no_default:
+            schema["allOf"] += [{"anyOf": [{"required": [key]} for key in keys]} for keys in groups]
 
 
 def _finite(value: object) -> object:
@@ -41,8 +42,8 @@ class SpecModel(BaseModel):
     """Base of all models: frozen; unknown keys and non-finite numbers are errors.
 
     ``alternatives`` are groups of keys of which exactly one must be given. If a file extends another, a key of such a
-    group replaces the others (see ``scenarios.load.merge``). ``prose`` are keys that results do not depend on, ``own``
-    those that a file does not inherit.
+    group replaces the others (see ``scenarios.load.merge``); with ``no_default`` a file that extends none must give one
+    itself. ``prose`` are keys that results do not depend on, ``own`` those that a file does not inherit.
     """
 
     model_config = ConfigDict(
@@ -54,6 +55,7 @@ class SpecModel(BaseModel):
     )
 
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    no_default: ClassVar[bool] = False
     prose: ClassVar[frozenset[str]] = frozenset()
     own: ClassVar[frozenset[str]] = frozenset()
 

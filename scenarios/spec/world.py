@@ -26,6 +26,7 @@ class ViewpointSpec(SpecModel):
     """Random direction at a range, or states of a trajectory; boresight to the body's centre or to a target kind."""
 
     alternatives: ClassVar = (("range_m", "trajectory"),)
+    no_default: ClassVar = True
 
     kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
     range_m: PositiveScalar | None = Field(

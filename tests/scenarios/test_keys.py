@@ -35,7 +35,7 @@ def key(model: type[SpecModel], name: str) -> Key:
         (CameraSpec, "focal_px", "list of 2 numbers in [1, 1e+09]", "px", "left out"),
         (BodySpec, "shading", "flat or smooth", "", "flat"),
         (BodySpec, "expected_diameter_m", "list of 2 numbers", "m", "[1, 2000000]"),
-        (ViewpointSpec, "range_m", "number above 0 or distribution", "m", None),
+        (ViewpointSpec, "range_m", "number above 0 or distribution", "m", "left out"),
         (ViewpointSpec, "keep_clear_px", "list of lists of 4 numbers at least 0", "px", "[]"),
         (ViewpointSpec, "roll_deg", "number or distribution", "deg", "{uniform: [-180, 180]}"),
         (PoseErrorSpec, "attitude", "section", "", "{angle_deg: {uniform: [-2, 2]}}"),

@@ -165,7 +165,7 @@ def test_file_kind_goes_by_the_keys(here, tmp_path):
         ("detector: {shot_noise: 1}", "x.yaml:1: detector.shot_noise: 1 is not true or false"),
         ("detector: {bits: 3}", "x.yaml:1: detector: offset_dn 10 is not below 7, the largest number of 3 bits"),
         ("rendering: {samples_per_pixel: 5}", "x.yaml:1: rendering: 5 is not a square number"),
-        ("viewpoint: {}", "x.yaml:1: viewpoint.range_m: this key is missing (Distance of the camera"),
+        ("viewpoint: {}", "x.yaml:1: viewpoint: give either range_m or trajectory"),
         ("viewpoint: {range_m: 0}", "x.yaml:1: viewpoint.range_m: 0 is not above 0"),
         (
             "viewpoint: {range_m: 9, latitude_deg: {uniform: [-91, 0]}}",
