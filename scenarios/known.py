@@ -233,14 +233,14 @@ def _unmodelled(spec: ScenarioSpec) -> list[Item]:
     return [Item(ALBEDO, "absent" if _variation(spec.body) is None else "not"), *_exposure(spec)]
 
 
-def _exposure(spec: ScenarioSpec) -> tuple[Item, Item]:
-    """Return blur and noise of the detector, which have no onboard model."""
-    detector = spec.detector
+def _exposure(spec: ScenarioSpec) -> list[Item]:
+    """Return blur and noise of the detector and the brightness of images, which have no onboard model."""
+    detector, bright = spec.detector, _nots("brightness") if spec.lighting.brightness != 1.0 else []
     if detector is None:
-        return Item("blur", "absent"), Item("noise", "absent", "no `detector`")
+        return [Item("blur", "absent"), Item("noise", "absent", "no `detector`"), *bright]
     blurred = detector.psf_sigma_px > 0.0
     blur = Item("blur", "not", f"{detector.psf_sigma_px:g} px") if blurred else Item("blur", "absent")
-    return blur, Item("noise", "not")
+    return [blur, Item("noise", "not"), *bright]
 
 
 def _reflectance(spec: ScenarioSpec) -> Item:

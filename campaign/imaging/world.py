@@ -24,7 +24,8 @@ from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
-_PREVIEWED_VIEWS, _PREVIEWED_FACETS = 40, 4000
+_PREVIEWED_VIEWS, _PREVIEWED_POINTS = 40, 4000
+_CHECKED_STATES = 100
 _LEAST_PX = 3.0
 """Body across in the image at the median range: no method finds anything in less."""
 
@@ -77,8 +78,7 @@ class RenderedImageSource:
         states, state = None if viewpoint is None else viewpoint.states, state_of_trial(viewpoint, seed, trial)
         if states is None:
             return TrialImage(image, view, {}, from_store=from_store)
-        velocity_m_s = None if states.velocity_m_s is None else np.array(states.velocity_m_s[state])
-        return TrialImage(image, view, {}, "", states.time_s[state], from_store, velocity_m_s)
+        return TrialImage(image, view, {}, "", states.time_s[state], from_store, states.velocity(state))
 
     def flush(self) -> None:
         """Write rendered images to the store."""
@@ -233,52 +233,64 @@ def views_in_words(scenario: LoadedScenario) -> str:
     size_m, shares = _longest_m(mesh), _shares_in_sight(scenario, viewpoint, mesh)
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
     ends = viewpoint.range_bounds_m
+    lit = "" if np.isnan(shares[1]) else f" and {shares[1]:.0f} % of the rest in the dark"
     told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
         ends, [end / camera.fx_px for end in ends], [size_m / end * camera.fx_px for end in ends]
     )]  # fmt: skip
     return (
         f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
         f" body {told[2]} px long in {camera.width_px} x {camera.height_px}; of the side that faces the camera"
-        f" {shares[0]:.0f} % is out of the frame and {shares[1]:.0f} % of the rest in the dark"
+        f" {shares[0]:.0f} % is out of the frame{lit}"
     )
 
 
 def _shares_in_sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh) -> tuple[float, float]:
     """Return what of the projected area that faces the camera is out of the frame, %, and what of the rest is unlit, %.
 
-    Means over some views that are drawn as those of trials; what one part of the body hides or shades of another is
-    not taken into account.
+    Means over points that are spread over the surface and over some views that are drawn as those of trials; what one
+    part of the body hides or shades of another is not taken into account.
 
     Raises
     ------
     BoresightError
-        If nothing of the body is in the frame.
+        If the sphere about the body is out of the frame in all of these views.
     """
-    spec, camera = scenario.spec, scenario.spec.camera.camera()
-    rows = np.linspace(0, len(mesh.faces) - 1, min(len(mesh.faces), _PREVIEWED_FACETS)).astype(np.int64)
-    places, normals = mesh.corners_m[rows].mean(axis=1), mesh.normals[rows]
-    areas, seen, inside, dark = np.linalg.norm(mesh.area_vectors_m2[rows], axis=1), 0.0, 0.0, 0.0
+    spec, camera, rng = scenario.spec, scenario.spec.camera.camera(), np.random.default_rng(0)
+    areas = np.cumsum(np.linalg.norm(mesh.area_vectors_m2, axis=1))
+    rows = np.searchsorted(areas, areas[-1] * (np.arange(_PREVIEWED_POINTS) + 0.5) / _PREVIEWED_POINTS)
+    weights = rng.dirichlet(np.ones(3), _PREVIEWED_POINTS)  # uniform over a triangle
+    places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
+    width, height = camera.width_px, camera.height_px
+    corners = camera.unproject(np.array([[0.0, 0.0], [0.0, height], [width, 0.0], [width, height]]))
+    axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+    field_rad, reach_m = np.arccos((corners @ axis).min()), np.linalg.norm(mesh.vertices_m, axis=1).max()
+    count, in_view = len(viewpoint.states or ()), False
+    seen = inside = dark = 0.0
     for trial in range(_PREVIEWED_VIEWS):
-        rng, state = generator(0, Stream.TRUTH, trial), state_of_trial(viewpoint, 0, trial)
+        # Spread over a trajectory, whatever its order is.
+        state, draws = trial * count // _PREVIEWED_VIEWS, generator(0, Stream.TRUTH, trial)
         if viewpoint.targets:
-            view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, rng, state)
+            view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, draws, state)
         else:
-            view = draw_view(spec, camera, rng, state)
+            view = draw_view(spec, camera, draws, state)
+        centre = view.T_cam_body.translation_m
+        range_m = float(np.linalg.norm(centre))
+        radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi
+        in_view |= bool(np.arccos(np.clip(axis @ centre / range_m, -1.0, 1.0)) <= field_rad + radius_rad)
         towards = view.T_cam_body.camera_position_m - places
-        projected = areas * np.einsum("fi,fi->f", normals, towards) / np.linalg.norm(towards, axis=1) ** 3
+        projected = np.einsum("pi,pi->p", normals, towards) / np.linalg.norm(towards, axis=1) ** 3
         facing = projected > 0.0
-        in_camera = view.T_cam_body.transform(places[facing])
-        framed = (in_camera[:, 2] > 0.0) & camera.contains(camera.project(in_camera))
+        framed = camera.contains(camera.project(view.T_cam_body.transform(places[facing])))
         unlit = normals[facing] @ view.sun_dir_body <= 0.0
         seen += float(projected[facing].sum())
         inside += float(projected[facing][framed].sum())
         dark += float(projected[facing][framed & unlit].sum())
-    if inside == 0.0:
+    if not in_view:
         raise BoresightError(
             f"{scenario.path}: viewpoint: nothing of the body is in the frame in {_PREVIEWED_VIEWS} views: check"
             " camera.principal_point_px, and the attitudes of a trajectory"
         )
-    return 100.0 * (1.0 - inside / seen), 100.0 * dark / inside
+    return 100.0 * (1.0 - inside / seen), 100.0 * dark / inside if inside else np.nan
 
 
 def _longest_m(mesh: TriangleMesh) -> float:
@@ -311,10 +323,12 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
 
 
 def _check_outside(scenario: LoadedScenario, mesh: TriangleMesh, positions_m: FloatArray) -> None:
-    """Refuse states (n, 3) of a trajectory that are inside the body."""
+    """Refuse states (n, 3) of a trajectory that are inside the body; the lowest are looked at."""
     volume = Polyhedron(mesh, mesh.volume_m3)
     reach_m = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
-    for row in np.flatnonzero(np.linalg.norm(positions_m, axis=1) <= reach_m):
+    ranges_m = np.linalg.norm(positions_m, axis=1)
+    lowest = np.argsort(ranges_m, kind="stable")[:_CHECKED_STATES]
+    for row in lowest[ranges_m[lowest] <= reach_m]:
         # The Laplacian of the potential is -4 pi inside, for this gravity parameter, and 0 outside.
         if volume.laplacian(positions_m[row]) < -2.0 * np.pi:
             raise BoresightError(

@@ -290,10 +290,11 @@ class LogUniform(Law):
         return f"{self.log_uniform[0]:g} to {self.log_uniform[1]:g} {unit}, uniform in the logarithm"
 
 
-def _tabled(value: object, info: ValidationInfo) -> object:
+def _tabled(value: object, info: ValidationInfo, count: int | None = None) -> object:
     """Read ``{table: FILE, columns: NAMES}``, a CSV or Parquet file, in place of values that are written out.
 
-    The values become part of the scenario and of its digest; the file is looked for as the scenario's other files are.
+    The values, or vectors of ``count``, become part of the scenario and of its digest; the file is looked for as the
+    scenario's other files are.
     """
     # Tuples: what comes from here is checked strictly, and only JSON may have a list for a tuple.
     if isinstance(value, list):
@@ -303,11 +304,17 @@ def _tabled(value: object, info: ValidationInfo) -> object:
     if value.keys() != {"table", "columns"} or not isinstance(value["table"], str):
         raise ValueError("is not a list, nor {table: FILE, columns: NAMES}")
     names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
+    if len(names) != (count or 1) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"columns: name {count or 'one'}")
     try:
         rows = columns_of(read_table(value["table"], (info.context or {}).get("folders", ())), names)
     except (BoresightError, OSError, ValueError, TypeError) as error:
         raise ValueError(f"{value['table']} cannot be used: {error}") from None
-    return tuple(map(tuple, rows.tolist())) if isinstance(value["columns"], list) else tuple(rows[:, 0].tolist())
+    return tuple(rows[:, 0].tolist()) if count is None else tuple(map(tuple, rows.tolist()))
+
+
+def _tabled3(value: object, info: ValidationInfo) -> object:
+    return _tabled(value, info, 3)
 
 
 class Choice(Law):
@@ -518,9 +525,15 @@ class _Correlated(_NormalVector):
 
     def _deviation(self, rng: np.random.Generator) -> FloatArray:
         # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
-        values, vectors = np.linalg.eigh(np.array(self.covariance))
+        scale = self._scale
+        values, vectors = np.linalg.eigh(np.array(self.covariance) / np.outer(scale, scale))
         normal = rng.standard_normal(len(values))
-        return np.asarray(vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal), dtype=np.float64)
+        return np.asarray(scale * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal)), dtype=np.float64)
+
+    @property
+    def _scale(self) -> FloatArray:
+        """(n,) units in which the covariance is factorised."""
+        return np.ones(len(self.covariance))
 
 
 class Correlated3(_Correlated):
@@ -536,6 +549,12 @@ class Correlated6(_Correlated):
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6] = Field(description="Symmetric, positive semidefinite")
     mean: Row6 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
 
+    @property
+    def _scale(self) -> FloatArray:
+        """(6,) standard deviations: components of unlike units may differ by many powers of ten."""
+        sigmas = np.sqrt(np.diag(np.array(self.covariance)))
+        return np.where(sigmas > 0.0, sigmas, 1.0)
+
 
 class Choice3(Law3):
     """One of some vectors, all equally probable: ``{choice: [[x, y, z], ...]}``, for example drawn errors.
@@ -543,7 +562,7 @@ class Choice3(Law3):
     ``{choice: {table: FILE, columns: [X, Y, Z]}}`` takes them from three columns of a CSV or Parquet file.
     """
 
-    choice: Annotated[tuple[Row3, ...], BeforeValidator(_tabled)] = Field(
+    choice: Annotated[tuple[Row3, ...], BeforeValidator(_tabled3)] = Field(
         min_length=1, max_length=100_000, description="The vectors, or the columns of a table"
     )
 

@@ -194,8 +194,17 @@ class ScenarioSpec(SpecModel):
                 raise ValueError(
                     f"{key}.position_rtn_m needs viewpoint.trajectory, with velocities that are not along the positions"
                 )
-        if states is not None and states.sun_dir is not None and self.lighting != LightingSpec():
+        drawn = self.lighting.model_copy(update={"brightness": 1.0})
+        if states is not None and states.sun_dir is not None and drawn != LightingSpec():
             raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
+        return self
+
+    @model_validator(mode="after")
+    def _brightness_is_of_rendered_images(self) -> Self:
+        sequence, pairs, imaging = self.sequence, self.crater_pairs, None if self.orbit is None else self.orbit.imaging
+        rendered = self.viewpoint or (sequence and sequence.images) or (pairs and pairs.images)
+        if self.lighting.brightness != 1.0 and not rendered and (imaging is None or imaging.detections == "drawn"):
+            raise ValueError("lighting.brightness has no part where no image is rendered: leave it out")
         return self
 
     @model_validator(mode="after")

@@ -23,6 +23,7 @@ _DAY_S = 86400.0
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _SUN = ("sun_x", "sun_y", "sun_z")
 _UNITS = {"m": 1.0, "km": 1000.0}
+_VELOCITY = tuple(f"v{axis}_{unit}_s" for axis in "xyz" for unit in _UNITS)
 
 
 class RotationSpec(SpecModel):
@@ -57,6 +58,17 @@ class StatesSpec(SpecModel):
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        columns = (self.position_m, self.velocity_m_s, self.attitude, self.sun_dir)
+        if any(column is not None and len(column) != len(self) for column in columns):
+            raise ValueError("states are of unlike number")
+        return self
+
+    def velocity(self, state: int) -> FloatArray | None:
+        """Return the velocity (3,) of a state; None if the states have none."""
+        return None if self.velocity_m_s is None else np.array(self.velocity_m_s[state])
+
     @property
     def has_planes(self) -> bool:
         """Whether position and velocity span a plane at every epoch."""
@@ -84,7 +96,7 @@ class SpiceTrajectorySpec(SpecModel):
     )
     start_utc: str = Field(min_length=1, description="First epoch, as SPICE reads it: 2005-10-07T19:33:00")
     stop_utc: str = Field(min_length=1, description="Last epoch")
-    step_s: float = Field(gt=0, description="Time from state to state")
+    step_s: float = Field(ge=1e-3, description="Time from state to state")
     aberration: Literal["LT+S", "NONE"] = Field(
         "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
     )
@@ -162,9 +174,10 @@ class TrajectorySpec(SpecModel):
             )
         to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
         position = _metres(table, "", "_{}")
-        velocity = _metres(table, "v", "_{}_s") if any(str(name).startswith("vx_") for name in table) else None
-        quaternions = columns_of(table, _QUATERNION) if _QUATERNION[0] in table else None
-        sun = columns_of(table, _SUN) if _SUN[0] in table else None
+        # One column of a group calls for all of it.
+        velocity = _metres(table, "v", "_{}_s") if any(name in table for name in _VELOCITY) else None
+        quaternions = columns_of(table, _QUATERNION) if any(name in table for name in _QUATERNION) else None
+        sun = columns_of(table, _SUN) if any(name in table for name in _SUN) else None
         if not np.linalg.norm(position, axis=1).all():
             raise ValueError("a position is the body's origin")
         return StatesSpec(

@@ -62,8 +62,6 @@ class ViewpointSpec(SpecModel):
         check_support("latitude_deg", self.latitude_deg, -90.0, 90.0)
         if self.range_m is not None and not isinstance(self.range_m, float):
             check_support("range_m", self.range_m, 1e-3)
-        if self.off_pointing_deg is not None:
-            check_support("off_pointing_deg", self.off_pointing_deg, -90.0, 90.0)
         return self
 
     @model_validator(mode="after")
@@ -127,7 +125,7 @@ class LightingSpec(SpecModel):
     def _check(self) -> Self:
         check_support("phase_deg", self.phase_deg, 0.0, 180.0)
         if not isinstance(self.brightness, float):
-            check_support("brightness", self.brightness, 1e-6)
+            check_support("brightness", self.brightness, 0.0)
         return self
 
 

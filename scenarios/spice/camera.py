@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -48,7 +49,7 @@ def read_camera(
     paths = [find_data_file(name, folders, "spice", "kernels") for name in kernels]
     with loaded_kernels(paths):
         try:
-            number = int(instrument) if instrument.lstrip("-").isdigit() else spiceypy.bodn2c(instrument)
+            number = int(instrument) if re.fullmatch("-?[0-9]{1,9}", instrument) else spiceypy.bodn2c(instrument)
         except SPICE_ERRORS:
             raise BoresightError(f"the kernels do not have an instrument {instrument}: give its number") from None
         constants = Constants(number)

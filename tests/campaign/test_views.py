@@ -7,12 +7,15 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import check_bodies, open_world, views_in_words
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
 
 BALL = "body={shape: sphere}"
@@ -44,6 +47,32 @@ def test_half_a_disk_is_out_of_the_frame_where_its_centre_is_on_the_border():
 def test_a_body_out_of_the_frame_is_refused():
     with pytest.raises(BoresightError, match="nothing of the body is in the frame in 40 views"):
         shares("viewpoint.range_m=1e5", "camera={fov_deg: 1, principal_point_px: [-600, 256]}")
+
+
+@pytest.mark.parametrize("fov_deg", [1.0, 0.05])
+def test_a_coarse_shape_may_fill_the_frame(tmp_path, fov_deg):
+    trimesh.creation.box((200.0, 200.0, 200.0)).export(tmp_path / "cube.obj")
+    (tmp_path / "scene.yaml").write_text("extends: quickstart\nbody: {shape: cube.obj}\n")
+    near = ("viewpoint={range_m: 1000}", f"camera={{fov_deg: {fov_deg}}}", "body.detail=null")
+    said = views_in_words(load_scenario(str(tmp_path / "scene.yaml"), near))
+    assert re.search(r"(9\d|100) % is out of the frame", said)
+
+
+def test_a_trajectory_is_looked_at_from_its_beginning_to_its_end(tmp_path):
+    """The first 60 of 100 states look away, the others at the body."""
+    turns = Rotation.from_matrix([look_at(np.array([2000.0, 0.0, 0.0])).rotation] * 100)
+    away = Rotation.from_euler("y", np.where(np.arange(100) < 60, 90.0, 0.0)[:, None], degrees=True) * turns
+    table = pd.DataFrame(away.as_quat(scalar_first=True), columns=["qw", "qx", "qy", "qz"])
+    table.assign(time_s=np.arange(100.0), x_m=2000.0, y_m=0.0, z_m=0.0).to_csv(tmp_path / "states.csv", index=False)
+    (tmp_path / "scene.yaml").write_text(
+        "extends: quickstart\nbody: {shape: sphere}\nviewpoint: {trajectory: {table: states.csv}}\n"
+    )
+    scenario = load_scenario(str(tmp_path / "scene.yaml"))
+    assert "60 % is out of the frame" in views_in_words(scenario)
+    table[:] = table.iloc[0].to_numpy()
+    table.assign(time_s=np.arange(100.0), x_m=2000.0, y_m=0.0, z_m=0.0).to_csv(tmp_path / "states.csv", index=False)
+    with pytest.raises(BoresightError, match="nothing of the body is in the frame"):
+        views_in_words(load_scenario(str(tmp_path / "scene.yaml")))
 
 
 @pytest.fixture

@@ -252,6 +252,18 @@ def test_attitude_and_position_with_one_covariance(paper, more):
     assert np.allclose(prior_covariance(spec, pose, camera), expected * np.outer(units, units), rtol=1e-12)
 
 
+@pytest.mark.parametrize("attitude", [1e-5, 1e-2, 10.0])
+def test_components_of_unlike_size_keep_their_digits(attitude):
+    sigmas = np.array([attitude, attitude, attitude, 1e5, 1e4, 1e3])
+    correlations = 0.5 * (np.ones((6, 6)) + np.eye(6))
+    law = Correlated6(covariance=(correlations * np.outer(sigmas, sigmas)).tolist())
+    rng = np.random.default_rng(5)
+    draws = np.array([law.draw(rng) for _ in range(N)]) / sigmas
+    found = draws.T @ draws / N
+    # Standard error of a mean product of unit normals: sqrt((1 + r^2) / N).
+    assert np.abs(found - correlations).max() < 5.0 * np.sqrt(2.0 / N)
+
+
 def test_students_t_has_the_tails_of_scipys():
     law = Normal3(normal=(2.0, 1.0, 3.0), student_t=4.0)
     rng = np.random.default_rng(3)

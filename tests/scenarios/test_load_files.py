@@ -520,7 +520,7 @@ def test_a_column_of_a_table_is_a_law_of_a_number(tmp_path):
         ("{table: none.csv, columns: [x, y, z]}", "none.csv was not found"),
         ("{table: errors.csv, columns: [x, y, q]}", "no column q; it has x, x2, y, z"),
         ("{table: errors.csv, columns: [x, y, z]}", r"row 1 \(from 0\) of x, y, z is not all numbers"),
-        ("{table: errors.csv, columns: [x, x2]}", "this value of the list is missing"),
+        ("{table: errors.csv, columns: [x, x2]}", "columns: name 3"),
         ("{table: errors.csv}", "nor {table: FILE, columns: NAMES}"),
         ("{table: words.csv, columns: [x, y, z]}", "words.csv cannot be used: could not convert string to float"),
         ("{table: scene.yaml, columns: [x, y, z]}", "scene.yaml cannot be used: no column x"),

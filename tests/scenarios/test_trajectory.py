@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -117,6 +119,18 @@ def test_inertial_axes_turn_into_those_of_the_body_as_spice_has_them(spec_of):
         assert np.allclose(view.T_cam_body.rotation @ to_body[trial], TURNS[trial].as_matrix(), atol=1e-11)
         assert np.allclose(view.sun_dir_body, to_body[trial] @ SUNS[trial], atol=1e-11)
         assert np.allclose(spec.viewpoint.states.velocity_m_s[trial], to_body[trial] @ VELOCITIES[trial])
+
+
+def test_brightness_may_be_drawn_where_the_table_has_the_sun(spec_of):
+    spec = spec_of(table_of(suns=SUNS), rest="lighting: {brightness: {log_normal: [1, 0.1]}}")
+    assert np.allclose(view_of(spec, 1).sun_dir_body, SUNS[1])
+
+
+def test_stored_states_of_unlike_number_are_refused(spec_of):
+    stored = json.loads(canonical_json(spec_of(table_of())))
+    stored["viewpoint"]["trajectory"]["read_states"]["position_m"].pop()
+    with pytest.raises(ValueError, match="states are of unlike number"):
+        ScenarioSpec.model_validate_json(json.dumps(stored))
 
 
 def test_a_random_order_has_every_state_as_often(spec_of):
@@ -252,6 +266,9 @@ BAD = {
     "no file": ("", "", "states.csv cannot be used"),
     "order": (table_of(times=TIMES[[0, 2, 1, 3]]), "", r"time_s 0 of row 2 \(from 0\) is not after the one before"),
     "column": (table_of().drop(columns="y_m"), "", "no column y_m; it has time_s, x_m, z_m"),
+    "part of attitudes": (table_of(turns=TURNS).drop(columns="qw"), "", "no column qw"),
+    "part of the Sun": (table_of(suns=SUNS).drop(columns="sun_x"), "", "no column sun_x"),
+    "part of velocities": (table_of(velocities=VELOCITIES).drop(columns="vx_m_s"), "", "no column vx_m_s"),
     "velocity": (table_of(velocities=VELOCITIES).drop(columns="vz_m_s"), "", "no column vz_m_s"),
     "number": (table_of(np.where(POSITIONS == 900.0, np.nan, POSITIONS)), "", "row 3 .* is not all numbers"),
     "word": ("time_s,x_m,y_m,z_m\n0,1,2,far\n", "", "could not convert string to float"),

@@ -72,14 +72,17 @@ def draw_landmarks(spec: ScenarioSpec, database: LandmarkDatabase, seed: int, tr
     drawn from the visible ones.
     """
     camera = spec.camera.camera()
-    view = draw_view(spec, camera, generator(seed, Stream.TRUTH, trial), state_of_trial(spec.viewpoint, seed, trial))
+    state = state_of_trial(spec.viewpoint, seed, trial)
+    view = draw_view(spec, camera, generator(seed, Stream.TRUTH, trial), state)
     truth = view.T_cam_body
     rng = generator(seed, Stream.LANDMARKS, trial)
     chosen = first_visible(database.mesh(), camera, truth, rng.permutation(len(database)))
     points_cam_m = truth.transform(database.means_m[chosen])
     covariances = image_covariances(database.covariances_m2[chosen], points_cam_m, camera, truth)
     error = np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), rng.normal(size=(LANDMARKS, 2))[: len(chosen)])
-    prior = degrade(truth, spec.pose_error, camera, generator(seed, Stream.POSE_ERROR, trial))
+    states = None if spec.viewpoint is None else spec.viewpoint.states
+    velocity_m_s = None if states is None else states.velocity(state)
+    prior = degrade(truth, spec.pose_error, camera, generator(seed, Stream.POSE_ERROR, trial), velocity_m_s)
     return LandmarkDraw(view, prior, chosen, camera.project(points_cam_m) + error)
 
 
@@ -144,6 +147,8 @@ class PoseConvergence(Trials):
         """Refuse a scenario without a viewpoint."""
         if scenario.spec.viewpoint is None:
             raise BoresightError(f"{scenario.path}: viewpoint: missing, but the experiment {NAME} needs it")
+        if scenario.spec.onboard.pose_error is not None:
+            raise BoresightError(f"{scenario.path}: onboard.pose_error has no part in {NAME}: leave it out")
 
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, PoseSolverOptions]:
