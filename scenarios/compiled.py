@@ -38,12 +38,13 @@ def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = str(place), f"{__name__}.{Locator.__name__}"
         try:
             # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
-            # fused. nogil: other threads of Python go on meanwhile.
-            dispatcher = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+            # fused. nogil: other threads of Python go on meanwhile. No compiled code calls a kernel by a pointer.
+            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            dispatcher = numba.njit(cache=True, **options)(function)
             dispatcher.compile = _one_at_a_time(dispatcher.compile, place / "lock")
             return cast("_Kernel", dispatcher)
         except RuntimeError:  # the folder cannot be written
-            return cast("_Kernel", numba.njit(error_model="numpy", nogil=True)(function))
+            return cast("_Kernel", numba.njit(**options)(function))
         finally:
             numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 

@@ -11,13 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from boresight.estimators.slam.adjustment.compiled import descent, marginal
-from boresight.estimators.slam.adjustment.compiled.envelope import dense
-from boresight.estimators.slam.adjustment.compiled.problem import floats
+from boresight.estimators.slam.adjustment.compiled import descent
+from boresight.estimators.slam.adjustment.compiled.envelope import block_of_inverse, dense, factorise, marginal
+from boresight.estimators.slam.adjustment.compiled.problem import FlatProblem, floats
 from boresight.estimators.slam.adjustment.problem import Adjustment, QuadraticPrior, State, pinhole_of
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame
+
+_NO_ROWS, _NO_VALUES, _NO_VECTORS, _NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0))
+_VIEW_0, _VIEW_1 = np.array([0]), np.array([1])
 
 RANK_TOLERANCE = 1e-11
 """Eigenvalues of the reduced matrix below this part of the largest one count as zero."""
@@ -47,7 +50,7 @@ def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Adjustmen
     The damping starts at 1e-6 of the mean diagonal of the normal matrix.
     """
     start = floats(state.positions_m), floats(state.points_m)
-    positions, points, value, iterations, converged = descent.minimise_arrays(
+    positions, points, value, iterations, converged = descent.minimise(
         *start, rule.step_m, rule.iterations, *problem.flat
     )
     return AdjustmentSolution(State(positions, points), value, iterations, converged)
@@ -65,10 +68,29 @@ def place_view(
 
     ``before`` are the position of the frame before (3,) and the inverse covariance of the predicted motion (3, 3).
     """
-    seen = floats(frame.R_cam_body), floats(frame.uv_px[rows]), float(frame.sigma_px), points_m
-    motion = floats(before[0]), floats(frame.motion_m), floats(before[1])
-    found = descent.place(pinhole_of(camera), *seen, motion, (rule.step_m, rule.iterations))
-    return np.asarray(found, dtype=np.float64)
+    position_m, motion_information = before
+    count = len(rows)
+    # View 0 is the one before, without pixels and fixed as all landmarks are; view 1 is placed.
+    placed = descent.minimise(
+        np.array((position_m, position_m + frame.motion_m)),
+        points_m,
+        rule.step_m,
+        rule.iterations,
+        pinhole_of(camera),
+        np.array((frame.R_cam_body, frame.R_cam_body)),
+        np.ones(count, np.int64),
+        np.arange(count),
+        floats(frame.uv_px[rows]),
+        np.full(count, float(frame.sigma_px)),
+        _NO_ROWS, _NO_ROWS, _NO_VALUES, _NO_VALUES,  # distances
+        _VIEW_0, _VIEW_1, floats(frame.motion_m[None]), floats(motion_information[None]),
+        _NO_ROWS, _NO_ROWS, _NO_VECTORS, _NO_MATRIX, _NO_VALUES,  # prior
+        _NO_VECTORS, _NO_VECTORS,  # frozen
+        np.array([False, True]),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.bool_),
+    )[0]  # fmt: skip
+    return placed[1].copy()
 
 
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
@@ -79,8 +101,9 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
     undetermined scale too, so that its convergence does not show it. All directions count if a landmark that is
     eliminated is undetermined.
     """
-    known, values, _, found = descent.reduced_at(problem.flat, floats(state.positions_m), floats(state.points_m))
-    matrix = dense(values, found.shape)
+    at = floats(state.positions_m), floats(state.points_m)
+    known, values, _, shape, _, _ = descent.reduced_at(*at, *problem.flat)
+    matrix = dense(values, shape)
     if not known or not len(matrix):
         return len(matrix)
     # Relative to the largest one: all variables are metres, and rounding errors scale with the largest eigenvalue.
@@ -96,11 +119,13 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
+    # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
+    # landmarks.
     at = floats(state.positions_m), floats(state.points_m)
-    known, covariance = descent.view_covariance(problem.flat, *at, view)
-    if not known:
+    known, matrix, _, shape, slots, _ = descent.reduced_at(*at, *problem.flat)
+    if not known or not factorise(matrix, shape):
         raise LinAlgError("the reduced matrix is not positive definite")
-    return np.asarray(covariance, dtype=np.float64)
+    return block_of_inverse(matrix, shape, int(slots[view]))
 
 
 def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
@@ -113,12 +138,11 @@ def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, Float
     numpy.linalg.LinAlgError
         If a landmark that is eliminated is not determined.
     """
-    # No damping: the matrix is used as information, not for a step.
     at = floats(state.positions_m), floats(state.points_m)
-    known, values, right, found = descent.reduced_at(problem.flat, *at)
+    known, values, right, shape, views, points = descent.reduced_at(*at, *problem.flat)
     if not known:
         raise LinAlgError("a landmark is not determined")
-    return dense(values, found.shape), right, found.view_slot, found.point_slot
+    return dense(values, shape), right, views, points
 
 
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
@@ -178,9 +202,45 @@ def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
+    # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
+    # landmarks that an old prior couples.
     at = floats(state.positions_m), floats(state.points_m)
-    known, views, points, information, gradient = marginal.marginalise(problem.flat, *at, (*retained,))
-    if not known:
+    determined, values, right, shape, *slots = descent.reduced_at(*at, *removed(problem.flat, retained))
+    stays = retained.views, retained.points
+    known, views, points, information, gradient = marginal(values, right, shape, *slots, *stays)
+    if not determined or not known:
         raise LinAlgError("the eliminated variables are not determined")
     origin_m = np.concatenate([state.positions_m[views], state.points_m[points]])
     return QuadraticPrior(views, points, origin_m, information, gradient)
+
+
+def removed(problem: FlatProblem, stays: Retained) -> FlatProblem:
+    """Return what is removed: measurements that do not stay, and the prior; the landmarks that stay are kept.
+
+    Landmarks that the problem keeps are kept for the dense elimination even if they go. Only removed measurements
+    enter the new prior: each measurement is then either in it or in the window, never in both.
+    """
+    seen, ranged = ~stays.pixels, ~stays.distances
+    # A motion goes with the first of its two views: the prior then couples the remaining one.
+    moved = ~(stays.views[problem.motion_start] & stays.views[problem.motion_end])
+    seen_point, ranged_point = problem.seen_point[seen], problem.ranged_point[ranged]
+    # Landmarks that no removed measurement sees would be eliminated as zero blocks, which have no inverse.
+    constrained = problem.kept_points.copy()
+    for points in (seen_point, ranged_point, problem.prior_points):
+        constrained[points] = True
+    return problem._replace(
+        seen_view=problem.seen_view[seen],
+        seen_point=seen_point,
+        seen_px=problem.seen_px[seen],
+        seen_sigma_px=problem.seen_sigma_px[seen],
+        ranged_view=problem.ranged_view[ranged],
+        ranged_point=ranged_point,
+        range_m=problem.range_m[ranged],
+        range_sigma_m=problem.range_sigma_m[ranged],
+        motion_start=problem.motion_start[moved],
+        motion_end=problem.motion_end[moved],
+        motion_m=problem.motion_m[moved],
+        motion_information=problem.motion_information[moved],
+        free_points=problem.free_points & constrained,
+        kept_points=problem.free_points & (stays.points | problem.kept_points),
+    )

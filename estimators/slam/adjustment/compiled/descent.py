@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from boresight.estimators.slam.adjustment.compiled import kernel
-from boresight.estimators.slam.adjustment.compiled.envelope import add_diagonal, block_of_inverse, factorise, solve
+from boresight.estimators.slam.adjustment.compiled.envelope import Envelope, add_diagonal, factorise, solve
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, lane_sum, linearise, six
 from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
 from boresight.scenarios.arrays import FloatArray, IndexArray
@@ -176,9 +176,13 @@ def step_landmarks(
 
 @kernel
 def minimise(
-    problem: FlatProblem, positions: FloatArray, points: FloatArray, step_m: float, iterations: int
+    positions: FloatArray, points: FloatArray, step_m: float, iterations: int, *arrays: Any
 ) -> tuple[FloatArray, FloatArray, float, int, bool]:
-    """Minimise from a state by Levenberg-Marquardt: positions, points, cost, steps, and whether it converged."""
+    """Minimise from a state by Levenberg-Marquardt: positions, points, cost, steps, and whether it converged.
+
+    ``arrays`` are those of a `FlatProblem`: from Python, numba recognises arrays sooner than a tuple of them.
+    """
+    problem = FlatProblem(*arrays)
     ordering = make_ordering(problem)
     value, system = linearise(problem, ordering, positions, points)
     if not np.isfinite(value):
@@ -212,77 +216,18 @@ def minimise(
 
 
 @kernel
-def minimise_arrays(
-    positions: FloatArray, points: FloatArray, step_m: float, iterations: int, *arrays: Any
-) -> tuple[FloatArray, FloatArray, float, int, bool]:
-    """`minimise` the problem of some arrays: from Python, numba recognises arrays sooner than a tuple of them."""
-    return minimise(FlatProblem(*arrays), positions, points, step_m, iterations)
-
-
-@kernel
-def place(
-    pinhole: FloatArray,
-    R_cam_body: FloatArray,
-    uv_px: FloatArray,
-    sigma_px: float,
-    points: FloatArray,
-    motion: tuple[FloatArray, FloatArray, FloatArray],
-    rule: tuple[float, int],
-) -> FloatArray:
-    """(3,) position of one view from its pixels (k, 2) of known landmarks (k, 3) and its predicted motion.
-
-    ``motion`` are the position before (3,), the displacement (3,) and its information (3, 3); ``rule`` the step, m, and
-    the number of steps at which the minimisation ends.
-    """
-    before, moved, information = motion
-    count = len(points)
-    index, values, row, blocks = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.empty((2, 3, 3))
-    blocks[:] = R_cam_body
-    positions, motion_m = np.empty((2, 3)), np.empty((1, 3))
-    positions[0], positions[1], motion_m[0] = before, before + moved, moved
-    # View 0 is the one before, without pixels and fixed as all landmarks are; view 1 is placed.
-    problem = FlatProblem(
-        pinhole,
-        blocks,
-        np.ones(count, np.int64),
-        np.arange(count),
-        uv_px,
-        np.full(count, sigma_px),
-        index, index, values, values,  # distances
-        np.array([0]), np.array([1]), motion_m, information.copy().reshape(1, 3, 3),
-        index, index, row, np.zeros((0, 0)), values,  # prior
-        row, row,  # frozen
-        np.array([False, True]),
-        np.zeros(count, np.bool_),
-        np.zeros(count, np.bool_),
-    )  # fmt: skip
-    placed = minimise(problem, positions, points, rule[0], rule[1])[0]
-    position: FloatArray = placed[1].copy()
-    return position
-
-
-@kernel
 def reduced_at(
-    problem: FlatProblem, positions: FloatArray, points: FloatArray
-) -> tuple[bool, FloatArray, FloatArray, FlatOrdering]:
-    """Reduced matrix and right-hand side at a state; the first value is False if a landmark is not determined."""
+    positions: FloatArray, points: FloatArray, *arrays: Any
+) -> tuple[bool, FloatArray, FloatArray, Envelope, IndexArray, IndexArray]:
+    """Reduced matrix, right-hand side (3n,), envelope, and slots of views (V,) and landmarks (L,) at a state.
+
+    The first value is False if a landmark is not determined. ``arrays`` are those of a `FlatProblem`.
+    """
+    problem = FlatProblem(*arrays)
     ordering = make_ordering(problem)
     # Without damping, which would count as information.
     determined, matrix, right, _ = reduced(linearise(problem, ordering, positions, points)[1], ordering, 0.0)
-    return determined, matrix, right, ordering
-
-
-@kernel
-def view_covariance(
-    problem: FlatProblem, positions: FloatArray, points: FloatArray, view: int
-) -> tuple[bool, FloatArray]:
-    """(3, 3) covariance of a free view's position; the first value is False if the matrix is not positive definite."""
-    # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
-    # landmarks.
-    determined, matrix, _, ordering = reduced_at(problem, positions, points)
-    if not determined or not factorise(matrix, ordering.shape):
-        return False, np.zeros((3, 3))
-    return True, block_of_inverse(matrix, ordering.shape, ordering.view_slot[view])
+    return determined, matrix, right, ordering.shape, ordering.view_slot, ordering.point_slot
 
 
 @kernel

@@ -204,13 +204,34 @@ def dense(values: FloatArray, shape: Envelope) -> FloatArray:
 @kernel
 def without(matrix: FloatArray, gradient: FloatArray, out: BoolArray) -> tuple[bool, FloatArray, FloatArray]:
     """Eliminate rows of a dense matrix, those marked in ``out`` (n,); False first if they are not determined."""
-    # Eliminated rows first; the remaining rows keep their order and the sums their rounding.
-    order, count = np.concatenate((np.flatnonzero(out), np.flatnonzero(~out))), int(np.count_nonzero(out))
-    sorted_matrix, sorted_gradient = matrix[order][:, order], gradient[order]
+    # Eliminated rows first; the remaining rows keep their order and the sums their rounding. Loops, because numba
+    # compiles them in a fraction of the time of array expressions.
+    n, count = len(out), 0
+    order = np.empty(n, np.int64)
+    for eliminated in (True, False):
+        for i in range(n):
+            if out[i] == eliminated:
+                order[count] = i
+                count += 1
+    matrix, gradient = gathered(matrix, gradient, order)
     # Elimination pivot by pivot shows an undetermined variable by a pivot that is not positive; an inverse would return
     # large numbers instead.
-    known = eliminate(sorted_matrix, sorted_gradient, count)
-    return known, sorted_matrix[count:, count:].copy(), sorted_gradient[count:]
+    gone = 0
+    for i in range(n):
+        gone += int(out[i])
+    known = eliminate(matrix, gradient, gone)
+    return known, matrix[gone:, gone:].copy(), gradient[gone:]
+
+
+@kernel
+def gathered(matrix: FloatArray, gradient: FloatArray, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rows and columns ``rows`` (k,) of a matrix, and those rows of a vector."""
+    part, values = np.empty((len(rows), len(rows))), np.empty(len(rows))
+    for i in range(len(rows)):
+        values[i] = gradient[rows[i]]
+        for j in range(len(rows)):
+            part[i, j] = matrix[rows[i], rows[j]]
+    return part, values
 
 
 @kernel
@@ -238,3 +259,53 @@ def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
         for j in range(i):
             matrix[i, j] = matrix[j, i]
     return True
+
+
+@kernel
+def marginal(
+    values: FloatArray,
+    right: FloatArray,
+    shape: Envelope,
+    view_slot: IndexArray,
+    point_slot: IndexArray,
+    view_stays: BoolArray,
+    point_stays: BoolArray,
+) -> tuple[bool, IndexArray, IndexArray, FloatArray, FloatArray]:
+    """Eliminate the views and landmarks that do not stay from a reduced matrix and right-hand side.
+
+    Returns the views and landmarks that remain, by their numbers, and their information and gradient; unconstrained
+    variables do not remain. The first value is False if the eliminated variables are not determined.
+    """
+    n = len(shape.reach)
+    number, out, gradient = np.empty(n, np.int64), np.empty(3 * n, np.bool_), np.empty(3 * n)
+    count = views = 0
+    # Slots are in the order of the numbers, views first.
+    for slots, stays in ((view_slot, view_stays), (point_slot, point_stays)):
+        views = count  # of the views alone, once their slots are done
+        for i in range(len(slots)):
+            slot = slots[i]
+            if slot >= 0:
+                for k in range(3 * slot, 3 * slot + 3):
+                    out[k] = not stays[i]
+                if stays[i]:
+                    number[count] = i
+                    count += 1
+    # The right-hand side is minus the gradient. At x0, the state, this is g of the prior g' (x - x0).
+    for k in range(3 * n):
+        gradient[k] = -right[k]
+    known, matrix, gradient = without(dense(values, shape), gradient, out)
+    # An exact test of which variables are constrained: nothing is ever added to the rows of the others.
+    rows, kept, kept_views = np.empty(3 * count, np.int64), 0, 0
+    for i in range(count):
+        constrained = False
+        for row in range(3 * i, 3 * i + 3):
+            for column in range(3 * count):
+                constrained |= matrix[row, column] != 0.0
+        if constrained:
+            number[kept] = number[i]
+            for axis in range(3):
+                rows[3 * kept + axis] = 3 * i + axis
+            kept += 1
+            kept_views += int(i < views)
+    matrix, gradient = gathered(matrix, gradient, rows[: 3 * kept])
+    return known, number[:kept_views], number[kept_views:kept], matrix, gradient

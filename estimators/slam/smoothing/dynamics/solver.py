@@ -13,10 +13,9 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from boresight.estimators.slam.adjustment.compiled.descent import reduced, step_landmarks
 from boresight.estimators.slam.adjustment.compiled.envelope import dense, without
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, linearise
-from boresight.estimators.slam.adjustment.compiled.marginal import removed
 from boresight.estimators.slam.adjustment.compiled.problem import FlatOrdering, FlatProblem, floats, make_ordering
 from boresight.estimators.slam.adjustment.problem import State
-from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule
+from boresight.estimators.slam.adjustment.solver import Retained, StoppingRule, removed
 from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
@@ -236,7 +235,7 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     """
     part = replace(problem, arcs=problem.arcs.of_view(view))
     stays = Retained.without_view(problem.vision, view, lost)
-    rows = DynamicOrdering.of(part, removed(problem.vision.flat, (*stays,)))
+    rows = DynamicOrdering.of(part, removed(problem.vision.flat, stays))
     matrix, right, _ = dynamic_equations(part, state, rows).reduced()
     views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
     points = np.flatnonzero(rows.flat.free_points & ~lost)
