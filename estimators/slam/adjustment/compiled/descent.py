@@ -27,7 +27,9 @@ def reduced(
     The first value is False if a landmark is not determined.
     """
     # Copies, because rejected steps reduce the same system again with other dampings.
-    shape, matrix, right = ordering.shape, system.kept.copy(), -system.kept_gradient.ravel()
+    shape, matrix, right = ordering.shape, system.kept.copy(), np.empty(3 * len(system.kept_gradient))
+    for k in range(len(right)):
+        right[k] = -system.kept_gradient[k // 3, k % 3]
     add_diagonal(matrix, shape, damping)
     inverse = np.empty((ordering.eliminated, 6 * LANES))
     for g in range(ordering.eliminated):
@@ -242,7 +244,8 @@ def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     for g in range(ordering.eliminated):
         for row in (0, 3, 5):
             total += lane_sum(system.by_point, g, row)
-        count += int(np.count_nonzero(ordering.landmark[g] >= 0))
+        for lane in range(LANES):
+            count += int(ordering.landmark[g, lane] >= 0)
     # Nothing is free: any damping will do.
     return 1e-6 * total / (3 * count) if count > 0 else 1.0
 

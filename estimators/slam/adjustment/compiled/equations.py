@@ -297,8 +297,11 @@ def _add_prior(
 ) -> float:
     """Add the prior to the kept system; return its cost, which may be negative."""
     slots, shape = prior_slots(problem, ordering.view_slot, ordering.point_slot), ordering.shape
-    present = np.concatenate((positions[problem.prior_views], points[problem.prior_points]))
-    offset = (present - problem.prior_origin_m).ravel()
+    views, offset = len(problem.prior_views), np.empty(3 * len(slots))
+    for k in range(len(slots)):
+        present = positions[problem.prior_views[k]] if k < views else points[problem.prior_points[k - views]]
+        for axis in range(3):
+            offset[3 * k + axis] = present[axis] - problem.prior_origin_m[k, axis]
     # Gradient of (x - x0)' H (x - x0) / 2 + g' (x - x0): H (x - x0) + g.
     pull, total = np.zeros(len(offset)), 0.0
     for k in range(len(offset)):

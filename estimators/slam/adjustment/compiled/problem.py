@@ -109,8 +109,11 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
     # The prior couples its landmarks, so that they cannot be eliminated as 3 x 3 blocks.
     for j in problem.prior_points:
         joined[j] = True
-    point_slot, kept = _numbered(free & joined, views)
-    group, lane, landmark, eliminated, begin, offset = _grouped(problem, free & ~joined)
+    apart = np.empty(len(free), np.bool_)
+    for j in range(len(free)):
+        apart[j], joined[j] = free[j] and not joined[j], free[j] and joined[j]
+    point_slot, kept = _numbered(joined, views)
+    group, lane, landmark, eliminated, begin, offset = _grouped(problem, apart)
     reach = np.arange(kept)
     for g in range(len(offset)):
         # The slots of the free views, in ascending order; none: from ``kept`` to -1.
@@ -133,9 +136,11 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
             reach[min(a, b)] = max(reach[min(a, b)], a, b)
     # The information matrix of the prior is dense: the first slot reaching the last one is enough, since
     # `make_envelope` lets all rows between them reach as far.
-    slots = prior_slots(problem, view_slot, point_slot)
-    if len(slots) > 0:
-        reach[slots.min()] = max(reach[slots.min()], slots.max())
+    low, high = kept, -1
+    for slot in prior_slots(problem, view_slot, point_slot):
+        low, high = min(low, slot), max(high, slot)
+    if high >= 0:
+        reach[low] = max(reach[low], high)
     pixels = np.zeros((begin[-1], 3 * LANES))
     for k in range(len(problem.seen_view)):
         j = problem.seen_point[k]
@@ -173,10 +178,12 @@ def _grouped(
         for k in range(len(view)):
             opens[point[k]] = min(opens[point[k]], view[k])
             closes[point[k]] = max(closes[point[k]], view[k])
-    order = _sorted_by(closes + 1, np.arange(n), views + 1)
-    order = _sorted_by(np.where(eliminated, opens, opens + views + 1), order, 2 * views + 2)
     # A group has landmarks of one kind only.
-    count = int(np.count_nonzero(eliminated))
+    count, after, kind = 0, np.empty(n, np.int64), np.empty(n, np.int64)
+    for j in range(n):
+        count += int(eliminated[j])
+        after[j], kind[j] = closes[j] + 1, opens[j] if eliminated[j] else opens[j] + views + 1
+    order = _sorted_by(kind, _sorted_by(after, np.arange(n), views + 1), 2 * views + 2)
     full = (count + LANES - 1) // LANES
     groups = full + (n - count + LANES - 1) // LANES
     group, lane, landmark = np.empty(n, np.int64), np.empty(n, np.int64), np.full((groups, LANES), -1)
@@ -211,4 +218,8 @@ def _sorted_by(keys: IndexArray, order: IndexArray, count: int) -> IndexArray:
 @kernel
 def prior_slots(problem: FlatProblem, view_slot: IndexArray, point_slot: IndexArray) -> IndexArray:
     """Return the slots (a + b,) of the variables of the prior."""
-    return np.concatenate((view_slot[problem.prior_views], point_slot[problem.prior_points]))
+    views = len(problem.prior_views)
+    slots = np.empty(views + len(problem.prior_points), np.int64)
+    for k in range(len(slots)):
+        slots[k] = view_slot[problem.prior_views[k]] if k < views else point_slot[problem.prior_points[k - views]]
+    return slots

@@ -94,7 +94,8 @@ def triangulate(origins_m: FloatArray, rays: FloatArray, begin: IndexArray, dept
             good &= 0.3 * depths_m[p] < depth < 3.0 * depths_m[p]
         if not good:
             last = begin[p + 1] - 1
-            points_m[p] = origins_m[last] + depths_m[p] * rays[last]
+            for axis in range(3):
+                points_m[p, axis] = origins_m[last, axis] + depths_m[p] * rays[last, axis]
     return points_m
 
 
