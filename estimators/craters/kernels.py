@@ -83,7 +83,13 @@ def rim_merits(
 
 @kernel
 def _rim_merit(
-    value: FloatArray, by: FloatArray, rim: FloatArray, field: FloatArray, sun: FloatArray, gap: float, count: int
+    value: FloatArray,
+    by: FloatArray,
+    rim: FloatArray,
+    field: FloatArray,
+    sun: FloatArray,
+    gap: float,
+    count: int | np.int64,
 ) -> None:
     """Write the merits (2,) of both sides of one rim (5,) and their derivatives (2, 5)."""
     right, bottom = field.shape[1] - 1.0, field.shape[0] - 1.0
@@ -212,7 +218,8 @@ def _evaluate(
     collapsed = min(moved[2], moved[3]) < 0.3 * radius
     if collapsed:
         moved = start
-    _rim_merit(value, by, moved, field, sun, gap, RIM_POINTS)
+    # An int64, because numba would compile the function once more for a literal.
+    _rim_merit(value, by, moved, field, sun, gap, np.int64(RIM_POINTS))
     for d in range(5):
         slope[d] = 0.5 * (by[0, d] + by[1, d]) * unit[d]
     return -2.0 if collapsed else 0.5 * (value[0] + value[1])

@@ -81,7 +81,8 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
         return np.empty((0, 3, 3), dtype=np.float32)
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
     radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
-    axes, slack_m = np.ascontiguousarray(fan.axes), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
+    # A writable copy: numba would compile the kernel again for a read-only array.
+    axes, slack_m = np.array(fan.axes, order="C"), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
     count = _find_candidates(
         found,
         tiles,

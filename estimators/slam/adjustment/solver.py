@@ -90,7 +90,8 @@ def place_view(
         np.zeros(count, np.bool_),
         np.zeros(count, np.bool_),
     )[0]  # fmt: skip
-    return placed[1].copy()
+    position: FloatArray = placed[1].copy()
+    return position
 
 
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
@@ -205,9 +206,10 @@ def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -
     # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
     # landmarks that an old prior couples.
     at = floats(state.positions_m), floats(state.points_m)
-    determined, values, right, shape, *slots = descent.reduced_at(*at, *removed(problem.flat, retained))
-    stays = retained.views, retained.points
-    known, views, points, information, gradient = marginal(values, right, shape, *slots, *stays)
+    determined, values, right, shape, view_slot, point_slot = descent.reduced_at(*at, *removed(problem.flat, retained))
+    known, views, points, information, gradient = marginal(
+        values, right, shape, view_slot, point_slot, retained.views, retained.points
+    )
     if not determined or not known:
         raise LinAlgError("the eliminated variables are not determined")
     origin_m = np.concatenate([state.positions_m[views], state.points_m[points]])
