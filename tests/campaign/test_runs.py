@@ -28,9 +28,11 @@ from tiny_campaign import (
     workers,
     write_campaign,
 )
+from tiny_sequences import write_sequences
 
 from boresight.campaign.cli import main
 from boresight.campaign.imaging.world import open_world
+from boresight.campaign.kinds import sequence
 from boresight.campaign.kinds.single_image import KIND
 from boresight.campaign.pool import workers as pool
 from boresight.campaign.runs.blocks import run_block
@@ -40,20 +42,20 @@ from boresight.campaign.store.folder import blocks
 from boresight.campaign.trial.kind import WorkerContext
 from boresight.renderers.mitsuba3 import choose_variant
 
-LONG = 60
-N_BLOCKS = LONG // KIND.block_trials
+LONG = 200
+N_BLOCKS = LONG // sequence.KIND.block_trials
 
 
 @pytest.fixture(scope="module")
-def long_run(tiny_run, tmp_path_factory):
-    """An undisturbed run of many blocks, to hold disturbed ones against."""
+def long_run(tmp_path_factory):
+    """An undisturbed run of many blocks, to hold disturbed ones against; it is next to its campaign's file."""
     out = tmp_path_factory.mktemp("long") / "run"
-    compute(tiny_run.file, out, LONG)
+    compute(write_sequences(out.parent, LONG), out, LONG)
     return out
 
 
-def asked(tiny_run, out: Path) -> tuple[object, ...]:
-    return ("run", tiny_run.file, "--jobs", 2, "--trials", LONG, "--out", out)
+def asked(long_run, out: Path) -> tuple[object, ...]:
+    return ("run", long_run.parent / "orbits.yaml", "--jobs", 2, "--out", out)
 
 
 def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
@@ -85,12 +87,12 @@ def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
     assert_same_results(tiny_run.folder, tmp_path)
 
 
-def refused_meanwhile(tiny_run, process, out, capsys):
+def refused_meanwhile(long_run, process, out, capsys):
     """Stop a run that is under way, see that a second process is refused, and let the run go on."""
     wait_for_blocks(process, out, 1)
     os.killpg(process.pid, signal.SIGSTOP)
     before = files(out)
-    assert run(tiny_run.file, out, "--trials", LONG) == 2
+    assert run(long_run.parent / "orbits.yaml", out) == 2
     assert capsys.readouterr().err == (
         f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
     )
@@ -102,12 +104,12 @@ ONCE, AGAIN = (2, True), (3, False)
 
 
 @pytest.mark.parametrize("interruptions", [(ONCE,), pytest.param((ONCE, AGAIN), marks=pytest.mark.long)], ids=len)
-def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path, capsys, interruptions):
+def test_an_interrupted_run_says_so_and_continues(long_run, tmp_path, capsys, interruptions):
     out = tmp_path / "run"
     for blocks_seen, workers_too in interruptions:
-        with started(*asked(tiny_run, out)) as process:
+        with started(*asked(long_run, out)) as process:
             if (blocks_seen, workers_too) == ONCE:
-                refused_meanwhile(tiny_run, process, out, capsys)
+                refused_meanwhile(long_run, process, out, capsys)
             wait_for_blocks(process, out, blocks_seen)
             assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"
             errors = stop(process, signal.SIGINT, workers_too)
@@ -116,16 +118,16 @@ def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path, 
             assert gone(process.pid), "no worker goes on alone"
         stored = files(out, "rows")
         assert blocks_seen <= len(stored) < N_BLOCKS
-    compute(tiny_run.file, out, LONG)
+    compute(long_run.parent / "orbits.yaml", out, LONG)
     assert files(out, "rows").items() >= stored.items()
     assert_same_results(long_run, out)
 
 
-def test_workers_of_a_killed_parent_end_and_leave_nothing_behind(tiny_run, tmp_path, monkeypatch):
+def test_workers_of_a_killed_parent_end_and_leave_nothing_behind(long_run, tmp_path, monkeypatch):
     out, temporary = tmp_path / "run", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
-    with started(*asked(tiny_run, out)) as process:
+    with started(*asked(long_run, out)) as process:
         wait_for_blocks(process, out, 1)
         assert len(list(temporary.glob("boresight-worker-*"))) == 2
         stop(process, signal.SIGKILL, workers_too=False)
