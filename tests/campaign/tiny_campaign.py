@@ -97,7 +97,9 @@ def _words(*arguments: object) -> list[str]:
     return [*words, "--no-report"] if words[:1] == ["run"] and "--worst" not in words else words
 
 
-def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+def boresight(
+    *arguments: object, cwd: Path | None = None, timeout_s: float = 180.0, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
     return subprocess.run(
         command(*arguments),
@@ -106,7 +108,7 @@ def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -
         capture_output=True,
         text=True,
         check=False,
-        timeout=180,
+        timeout=timeout_s,
     )
 
 
@@ -137,7 +139,7 @@ def wait_for_blocks(process: subprocess.Popen[str], run: Path, count: int) -> No
     while len(list(run.glob("rows/*.parquet"))) < count:
         if process.poll() is not None or time.monotonic() > limit:
             raise RuntimeError(f"no {count} blocks came: {stop(process)}")
-        time.sleep(0.001)
+        time.sleep(0.005)
 
 
 def stop(process: subprocess.Popen[str], how: int = signal.SIGKILL, workers_too: bool = True) -> str:
