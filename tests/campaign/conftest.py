@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from tiny_campaign import CAMPAIGN, TRIALS, compute, write_campaign
+from undrawn import undrawn
 
 from boresight.campaign.cli.main import main
 
@@ -17,6 +19,13 @@ class TinyRun:
 
     file: Path
     folder: Path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_figures(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Leave the PDF of each figure empty: it is drawn as PNG, and test_paper.py draws both."""
+    with undrawn(*(() if request.module.__name__ == "test_paper" else ("pdf",))):
+        yield
 
 
 @pytest.fixture(scope="session")

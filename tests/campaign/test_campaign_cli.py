@@ -274,6 +274,8 @@ def without_llvm(tiny_run, tmp_path_factory):
     )
     code = (
         "from boresight.campaign.cli import main\n"
+        "from boresight.reports.figures import style\n"
+        "style.render = lambda *_: b''  # texts are what is read\n"
         f"for words in {commands!r}:\n    assert main(words) == 0\n    print(end='\f')\n"
     )
     done = subprocess.run(

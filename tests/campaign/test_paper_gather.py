@@ -113,6 +113,9 @@ def test_other_papers_are_not_concerned(runs: Path, tmp_path: Path, capsys: pyte
 def test_figures_that_render_nothing_load_no_renderer(sound: Path, tmp_path: Path) -> None:
     copied(sound, tmp_path / "runs" / NAME, 1)
     words = ["figures", "delpech2015", "--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
-    code = f"import sys; from boresight.campaign.cli import main; print(main({words!r}), 'mitsuba' in sys.modules)"
+    code = (
+        "import sys\nfrom boresight.campaign.cli import main\nfrom boresight.reports.figures import style\n"
+        f"style.render = lambda *_: b''\nprint(main({words!r}), 'mitsuba' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "0 False"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
 
 from boresight.reports.pages.build import ReportFiles, write_report
@@ -27,14 +26,7 @@ def full_run(builder: RunBuilder) -> Callable[..., Path]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write an empty file for each figure, for tests that read texts alone: drawing takes most of a report's time."""
-
-    def save(_: Figure, stem: Path, kinds: Sequence[str]) -> tuple[Path, ...]:
-        paths = tuple(stem.with_name(f"{stem.name}.{kind}") for kind in kinds)
-        for path in paths:
-            path.touch()
-        return paths
-
-    monkeypatch.setattr("boresight.reports.pages.build.save_figure", save)
+    monkeypatch.setattr("boresight.reports.figures.style.render", lambda *_: b"")
     monkeypatch.setattr("boresight.reports.pages.build.add_provenance", lambda *_: None)
 
 
