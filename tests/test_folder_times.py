@@ -32,7 +32,7 @@ def test_a_folder_without_times_is_one_line(tmp_path):
 
 def test_tests_write_their_times_and_those_of_their_processes(tmp_path):
     """A test in a tree of its own with the conftest of all: its child counts, and a yardstick before and after."""
-    burn = "import time\nwhile time.process_time() < 1.0: pass"
+    burn = "import time\nwhile time.process_time() < 0.4: pass"
     folder = tmp_path / "tests" / "burning"
     folder.mkdir(parents=True)
     (tmp_path / "tests" / "conftest.py").write_bytes((ROOT / "tests" / "conftest.py").read_bytes())
@@ -53,6 +53,6 @@ def test_tests_write_their_times_and_those_of_their_processes(tmp_path):
     (file,) = times.iterdir()
     assert [json.loads(line)[0] for line in file.read_text().splitlines()].count("yardstick") == 2
     seconds, yardstick_s = read_times(times)
-    assert 1.0 <= seconds["tests/burning"] < 3.0
+    assert 0.4 <= seconds["tests/burning"] < 2.4
     assert set(seconds) == {"tests/burning", "collecting"}
     assert 0.01 < yardstick_s < 5.0

@@ -34,7 +34,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.store.folder import BlockState, blocks
 from boresight.scenarios import atomic
 
-CUT_TRIALS, KILL_TRIALS = 20, 100
+CUT_TRIALS, KILL_TRIALS = 20, 60
 INSTANTS = [5, pytest.param(50, marks=pytest.mark.long)]
 
 
