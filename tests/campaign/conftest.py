@@ -23,8 +23,8 @@ class TinyRun:
 
 @pytest.fixture(scope="module", autouse=True)
 def quick_figures(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Leave the PDF of each figure empty: it is drawn as PNG, and test_paper.py draws both."""
-    with undrawn(*(() if request.module.__name__ == "test_paper" else ("pdf",))):
+    """Leave the PDF of each figure empty, but where its size is read: it is drawn as PNG too."""
+    with undrawn(*(() if request.module.__name__ in ("test_paper", "test_sensitivity_command") else ("pdf",))):
         yield
 
 
