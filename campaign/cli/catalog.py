@@ -34,6 +34,7 @@ from boresight.scenarios.load.entry import shortened
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
+    ("missions", ("osiris-rex-*",)),
     ("real data", ("*-real", "*-navcam67p")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),
@@ -41,7 +42,7 @@ _GROUPS = (
 )
 """Headings of ``list`` with the names below them, in their order; a campaign belongs to the first that fits."""
 
-_SHOWN = ("start here", "the papers", "compare", "sensitivity", "real data")
+_SHOWN = ("start here", "missions", "the papers", "compare", "sensitivity", "real data")
 _FURTHER = "further campaigns"
 _GAP = "  "
 

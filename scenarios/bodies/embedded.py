@@ -1,4 +1,4 @@
-"""Built-in bodies, generated from formulas: spheres, a contact binary, and bodies like Eros, Itokawa and Apophis."""
+"""Built-in bodies from formulas: spheres, a contact binary, bodies like Eros, Itokawa, Apophis, Bennu and Vesta."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from boresight.scenarios.bodies.topology import unit, vertex_normals
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.body import EMBEDDED_NAMES
 
-__all__ = ["EMBEDDED", "apophis_like", "apophis_sphere", "contact_binary", "eros_like", "itokawa_like", "sphere"]
+__all__ = [
+    "EMBEDDED", "apophis_like", "apophis_sphere", "bennu_like", "contact_binary", "eros_like", "itokawa_like", "sphere",
+    "vesta_like",
+]  # fmt: skip
 
 EMBEDDED_VERSION = 1
 """Part of the digest of every built-in body: increase it when a formula gives another mesh."""
@@ -246,6 +249,20 @@ _APOPHIS = _Lobed(
     blend_m=132.0,
     neck_m=(10.0, 0.0, 0.0),
 )
+# A disk about the equator and a taller core: the spinning top of (101955) Bennu.
+_BENNU = _Lobed(
+    (565.0, 535.0, 508.0),
+    (_Lobe((0.0, 0.0, 0.0), (270.0, 255.0, 115.0)), _Lobe((0.0, 0.0, 0.0), (171.0, 166.0, 240.0))),
+    blend_m=56.0,
+    neck_m=(0.0, 0.0, 0.0),
+)
+# The ellipsoid of (4) Vesta: semi-axes of Russell et al. (2012), Science 336, 684.
+_VESTA = _Lobed(
+    (572_600.0, 557_200.0, 446_400.0),
+    (_Lobe((0.0, 0.0, 0.0), (286_300.0, 278_600.0, 223_200.0)),),
+    blend_m=1000.0,
+    neck_m=(0.0, 0.0, 0.0),
+)
 
 
 def itokawa_like() -> TriangleMesh:
@@ -262,6 +279,16 @@ def apophis_like() -> TriangleMesh:
     Its silhouettes overlap those of the light-curve shape by 0.94, as `itokawa_like` those of Itokawa.
     """
     return _APOPHIS.mesh(*_APOPHIS.surface(_FINE_GRID))
+
+
+def bennu_like() -> TriangleMesh:
+    """Make a body like Bennu, of 565 x 535 x 508 m and 0.061 km3: a spinning top, 49,152 facets."""
+    return _BENNU.mesh(*_BENNU.surface(_FINE_GRID))
+
+
+def vesta_like() -> TriangleMesh:
+    """Make an ellipsoid of 572.6 x 557.2 x 446.4 km like Vesta, 49,152 facets."""
+    return _VESTA.mesh(*_VESTA.surface(_FINE_GRID))
 
 
 def sphere() -> TriangleMesh:
@@ -283,5 +310,7 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 # Made once in a process: most bodies with detail start from one of them.
-_MAKERS = map(cache, (contact_binary, sphere, apophis_sphere, eros_like, itokawa_like, apophis_like))
+_MAKERS = map(
+    cache, (contact_binary, sphere, apophis_sphere, eros_like, itokawa_like, apophis_like, bennu_like, vesta_like)
+)
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(dict(zip(EMBEDDED_NAMES, _MAKERS, strict=True)))

@@ -8,7 +8,10 @@ from pydantic import Field, model_validator
 
 from boresight.scenarios.spec.base import SpecModel, is_none
 
-EMBEDDED_NAMES = ("contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like")
+EMBEDDED_NAMES = (
+    "contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like", "bennu-like",
+    "vesta-like",
+)  # fmt: skip
 """Names of the built-in bodies of `scenarios.bodies.embedded`."""
 
 STAND_INS = {
@@ -16,6 +19,7 @@ STAND_INS = {
     "itokawa_radar.obj": "contact-binary",
     "eros022540.tab": "eros-like",
     "apophis_lightcurve.obj": "apophis-like",
+    "bennu_radar.obj": "bennu-like",
 }
 """Built-in bodies that ``--embedded`` takes in place of shape files."""
 

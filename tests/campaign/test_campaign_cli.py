@@ -56,11 +56,12 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_list_has_a_line_of_each_campaign_under_its_heading(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
     lines = said(capsys, "list").splitlines()
-    headings = ["start here", "the papers", "compare", "sensitivity", "real data"]
+    headings = ["start here", "missions", "the papers", "compare", "sensitivity", "real data"]
     assert [line for line in lines if line in headings] == headings
     start = {name: lines.index(name) for name in headings}
     under = {
         "quickstart": ("start here", "60", "-"),
+        "osiris-rex-bennu": ("missions", "50", "data"),
         "rowell2015-simulated": ("the papers", "6000", "data"),
         "delpech2015-images-textures": ("the papers", "6 x 10", "-"),
         "trade-slam": ("compare", "100 x 2", "-"),

@@ -65,8 +65,12 @@ def test_contact_binary_is_like_itokawa():
 
 @pytest.mark.parametrize(
     ("name", "box_m", "volume_km3"),
-    [("itokawa-like", (562.0, 305.0, 243.0), 0.0178), ("apophis-like", (523.0, 364.0, 314.0), 0.0276)],
-)
+    [
+        ("itokawa-like", (562.0, 305.0, 243.0), 0.0178), ("apophis-like", (523.0, 364.0, 314.0), 0.0276),
+        # Bennu: Lauretta et al. (2019); Vesta: the ellipsoid in closed form.
+        ("bennu-like", (565.0, 535.0, 508.0), 0.0615), ("vesta-like", (572.6e3, 557.2e3, 446.4e3), 7.457e7),
+    ],
+)  # fmt: skip
 def test_a_stand_in_has_the_box_and_the_volume_of_the_real_body(name, box_m, volume_km3):
     mesh = EMBEDDED[name]()
     assert trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False).euler_number == 2
@@ -89,8 +93,8 @@ def silhouettes(mesh, rotations, rng, pixel_m=6.0, half_m=400.0):
         yield binary_fill_holes(grid)
 
 
-@needs_data("shapes/itokawa_gaskell_q64.ply", "shapes/apophis_lightcurve.obj")
-@pytest.mark.parametrize("shape", ["itokawa_gaskell_q64.ply", "apophis_lightcurve.obj"])
+@needs_data("shapes/itokawa_gaskell_q64.ply", "shapes/apophis_lightcurve.obj", "shapes/bennu_radar.obj")
+@pytest.mark.parametrize("shape", ["itokawa_gaskell_q64.ply", "apophis_lightcurve.obj", "bennu_radar.obj"])
 def test_a_stand_in_has_the_silhouettes_of_the_real_body(shape):
     """Mean intersection over union in 200 random views; the contact binary has 0.79 with Itokawa."""
     real = BodySpec(shape=shape, unit="km")
