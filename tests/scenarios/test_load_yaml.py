@@ -202,6 +202,7 @@ def nested(path, value):
 def test_setting_a_key_of_a_scenario_to_its_value_changes_nothing(name):
     spec = load_scenario(name).spec
     every = [path for path, _ in leaves(spec.model_dump(mode="json")) if len(path) > 1 and path[0] != "name"]
+    every = [path for path in every if "read_states" not in path]  # filled in from the table, and whole
     values = dict(leaves(spec.model_dump(mode="json")))
     rng = np.random.default_rng(1)
     for row in rng.permutation(len(every))[:40]:
