@@ -35,12 +35,14 @@ def draw_aimed_view(
     rng: np.random.Generator,
     state: int = 0,
 ) -> View:
-    """Draw a camera position and a Sun direction as `draw_lit_view` does, and point at a sunlit target.
+    """Draw a camera position and a Sun direction as `draw_lit_view` does, and point at a sunlit target if asked for.
 
     Targets are those of Cheng et al. (2003): the nadir if it is lit, and regions near the lit limb and the terminator.
     The target is a facet of ``shape``, drawn by area; occlusion by other parts is not checked. If no facet fits the
     kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre.
     """
+    if not viewpoint.targets:
+        return draw_lit_view(viewpoint, lighting, camera, rng, state)
     view = _lit_view(viewpoint, lighting, camera, rng, state)
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m

@@ -15,7 +15,7 @@ from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
-from boresight.scenarios.draw import Stream, draw_aimed_view, draw_view, generator, state_of_trial
+from boresight.scenarios.draw import Stream, draw_aimed_view, generator, state_of_trial
 from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
@@ -66,6 +66,7 @@ class RenderedImageSource:
     """Source of images of random views, rendered or read from the store."""
 
     scenario: LoadedScenario
+    viewpoint: ViewpointSpec
     camera: Camera
     shape: TriangleMesh
     imager: Imager
@@ -74,8 +75,7 @@ class RenderedImageSource:
         """Draw a view, render it and expose the detector."""
         view = self.view(seed, trial)
         image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
-        viewpoint = self.scenario.spec.viewpoint
-        states, state = None if viewpoint is None else viewpoint.states, state_of_trial(viewpoint, seed, trial)
+        states, state = self.viewpoint.states, state_of_trial(self.viewpoint, seed, trial)
         if states is None:
             return TrialImage(image, view, {}, from_store=from_store)
         return TrialImage(image, view, {}, "", states.time_s[state], from_store, states.velocity(state))
@@ -86,14 +86,10 @@ class RenderedImageSource:
 
     def view(self, seed: int, trial: int) -> View:
         """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
-        rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
-        clear = () if viewpoint is None else viewpoint.keep_clear_px
-        state = state_of_trial(viewpoint, seed, trial)
+        rng, clear = generator(seed, Stream.TRUTH, trial), self.viewpoint.keep_clear_px
+        state, lighting = state_of_trial(self.viewpoint, seed, trial), self.scenario.spec.lighting
         for _ in range(_MOST_DRAWS):
-            if viewpoint is not None and viewpoint.targets:
-                view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng, state)
-            else:
-                view = draw_view(self.scenario.spec, self.camera, rng, state)
+            view = draw_aimed_view(self.viewpoint, lighting, self.camera, self.shape, rng, state)
             if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(
@@ -220,7 +216,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    drawn = RenderedImageSource(scenario, camera, body.mesh, imager)
+    drawn = RenderedImageSource(scenario, spec.viewpoint, camera, body.mesh, imager)
     return World(scenario, camera, body, imager.renderer, drawn, imager.ground)
 
 
@@ -269,10 +265,7 @@ def _shares_in_sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: T
     for trial in range(_PREVIEWED_VIEWS):
         # Spread over a trajectory, whatever its order is.
         state, draws = trial * count // _PREVIEWED_VIEWS, generator(0, Stream.TRUTH, trial)
-        if viewpoint.targets:
-            view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, draws, state)
-        else:
-            view = draw_view(spec, camera, draws, state)
+        view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, draws, state)
         centre = view.T_cam_body.translation_m
         range_m = float(np.linalg.norm(centre))
         radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi

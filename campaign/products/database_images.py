@@ -15,7 +15,7 @@ from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.threads import use_threads
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.draw import Stream, draw_aimed_view, draw_lit_view, generator
+from boresight.scenarios.draw import Stream, draw_aimed_view, generator
 from boresight.scenarios.geometry import View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.camera import CameraSpec
@@ -114,10 +114,7 @@ def database_images(
     store = ImageStore.open(pictured, variant, Stream.DATABASE, viewpoint, lighting)
     for image in images:
         rng = generator(seed, Stream.DATABASE, image)
-        if viewpoint.targets:
-            view = draw_aimed_view(viewpoint, lighting, camera.camera().pinhole, world.body.mesh, rng)
-        else:
-            view = draw_lit_view(viewpoint, lighting, camera.camera().pinhole, rng)
+        view = draw_aimed_view(viewpoint, lighting, camera.camera().pinhole, world.body.mesh, rng)
         pixels, stored = store.image(seed, image, view, world.renderer.render)
         yield DatabaseImage(pixels, view, scenario, variant, stored)
     store.flush()

@@ -69,7 +69,7 @@ class StatesSpec(SpecModel):
 
     @property
     def has_planes(self) -> bool:
-        """Whether position and velocity span a plane at every epoch."""
+        """True if position and velocity span a plane at every epoch."""
         if self.velocity_m_s is None:
             return False
         return bool(np.cross(self.position_m, self.velocity_m_s).any(axis=1).all())
