@@ -63,7 +63,7 @@ class SpiceCameraSpec(SpecModel):
     instrument: str = Field(min_length=1, description="NAIF's name or number of the camera: ORX_OCAMS_MAPCAM, -64361")
     kernels: tuple[str, ...] = Field(
         min_length=1,
-        description="The instrument kernel and addenda, and a frame kernel if the instrument is named: beside the"
+        description="The instrument kernel and addenda, and a frame kernel if the instrument is named: next to the"
         " scenario file, or under BORESIGHT_DATA/spice",
     )
 

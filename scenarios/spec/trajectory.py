@@ -80,7 +80,7 @@ class SpiceTrajectorySpec(SpecModel):
 
     kernels: tuple[str, ...] = Field(
         min_length=1,
-        description="Kernels in the order of loading, a later one overrides: paths beside the scenario file, or under"
+        description="Kernels in the order of loading, a later one overrides: paths next to the scenario file, or in"
         " BORESIGHT_DATA/spice",
     )
     observer: str = Field(min_length=1, description="NAIF's name of the spacecraft")

@@ -12,7 +12,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Pose
 
 Aberration = Literal["LT+S", "NONE"]
-_M_PER_KM = 1e3
+M_PER_KM = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,5 +71,5 @@ def apparent_geometry(names: SpiceNames, et: float, aberration: Aberration = "LT
     sun_km, _ = spiceypy.spkpos("SUN", left_et, "J2000", "LT+S", names.target)
     sun_body = R_body_j2000 @ np.array(sun_km)
     # The translation of T_cam_body is the body's origin in camera axes.
-    pose = Pose(R_cam_j2000 @ R_body_j2000.T, _M_PER_KM * (R_cam_j2000 @ np.array(position_km)))
+    pose = Pose(R_cam_j2000 @ R_body_j2000.T, M_PER_KM * (R_cam_j2000 @ np.array(position_km)))
     return ApparentGeometry(pose, sun_body / np.linalg.norm(sun_body))

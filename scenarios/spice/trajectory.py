@@ -12,7 +12,7 @@ import spiceypy
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
-from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
+from boresight.scenarios.spice.geometry import M_PER_KM, SpiceNames, apparent_geometry
 from boresight.scenarios.spice.kernels import loaded_kernels
 
 
@@ -34,11 +34,12 @@ def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSp
         if not 1 <= count <= MOST_STATES:
             raise BoresightError(f"spice: {count} epochs from start_utc to stop_utc are not within [1, {MOST_STATES}]")
         epochs = start_et + spec.step_s * np.arange(count)
-        found = [apparent_geometry(names, et, spec.aberration) for et in epochs.tolist()]
-        velocities = []
+        found, velocities = [], []
         for et in epochs.tolist():
+            found.append(apparent_geometry(names, et, spec.aberration))
             state_km, _ = spiceypy.spkezr(spec.observer, et, "J2000", "NONE", spec.target)
-            velocities.append(1e3 * np.array(spiceypy.pxform("J2000", spec.target_frame, et)) @ np.array(state_km)[3:])
+            to_body = np.array(spiceypy.pxform("J2000", spec.target_frame, et))
+            velocities.append(M_PER_KM * to_body @ np.array(state_km)[3:])
     return StatesSpec(
         time_s=tuple(epochs.tolist()),
         position_m=rows_of(np.array([one.T_cam_body.camera_position_m for one in found])),

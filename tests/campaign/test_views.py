@@ -1,4 +1,4 @@
-"""What is said of the views of a scenario before any image is made, in closed form, and states of a trajectory."""
+"""The preview of a scenario's views against closed forms, and what estimators get at states of a trajectory."""
 
 from __future__ import annotations
 

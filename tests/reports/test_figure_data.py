@@ -1,4 +1,4 @@
-"""What figures draw, against numbers that follow from a few made-up rows by hand."""
+"""Drawn values of figures against numbers computed by hand from a few made-up rows."""
 
 import numpy as np
 import pandas as pd

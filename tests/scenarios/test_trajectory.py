@@ -206,7 +206,7 @@ def mission(tmp_path_factory):
 
 
 def with_kernels(mission, more="", kernels=KERNELS, first_s=100.0, last_s=3000.0, rest=""):
-    """Load a scenario beside the kernels of a mission."""
+    """Load a scenario next to the kernels of a mission."""
     with loaded_kernels(mission.kernels):
         start, stop = (spiceypy.et2utc(START_ET + offset, "ISOC", 6) for offset in (first_s, last_s))
     section = SPICE.format(kernels=", ".join(kernels), more=more, start=start, stop=stop)

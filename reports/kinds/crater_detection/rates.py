@@ -251,7 +251,7 @@ BINNINGS = (
     ("degradation", "degradation", (0.0, 0.15, 0.3, 0.45, 0.6)),
     ("incidence, deg", "incidence_deg", (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)),
 )
-"""What rates are given by, its column, and the edges of the bins."""
+"""Quantities by which rates are binned: name, column, and edges of the bins."""
 
 
 def binned_rates(
