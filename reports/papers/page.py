@@ -88,8 +88,10 @@ class PaperLine:
 
     @property
     def has_value(self) -> bool:
-        """Whether all of our numbers have a value."""
-        return bool(self.ours) and all(record is not None and record.value is not None for record in self.ours)
+        """Whether all of our numbers have a value; that none of n trials succeeds is one."""
+        return bool(self.ours) and all(
+            record is not None and (record.value is not None or 0 == record.n_ok < record.n) for record in self.ours
+        )
 
 
 def paper_lines(
@@ -202,7 +204,7 @@ def value_tally(lines: Sequence[PaperLine]) -> str:
     others = (
         (len(real), "need real images"),
         (len(words), "are in words, without a number of ours"),
-        (len(without) - len(real) - len(words), "have none"),
+        (len(without) - len(real) - len(words), "have none, as no trial that was run is about them"),
     )
     return "; ".join([*parts, *(f"{number} {why}" for number, why in others if number)])
 

@@ -125,7 +125,8 @@ def test_values_are_counted_by_line_and_page(page, runs):
     text = (page / "table.md").read_text(encoding="utf-8")
     real, words, none = re.search(
         r"^- Values: \d+ of \d+ published numbers and statements have a value; (\d+) need real images;"
-        r" (\d+) are in words, without a number of ours; (\d+) have none$", text, re.M,
+        r" (\d+) are in words, without a number of ours; (\d+) have none, as no trial that was run is about them$",
+        text, re.M,
     ).groups()  # fmt: skip
     table = pd.read_csv(page / "table.csv")
     without = table[table["ours"].isna()].drop_duplicates(["campaign", "scenario", "place", "published", "quantity"])
@@ -141,11 +142,11 @@ def test_statements_in_words_and_of_real_images_are_not_counted_as_lost():
         line, replace(line, ours=(value, value)), replace(line, ours=(value, None)),
         replace(line, ours=(None,), verdict="needs real images"), replace(line, ours=(), in_words=True),
         replace(line, ours=(), in_words=True, verdict="needs real images"),
-        replace(line, ours=(replace(value, value=None),)),
+        replace(line, ours=(replace(value, value=None),)), replace(line, ours=(replace(value, value=None, n_ok=0),)),
     ]  # fmt: skip
     assert value_tally(lines) == (
-        "2 of 7 published numbers and statements have a value; 1 need real images;"
-        " 2 are in words, without a number of ours; 2 have none"
+        "3 of 8 published numbers and statements have a value; 1 need real images;"
+        " 2 are in words, without a number of ours; 2 have none, as no trial that was run is about them"
     )
 
 

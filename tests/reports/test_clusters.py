@@ -119,7 +119,9 @@ def written(builder, errors, **manifest):
         for seed, row in enumerate(table):
             for trial, error in enumerate(row):
                 key = {"trial": trial, "scenario": f"sphere-{seed}", "estimator": estimator}
-                ends = dict.fromkeys(SEQUENCE_COLUMNS) | {"error_after_1_m": error, "error_after_2_m": 2.0 * error}
+                ends = dict.fromkeys(SEQUENCE_COLUMNS) | {
+                    "error_after_1_m": error, "error_after_2_m": None if error is None else 2.0 * error
+                }  # fmt: skip
                 pose = {
                     f"{prefix}{name}": np.nan
                     for prefix in ("", "prior_")
@@ -127,9 +129,10 @@ def written(builder, errors, **manifest):
                         "position_error_m", "attitude_error_deg", *(f"position_error_{axis}_m" for axis in "xyz")
                     )
                 }  # fmt: skip
-                builder.add("rows", **key, status="ok", reason="", image="", **pose, **ends)
+                status = "failed" if error is None else "ok"
+                builder.add("rows", **key, status=status, reason="", image="", **pose, **ends)
                 builder.add("timings", **key, stage="estimation", seconds=0.1)
-                for frame in range(3):
+                for frame in range(0 if error is None else 3):
                     place = {"frame": frame, "anomaly_deg": 180.0 * frame, "position_error_m": 0.5 * frame * error}
                     marks = {"landmark_rmse_m": 1.0, "settled_landmark_rmse_m": 1.0}
                     builder.add("epochs", **key, **place, **marks)
@@ -167,6 +170,12 @@ def test_a_scenario_without_images_beside_those_with_sets_has_independent_trials
     found = find(sequence_measures(run), scenario="sphere-2", measure="error_after_1_m", statistic="mean")
     assert (found.value, found.low, found.high) == student_mean(simulated)
     assert (pooled(run, "mean").value, pooled(run, "mean").n) == (4.5, 12)
+
+
+def test_an_estimator_that_never_ends_is_none_of_n(builder):
+    run = written(builder, {"one": [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]], "lost": [[None] * 6]})
+    record = find(sequence_measures(run), estimator="lost", measure="error_after_1_m", statistic="mean")
+    assert (record.value, record.n_ok, record.n) == (None, 0, 6)
 
 
 def test_equal_starts_give_the_interval_of_the_sets(builder):

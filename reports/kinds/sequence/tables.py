@@ -111,16 +111,17 @@ _SIGN_COLUMNS = (
 
 
 def sequence_measures(run: RunData) -> Iterator[Record]:
-    """Measure the errors of whole sequences, under the stage ``sequence``."""
+    """Measure the errors of whole sequences, under the stage ``sequence``; an estimator that never ends has 0 of n."""
     for group, members in groups(run) if len(run.table("epochs")) else ():
-        for estimator, rows in run.rows[run.rows["scenario"].isin(members)].groupby("estimator", sort=False):
+        together = run.rows[run.rows["scenario"].isin(members)]
+        names = [name for name in SEQUENCE_COLUMNS if together[name].notna().any()] or SEQUENCE_COLUMNS[:1]
+        for estimator, rows in together.groupby("estimator", sort=False):
             sample, clusters = Sample(group, str(estimator), SEQUENCE, len(rows)), clusters_of(run, rows)
-            for name in SEQUENCE_COLUMNS:
+            for name in names:
                 known = rows[name].notna().to_numpy()
-                if known.any():
-                    yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
-                    values = rows[name].to_numpy(dtype=np.float64)[known]
-                    yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
+                yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                values = rows[name].to_numpy(dtype=np.float64)[known]
+                yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
 
 
 def vision_records(run: RunData) -> list[Record]:
