@@ -8,7 +8,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import draw_direction
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.body import BodySpec
-from boresight.scenarios.spec.camera import CameraSpec, DistortionSpec
+from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.distribution import Scalar
 from boresight.scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 
@@ -42,8 +42,7 @@ def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
 def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
     """Apply the onboard errors of focal length, principal point and distortion to the true camera."""
     if camera.distortion is not None:
-        scale = 1.0 + onboard.distortion_error
-        lens = DistortionSpec(k1=camera.distortion.k1 * scale, k2=camera.distortion.k2 * scale)
+        lens = camera.distortion.scaled(1.0 + onboard.distortion_error)
         camera = camera.model_copy(update={"distortion": lens})
     if onboard.focal_error == 0.0 and onboard.principal_point_error_px == (0.0, 0.0):
         return camera

@@ -15,7 +15,7 @@ from boresight.renderers.images.product import ImageProduct, open_product
 from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
 from boresight.scenarios.data import find_data_file, find_data_folder
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, View
+from boresight.scenarios.geometry import Camera, RadialDistortion, View
 from boresight.scenarios.spec.images import ImageSetSpec, SpiceSpec
 from boresight.scenarios.spice.geometry import ApparentGeometry, SpiceNames, apparent_geometry
 from boresight.scenarios.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
@@ -167,7 +167,7 @@ def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> N
         raise BoresightError(
             f"camera: up to {off_px:.3g} pixels off that of the kernels: write focal_px: [{known.fx_px:.6f},"
             f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
-            + (" null" if lens is None else f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}")
+            + (f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}" if isinstance(lens, RadialDistortion) else " null")
         )
 
 

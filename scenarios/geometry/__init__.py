@@ -10,8 +10,9 @@ Conventions:
 - Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
 """
 
-from boresight.scenarios.geometry.camera import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
+from boresight.scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
 from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
+from boresight.scenarios.geometry.lens import OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.mesh import TriangleMesh
 from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
 from boresight.scenarios.geometry.view import SurfaceHits, View
@@ -20,6 +21,7 @@ __all__ = [
     "Camera",
     "Ellipses",
     "FrameMismatchError",
+    "OpenCVDistortion",
     "Pose",
     "RadialDistortion",
     "SurfaceHits",

@@ -1,4 +1,4 @@
-"""Pinhole camera of Rowell et al. (2015), equation (2), with radial lens distortion."""
+"""Pinhole camera of Rowell et al. (2015), equation (2), with the distortion of a lens."""
 
 from __future__ import annotations
 
@@ -8,84 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray
-
-_NEWTON_STEPS = 50
-_TOLERANCE = 1e-15  # of the radius at unit focal length: its rounding
-
-
-@dataclass(frozen=True, slots=True)
-class RadialDistortion:
-    """Radial distortion from distorted (``seen``) to undistorted (``ideal``) image positions.
-
-    ``ideal = seen (1 + k1 r**2 + k2 r**4)``, r the length of ``seen``. Both are positions in the image plane at unit
-    focal length, x / z and y / z, from the principal point. This is the direction of the instrument kernels of AMICA
-    (Ishiguro et al. 2010) and NEAR MSI; their constants in mm**-2 of the focal plane are to be multiplied by the square
-    of the focal length in mm. OpenCV's polynomial has the other direction, from ideal to seen.
-
-    Parameters
-    ----------
-    k1, k2
-        Coefficients; negative where the image is stretched towards its corners (a pincushion).
-    """
-
-    k1: float
-    k2: float = 0.0
-
-    def ideal(self, seen: FloatArray) -> FloatArray:
-        """Undistort positions (..., 2)."""
-        squared = np.sum(seen * seen, axis=-1, keepdims=True)
-        corrected: FloatArray = seen * self._factor(squared)
-        return corrected
-
-    def seen(self, ideal: FloatArray) -> FloatArray:
-        """Distort positions (..., 2), by Newton's method on the radius.
-
-        NaN for positions beyond the largest radius at which the polynomial can be inverted.
-        """
-        radius = np.linalg.norm(ideal, axis=-1, keepdims=True)
-        found = radius.copy()
-        with np.errstate(all="ignore"):
-            for _ in range(_NEWTON_STEPS):
-                # Solve found (1 + k1 found^2 + k2 found^4) = radius, starting without distortion.
-                step = (found * self._factor(found**2) - radius) / self._slope(found**2)
-                found = found - step
-                if not (np.abs(step) > _TOLERANCE).any():
-                    break
-            # A root beyond the fold, where the radius falls again, is not the image of the lens.
-            rising = (self._slope(found**2) > 0.0) & (found >= 0.0)
-            solved = rising & (np.abs(found * self._factor(found**2) - radius) <= 1e-12)
-            # On the axis the direction is undefined and nothing is displaced.
-            scale = np.where(radius > 0.0, found / radius, 1.0)
-        distorted: FloatArray = ideal * np.where(solved, scale, np.nan)
-        return distorted
-
-    def ideal_jacobian(self, seen: FloatArray) -> FloatArray:
-        """Differentiate the ideal position by the seen one, (..., 2, 2)."""
-        squared = np.sum(seen * seen, axis=-1)[..., None, None]
-        outer = seen[..., :, None] * seen[..., None, :]
-        # d(s f(r^2))/ds = f I + 2 f' s s^T, with f' = k1 + 2 k2 r^2.
-        jacobian: FloatArray = self._factor(squared) * np.eye(2) + 2.0 * (self.k1 + 2.0 * self.k2 * squared) * outer
-        return jacobian
-
-    def invertible_within(self, radius: float) -> bool:
-        """Return whether the distortion is invertible for all distorted positions within ``radius``."""
-        # The slope is a quadratic in r^2: its extremes are at the ends of the range and at its vertex.
-        squared = [0.0, radius**2]
-        if self.k2 != 0.0:
-            squared.append(min(max(-0.3 * self.k1 / self.k2, 0.0), radius**2))  # where the slope is least or greatest
-        return bool((self._slope(np.array(squared)) > 0.0).all())
-
-    def _factor(self, squared: FloatArray) -> FloatArray:
-        return 1.0 + squared * (self.k1 + squared * self.k2)
-
-    def _slope(self, squared: FloatArray) -> FloatArray:
-        """Differentiate the ideal radius by the seen one."""
-        return 1.0 + squared * (3.0 * self.k1 + squared * 5.0 * self.k2)
+from boresight.scenarios.geometry.lens import Lens
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera, with radial distortion or without.
+    """A pinhole camera, with distortion or without.
 
     Estimators get images of the ``pinhole`` only: those of a distorting lens are resampled once before.
 
@@ -107,7 +35,7 @@ class Camera:
     fy_px: float
     cx_px: float
     cy_px: float
-    distortion: RadialDistortion | None = None
+    distortion: Lens | None = None
 
     @classmethod
     def from_fov(cls, width_px: int, height_px: int, fov_rad: float) -> Camera:

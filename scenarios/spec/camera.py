@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, RadialDistortion
+from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion
+from boresight.scenarios.geometry.lens import Lens
 from boresight.scenarios.spec.base import SpecModel, is_none
 
 # Far beyond any camera; the bounds keep derived quantities finite.
@@ -31,10 +32,40 @@ Rectangle = Annotated[tuple[NonNegative, NonNegative, NonNegative, NonNegative],
 
 
 class DistortionSpec(SpecModel):
-    """Radial distortion: ideal = seen (1 + k1 r^2 + k2 r^4), in x / z and y / z from the principal point."""
+    """Radial distortion: ideal = seen (1 + k1 r^2 + k2 r^4), in x / z and y / z from the principal point; or OpenCV's.
 
-    k1: Coefficient = Field(description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2")
+    OpenCV's polynomial goes the other way, from the ideal position to the seen one.
+    """
+
+    alternatives: ClassVar = (("k1", "opencv"),)
+
+    k1: Coefficient | None = Field(
+        None, description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2"
+    )
     k2: Coefficient = Field(0.0, description="Coefficient of r^4")
+    opencv: tuple[Coefficient, ...] | None = Field(
+        None,
+        min_length=4,
+        max_length=8,
+        exclude_if=is_none,
+        description="OpenCV's vector k1, k2, p1, p2, and k3, k4, k5, k6 if there are more, instead of k1",
+    )
+
+    @model_validator(mode="after")
+    def _one_polynomial(self) -> Self:
+        if self.opencv is not None and self.k2 != 0.0:
+            raise ValueError("k2 has no part where opencv has the lens: leave it out")
+        return self
+
+    def lens(self) -> Lens:
+        """Return the distortion as a value."""
+        return RadialDistortion(self.k1 or 0.0, self.k2) if self.opencv is None else OpenCVDistortion(*self.opencv)
+
+    def scaled(self, factor: float) -> DistortionSpec:
+        """Return the distortion with all coefficients times a factor."""
+        if self.opencv is not None:
+            return DistortionSpec(opencv=tuple(factor * number for number in self.opencv))
+        return DistortionSpec(k1=(self.k1 or 0.0) * factor, k2=self.k2 * factor)
 
 
 class OpticsSpec(SpecModel):
@@ -122,8 +153,8 @@ class CameraSpec(SpecModel):
         lens = self.camera().distortion
         if lens is not None and not lens.invertible_within(self._corner_radius()):
             raise ValueError(
-                f"distortion k1 = {lens.k1:g}, k2 = {lens.k2:g} folds the image over within the field; check the sign"
-                " and the unit: they belong to x / z, not to mm or pixels"
+                f"{lens} folds the image over within the field; check the sign and the unit: coefficients belong to"
+                " x / z, not to mm or pixels"
             )
         return self
 
@@ -138,7 +169,7 @@ class CameraSpec(SpecModel):
         else:
             raise ValueError("the camera has neither fov_deg, focal_px nor optics")
         cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
-        lens = None if self.distortion is None else RadialDistortion(self.distortion.k1, self.distortion.k2)
+        lens = None if self.distortion is None else self.distortion.lens()
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
 
     def _corner_radius(self) -> float:

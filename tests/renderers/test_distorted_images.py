@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import cv2
 import numpy as np
 import pytest
@@ -11,14 +13,23 @@ from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.renderers.mitsuba3.rays import body_window, outline_points
 from boresight.renderers.rectify import rectify
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at, pixel_to_opencv
+from boresight.scenarios.geometry import (
+    Camera,
+    OpenCVDistortion,
+    RadialDistortion,
+    TriangleMesh,
+    View,
+    look_at,
+    pixel_to_opencv,
+)
 from boresight.scenarios.spec.brdf import LambertSpec
 
 SUN = [0.9, -0.5, 0.1]
 # Several times the distortion of a mission's camera.
 PINCUSHION = Camera(120, 90, 150.0, 160.0, 58.0, 46.0, RadialDistortion(-0.4, 0.1))
 BARREL = Camera(120, 90, 150.0, 160.0, 58.0, 46.0, RadialDistortion(0.5, 0.2))
-LENSES = pytest.mark.parametrize("camera", [PINCUSHION, BARREL], ids=["pincushion", "barrel"])
+CALIBRATED = Camera(120, 90, 150.0, 160.0, 58.0, 46.0, OpenCVDistortion(-0.3, 0.12, 0.01, -0.006, -0.02))
+LENSES = pytest.mark.parametrize("camera", [PINCUSHION, BARREL, CALIBRATED], ids=["pincushion", "barrel", "opencv"])
 
 
 @pytest.fixture(params=["llvm", "scalar"])
@@ -27,8 +38,12 @@ def variant(request):
 
 
 def opencv_pixels(camera: Camera, points_cam: np.ndarray) -> np.ndarray:
-    """Where OpenCV's undistortPoints puts what the pinhole sees: its polynomial runs from ideal to seen."""
+    """Where OpenCV puts what the pinhole sees: its polynomial runs from ideal to seen, that of kernels back."""
     matrix = camera.matrix
+    if isinstance(camera.distortion, OpenCVDistortion):
+        return cv2.projectPoints(points_cam, np.zeros(3), np.zeros(3), matrix, np.array(astuple(camera.distortion)))[0][
+            :, 0
+        ]
     ideal = (points_cam[:, :2] / points_cam[:, 2:])[:, None]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-14)
     lens = np.array([camera.distortion.k1, camera.distortion.k2, 0.0, 0.0])

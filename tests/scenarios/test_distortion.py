@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import cv2
 import numpy as np
 import pytest
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
+from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion, pixel_from_opencv, pixel_to_opencv
 from boresight.scenarios.load import load_scenario
 
 # As the kernels state them, per mm**2 of the focal plane, with focal lengths in mm.
@@ -16,6 +18,12 @@ MSI = Camera(537, 244, 166.85 / 0.016, 166.85 / 0.027, 268.5, 122.0, RadialDisto
 WIDE = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, RadialDistortion(-0.12, 0.03))
 BARREL = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, RadialDistortion(0.3, 0.1))
 CAMERAS = pytest.mark.parametrize("camera", [AMICA, MSI, WIDE, BARREL], ids=["amica", "msi", "wide", "barrel"])
+BROWN = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, OpenCVDistortion(-0.28, 0.11, 0.004, -0.003, -0.02))
+RATIONAL = Camera(640, 480, 400.0, 410.0, 318.0, 243.0, OpenCVDistortion(0.9, 0.2, 2e-3, 1e-3, 0.01, 1.1, 0.3, 0.02))
+CALIBRATED = pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=["brown", "rational"])
+ALL = pytest.mark.parametrize(
+    "camera", [AMICA, MSI, WIDE, BARREL, BROWN, RATIONAL], ids=["amica", "msi", "wide", "barrel", "brown", "rational"]
+)
 
 
 def pixels(camera: Camera, number: int = 200) -> np.ndarray:
@@ -49,13 +57,23 @@ def test_distorting_is_opencvs_undistorting(camera):
     np.testing.assert_allclose(camera.distorted(uv), pixel_from_opencv(expected), atol=1e-8)
 
 
-@CAMERAS
+@CALIBRATED
+def test_a_calibrated_lens_is_opencvs(camera):
+    matrix = camera.matrix
+    points = 7.0 * camera.unproject(pixels(camera))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(astuple(camera.distortion)))
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+    assert np.linalg.norm(expected[:, 0] - camera.pinhole.project(points), axis=1).max() > 5.0
+    assert camera.distortion.invertible_within(0.5)
+
+
+@ALL
 def test_project_and_unproject_invert_each_other(camera):
     uv = pixels(camera)
     np.testing.assert_allclose(camera.project(7.0 * camera.unproject(uv)), uv, atol=1e-9)
 
 
-@CAMERAS
+@ALL
 def test_jacobian_against_central_differences(camera):
     points = 5.0 * camera.unproject(pixels(camera, 40))
     step = 1e-6
@@ -91,6 +109,33 @@ def test_what_the_polynomial_cannot_invert_has_no_pixel():
     assert not lens.invertible_within(np.sqrt(1.0 / 0.36) + 1e-6)
     # The slope 1 - 3 r^2 + 2 r^4 is negative between its roots alone, r^2 = 1/2 and 1.
     assert not RadialDistortion(-1.0, 0.4).invertible_within(1.1)
+
+
+def test_what_has_folded_over_has_no_pixel():
+    # r (1 - 0.3 r^2) rises up to r^2 = 1 / 0.9, where 2 / 3 of it is seen; OpenCV maps what lies beyond back inside.
+    lens, fold = OpenCVDistortion(-0.3, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.9)
+    across = lens.seen(np.array([[0.999 * fold, 0.0], [1.001 * fold, 0.0]]))
+    assert across[0, 0] == pytest.approx(2.0 / 3.0 * fold, rel=1e-5)
+    assert np.isnan(across[1]).all()
+    assert np.isnan(lens.ideal(np.array([0.67 * fold, 0.0]))).all()
+    assert lens.invertible_within(0.66 * fold)
+    assert not lens.invertible_within(0.67 * fold)
+
+
+def test_a_scenario_has_opencvs_vector(tmp_path):
+    file = tmp_path / "lens.yaml"
+    file.write_text(
+        "camera: {fov_deg: 20, distortion: {opencv: [-0.2, 0.01, 0.001, 0, 0.02]}}\nviewpoint: {range_m: 9}\n"
+    )
+    spec = load_scenario(str(file)).spec.camera
+    assert spec.camera().distortion == OpenCVDistortion(-0.2, 0.01, 0.001, 0.0, 0.02)
+    assert spec.distortion.scaled(0.5).lens() == OpenCVDistortion(-0.1, 0.005, 0.0005, 0.0, 0.01)
+    for change, message in (
+        ("k2=1", "k2 has no part"), ("opencv=[1, 2, 3]", "at least 4"),
+        ("opencv=[-90, 0, 0, 0]", "folds the image over"),
+    ):  # fmt: skip
+        with pytest.raises(BoresightError, match=message):
+            load_scenario(str(file), (f"camera.distortion.{change}",))
 
 
 def test_a_scenario_names_the_distortion(tmp_path):
