@@ -12,8 +12,9 @@ import numpy as np
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, cross_matrix, look_at
-from boresight.scenarios.spec.distribution import Uniform, Vector3
+from boresight.scenarios.spec.distribution import Uniform
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.vectors import Vector3
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)

@@ -10,10 +10,11 @@ import numpy as np
 
 from boresight.scenarios.onboard import onboard_spec
 from boresight.scenarios.spec.body import AlbedoSpec, BodySpec
-from boresight.scenarios.spec.distribution import Law, Law3
+from boresight.scenarios.spec.distribution import Law
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.vectors import Law3
 
 ALBEDO = "albedo variation"
 THRESHOLDS = (

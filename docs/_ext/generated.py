@@ -28,20 +28,9 @@ from boresight.scenarios import catalog
 from boresight.scenarios.load.keys import Key, as_yaml, keys_of, words_of
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
-from boresight.scenarios.spec.distribution import (
-    Choice,
-    Choice3,
-    Correlated3,
-    Correlated6,
-    LogNormal,
-    LogUniform,
-    Mixture3,
-    Normal,
-    Normal3,
-    Uniform,
-    Uniform3,
-)
+from boresight.scenarios.spec.distribution import Choice, LogNormal, LogUniform, Normal, Uniform
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.vectors import Choice3, Correlated3, Correlated6, Mixture3, Normal3, Uniform3
 
 KEY_TYPES = {"scenario-key": "key of scenarios", "campaign-key": "key of campaigns", "option-key": "option"}
 

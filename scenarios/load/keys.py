@@ -17,7 +17,8 @@ from pydantic_core import PydanticUndefined
 from boresight.scenarios.load.explain import bounds_of, interval
 from boresight.scenarios.load.merge import Models
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.distribution import Law, Law3
+from boresight.scenarios.spec.distribution import Law
+from boresight.scenarios.spec.vectors import Law3
 
 # The ends of names, longest first, so that `_m_s2` is not taken for `_s2`.
 _UNITS = {

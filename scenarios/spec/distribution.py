@@ -1,4 +1,4 @@
-"""Distributions in scenario files, each named by its key; a number is a constant.
+"""Distributions of numbers in scenario files, each named by its key; a number is a constant.
 
 Each law draws values and knows their second moment, so that a prior's covariance follows from the law of its errors.
 """
@@ -8,17 +8,18 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from statistics import NormalDist
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.tables import columns_of, read_table
 
+Value = TypeVar("Value")
 Bounds = tuple[float, float]
+Row3 = tuple[float, float, float]
 NonNegative = Annotated[float, Field(ge=0)]
 # Bounds that keep logarithms and their exponentials finite.
 Positive = Annotated[float, Field(ge=1e-100, le=1e100)]
@@ -29,7 +30,8 @@ _EVERYWHERE = (-math.inf, math.inf)
 _REACH, _NODES = 12.0, 200  # of the quadrature of a truncated law, in standard deviations from its mode
 
 
-def _check_order(low: float, high: float) -> None:
+def check_order(low: float, high: float) -> None:
+    """Refuse bounds of which the lower is above the upper."""
     if low > high:
         raise ValueError(f"the lower bound {low:g} is above the upper bound {high:g}")
 
@@ -46,6 +48,11 @@ def _log_share(low: float, high: float) -> float:
 
 class Law(SpecModel):
     """Distribution of one number."""
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Self:
+        check_order(*self.support)
+        return self
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> float:
@@ -76,34 +83,24 @@ class Uniform(Law):
 
     uniform: Bounds = Field(description="[low, high]")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _check_order(*self.uniform)
-        return self
-
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
         return float(rng.uniform(*self.uniform))
 
     @property
     def support(self) -> Bounds:
-        """The bounds."""
         return self.uniform
 
     @property
     def median(self) -> float:
-        """The middle."""
         return 0.5 * (self.uniform[0] + self.uniform[1])
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
         # E[x^2] = (high^3 - low^3) / (3 (high - low)), without the division by an empty interval.
         low, high = self.uniform
         return (low * low + low * high + high * high) / 3.0
 
     def text(self, unit: str) -> str:
-        """Return the bounds with the unit."""
         low, high = self.uniform
         return f"{low:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
 
@@ -117,7 +114,7 @@ class _Gaussian(Law):
     def _check_within(self) -> Self:
         if self.within is None:
             return self
-        _check_order(*self.within)
+        check_order(*self.within)
         (low, high), (mean, sigma) = self._limits, self._normal
         if not (low <= mean <= high if sigma == 0.0 else _STANDARD.cdf(high) - _STANDARD.cdf(low) > 1e-9):
             raise ValueError(f"next to no value is within {list(self.within)}")
@@ -146,7 +143,6 @@ class _Gaussian(Law):
         return (low, high) if sigma == 0.0 else ((low - mean) / sigma, (high - mean) / sigma)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
             value = float(rng.normal(mean, sigma))
@@ -159,7 +155,6 @@ class _Gaussian(Law):
 
     @property
     def median(self) -> float:
-        """The median."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
             return self._unscaled(mean)
@@ -187,7 +182,6 @@ class Normal(_Gaussian):
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
             return mean * mean + sigma * sigma  # not **, which raises where these are infinite
@@ -202,7 +196,6 @@ class Normal(_Gaussian):
         return float(np.sum(density * (mean + sigma * z) ** 2) / np.sum(density))
 
     def text(self, unit: str) -> str:
-        """Return standard deviation, mean and bounds with the unit."""
         mean, sigma = self._normal
         about = f" about {mean:g} {unit}" if mean else ""
         cut = f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
@@ -238,7 +231,6 @@ class LogNormal(_Gaussian):
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
         mean, sigma = self._normal
         logarithm = 2.0 * (mean + sigma * sigma)
         if self.within is not None and sigma > 0.0:
@@ -259,19 +251,12 @@ class LogUniform(Law):
 
     log_uniform: tuple[Positive, Positive] = Field(description="[low, high]")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _check_order(*self.log_uniform)
-        return self
-
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
         low, high = self.log_uniform
         return min(max(float(low * (high / low) ** rng.uniform()), low), high)
 
     @property
     def support(self) -> Bounds:
-        """The bounds."""
         return self.log_uniform
 
     @property
@@ -281,73 +266,73 @@ class LogUniform(Law):
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
         low, high = self.log_uniform
         return low**2 if low == high else 0.5 * (high**2 - low**2) / math.log(high / low)
 
     def text(self, unit: str) -> str:
-        """Return the bounds with the unit."""
         return f"{self.log_uniform[0]:g} to {self.log_uniform[1]:g} {unit}, uniform in the logarithm"
 
 
-def _tabled(value: object, info: ValidationInfo, count: int | None = None) -> object:
-    """Read ``{table: FILE, columns: NAMES}``, a CSV or Parquet file, in place of values that are written out.
+class OneOf(SpecModel, Generic[Value]):
+    """One of some values, all equally probable, written out or from the columns of a CSV or Parquet file."""
 
-    The values, or vectors of ``count``, become part of the scenario and of its digest; the file is looked for as the
-    scenario's other files are.
-    """
-    # Tuples: what comes from here is checked strictly, and only JSON may have a list for a tuple.
-    if isinstance(value, list):
-        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
-    if not isinstance(value, dict):
-        return value
-    if value.keys() != {"table", "columns"} or not isinstance(value["table"], str):
-        raise ValueError("is not a list, nor {table: FILE, columns: NAMES}")
-    names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
-    if len(names) != (count or 1) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"columns: name {count or 'one'}")
-    try:
-        rows = columns_of(read_table(value["table"], (info.context or {}).get("folders", ())), names)
-    except (BoresightError, OSError, ValueError, TypeError) as error:
-        raise ValueError(f"{value['table']} cannot be used: {error}") from None
-    return tuple(rows[:, 0].tolist()) if count is None else tuple(map(tuple, rows.tolist()))
+    width: ClassVar[int] = 1
+
+    choice: tuple[Value, ...] = Field(
+        min_length=1, max_length=100_000, description="The values, or the columns of a table"
+    )
+
+    @field_validator("choice", mode="before")
+    @classmethod
+    def _tabled(cls, value: object, info: ValidationInfo) -> object:
+        """Read ``{table: FILE, columns: NAMES}`` in place of values that are written out.
+
+        The values, each of ``width`` numbers, become part of the scenario and of its digest; the file is looked for as
+        the scenario's other files are.
+        """
+        # Tuples: what comes from here is checked strictly, and only JSON may have a list for a tuple.
+        if isinstance(value, list):
+            return tuple(tuple(item) if isinstance(item, list) else item for item in value)
+        if not isinstance(value, dict):
+            return value
+        if value.keys() != {"table", "columns"} or not isinstance(value["table"], str):
+            raise ValueError("is not a list, nor {table: FILE, columns: NAMES}")
+        names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
+        if len(names) != cls.width or not all(isinstance(name, str) for name in names):
+            raise ValueError(f"columns: name {'one' if cls.width == 1 else cls.width}")
+        try:
+            rows = columns_of(read_table(value["table"], (info.context or {}).get("folders", ())), names)
+        except (BoresightError, OSError, ValueError, TypeError) as error:
+            raise ValueError(f"{value['table']} cannot be used: {error}") from None
+        return tuple(rows[:, 0].tolist()) if cls.width == 1 else tuple(map(tuple, rows.tolist()))
+
+    def pick(self, rng: np.random.Generator) -> Value:
+        """Return one of the values, drawn at random."""
+        return self.choice[int(rng.integers(len(self.choice)))]
 
 
-def _tabled3(value: object, info: ValidationInfo) -> object:
-    return _tabled(value, info, 3)
-
-
-class Choice(Law):
+class Choice(OneOf[float], Law):
     """One of some values, all equally probable: ``{choice: [1, 2, 2, 5]}``; a repeated value is drawn as often.
 
     ``{choice: {table: FILE, columns: NAME}}`` takes them from a column of a CSV or Parquet file.
     """
 
-    choice: Annotated[tuple[float, ...], BeforeValidator(_tabled)] = Field(
-        min_length=1, max_length=100_000, description="The values, or the column of a table"
-    )
-
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
-        return self.choice[int(rng.integers(len(self.choice)))]
+        return self.pick(rng)
 
     @property
     def support(self) -> Bounds:
-        """Least and largest value."""
         return min(self.choice), max(self.choice)
 
     @property
     def median(self) -> float:
-        """The median."""
         return float(np.median(self.choice))
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
         return float(np.mean(np.square(self.choice)))
 
     def text(self, unit: str) -> str:
-        """Return the number of values and their bounds with the unit."""
         low, high = self.support
         return f"one of {len(self.choice)} values from {low:g} to {high:g} {unit}"
 
@@ -356,12 +341,13 @@ def _law(value: object) -> str | None:
     """Return the kind of distribution of a value, by its key."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return "number"
-    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
+    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, SpecModel) else {}
     laws = ("normal", "uniform", "log_normal", "log_uniform", "choice", "covariance", "mixture")
     return next((law for law in laws if law in keys), None)
 
 
-def _either(pattern: str) -> Discriminator:
+def either(pattern: str) -> Discriminator:
+    """Return what chooses a law by its key; ``pattern`` is what a file may write, for the message."""
     return Discriminator(_law, custom_error_type="no_law", custom_error_message=f"is no distribution: write {pattern}")
 
 
@@ -385,12 +371,12 @@ _Laws = (
 
 Scalar = Annotated[
     Annotated[Uniform, BeforeValidator(_constant, json_schema_input_type=float), Tag("number")] | _Laws,
-    _either(_SCALAR),
+    either(_SCALAR),
 ]
 
 PositiveScalar = Annotated[
     Annotated[float, Field(gt=0), Tag("number")] | _Laws,
-    _either(_SCALAR),
+    either(_SCALAR),
 ]
 """A number, or a distribution whose values `check_support` holds to be above zero. A number draws nothing at random."""
 
@@ -408,222 +394,3 @@ def check_support(key: str, law: Law, low: float, high: float = math.inf) -> Non
         allowed = f"within [{low:g}, {high:g}]" if math.isfinite(high) else f"of {low:g} and more"
         hint = "" if math.isfinite(least) and math.isfinite(most) else "; bound it by within: [low, high]"
         raise ValueError(f"{key} [{least:g}, {most:g}] is not {allowed}{hint}")
-
-
-class Law3(SpecModel):
-    """Distribution of a vector of three components."""
-
-    @abstractmethod
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw (3,) values."""
-
-    @property
-    @abstractmethod
-    def second_moment(self) -> FloatArray:
-        """(3, 3) mean of the outer product of a vector with itself."""
-
-
-class Uniform3(Law3):
-    """Three independent uniform components: ``{uniform: [[low, high], [low, high], [low, high]]}``."""
-
-    uniform: tuple[Bounds, Bounds, Bounds] = Field(description="[low, high] of x, y and z")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for bounds in self.uniform:
-            _check_order(*bounds)
-        return self
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw (3,) values."""
-        bounds = np.array(self.uniform, dtype=np.float64)
-        return rng.uniform(bounds[:, 0], bounds[:, 1])
-
-    @property
-    def second_moment(self) -> FloatArray:
-        """(3, 3) mean of the outer product of a vector with itself."""
-        low, high = np.array(self.uniform).T
-        means = 0.5 * (low + high)
-        moments = np.outer(means, means)
-        np.fill_diagonal(moments, (low * low + low * high + high * high) / 3.0)
-        return np.asarray(moments, dtype=np.float64)
-
-
-Row3 = tuple[float, float, float]
-Row6 = tuple[float, float, float, float, float, float]
-
-
-class _NormalVector(Law3):
-    """Normal components about zero or a ``mean``; with ``student_t`` of heavier tails and the same covariance."""
-
-    mean: tuple[float, ...] | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
-    student_t: float | None = Field(
-        None, gt=2, le=1e6, exclude_if=is_none, description="Degrees of freedom of Student's t, with this covariance"
-    )
-
-    @property
-    @abstractmethod
-    def _covariance(self) -> FloatArray:
-        """(n, n) covariance."""
-
-    @abstractmethod
-    def _deviation(self, rng: np.random.Generator) -> FloatArray:
-        """Draw a normal deviation, (n,), from the mean."""
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw one vector, (n,)."""
-        value = self._deviation(rng)
-        if self.student_t is not None:
-            # t = z sqrt(f / W), W of a chi-square law of f degrees of freedom, has f / (f - 2) times the covariance.
-            value = value * math.sqrt((self.student_t - 2.0) / rng.chisquare(self.student_t))
-        return value if self.mean is None else np.array(self.mean) + value
-
-    @property
-    def second_moment(self) -> FloatArray:
-        """(n, n) covariance plus the outer product of the mean with itself."""
-        return self._covariance if self.mean is None else self._covariance + np.outer(self.mean, self.mean)
-
-
-class Normal3(_NormalVector):
-    """Three independent normal components about zero or a ``mean``: ``{normal: [sx, sy, sz]}``."""
-
-    normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
-    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
-
-    @property
-    def _covariance(self) -> FloatArray:
-        return np.diag(np.square(np.array(self.normal, dtype=np.float64)))
-
-    def _deviation(self, rng: np.random.Generator) -> FloatArray:
-        return rng.normal(0.0, self.normal)
-
-
-class _Correlated(_NormalVector):
-    """Normal components with a covariance."""
-
-    covariance: tuple[tuple[float, ...], ...]
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        matrix = np.array(self.covariance, dtype=np.float64)
-        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-            raise ValueError("covariance is not symmetric")
-        # Of the correlations, as components may differ in unit; one without variance is left as it is.
-        sigmas = np.sqrt(np.abs(np.diag(matrix)))
-        sigmas[sigmas == 0.0] = 1.0
-        least = float(np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0])
-        if least < -1e-9:
-            raise ValueError(
-                f"covariance is not positive semidefinite: its correlations have the eigenvalue {least:.3g}"
-            )
-        return self
-
-    @property
-    def _covariance(self) -> FloatArray:
-        matrix = np.array(self.covariance, dtype=np.float64)
-        return 0.5 * (matrix + matrix.T)
-
-    def _deviation(self, rng: np.random.Generator) -> FloatArray:
-        # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
-        scale = self._scale
-        values, vectors = np.linalg.eigh(np.array(self.covariance) / np.outer(scale, scale))
-        normal = rng.standard_normal(len(values))
-        return np.asarray(scale * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal)), dtype=np.float64)
-
-    @property
-    def _scale(self) -> FloatArray:
-        """(n,) units in which the covariance is factorised."""
-        return np.ones(len(self.covariance))
-
-
-class Correlated3(_Correlated):
-    """Normal components with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
-
-    covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
-    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
-
-
-class Correlated6(_Correlated):
-    """Six normal components with a covariance: ``{covariance: [[...], ...]}``, 6 x 6."""
-
-    covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6] = Field(description="Symmetric, positive semidefinite")
-    mean: Row6 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
-
-    @property
-    def _scale(self) -> FloatArray:
-        """(6,) standard deviations: components of unlike units may differ by many powers of ten."""
-        sigmas = np.sqrt(np.diag(np.array(self.covariance)))
-        return np.where(sigmas > 0.0, sigmas, 1.0)
-
-
-class Choice3(Law3):
-    """One of some vectors, all equally probable: ``{choice: [[x, y, z], ...]}``, for example drawn errors.
-
-    ``{choice: {table: FILE, columns: [X, Y, Z]}}`` takes them from three columns of a CSV or Parquet file.
-    """
-
-    choice: Annotated[tuple[Row3, ...], BeforeValidator(_tabled3)] = Field(
-        min_length=1, max_length=100_000, description="The vectors, or the columns of a table"
-    )
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw one vector."""
-        return np.array(self.choice[int(rng.integers(len(self.choice)))])
-
-    @property
-    def second_moment(self) -> FloatArray:
-        """(3, 3) mean of the outer product of a vector with itself."""
-        values = np.array(self.choice)
-        return np.asarray(values.T @ values / len(values), dtype=np.float64)
-
-
-_VECTOR = (
-    "uniform: [[low, high], [low, high], [low, high]], normal: [sx, sy, sz], covariance: 3 x 3"
-    " or choice: [[x, y, z], ...]"
-)
-
-PlainVector3 = Annotated[
-    Annotated[Uniform3, Tag("uniform")]
-    | Annotated[Normal3, Tag("normal")]
-    | Annotated[Correlated3, Tag("covariance")]
-    | Annotated[Choice3, Tag("choice")],
-    _either(_VECTOR),
-]
-
-
-class Component3(SpecModel):
-    """A distribution in a mixture, with its weight."""
-
-    weight: float = Field(gt=0, le=1e6, description="Its share over the sum of all weights is its probability")
-    law: PlainVector3 = Field(description="The distribution")
-
-
-class Mixture3(Law3):
-    """One of several distributions: ``{mixture: [{weight: 0.95, law: {normal: [...]}}, {weight: 0.05, law: ...}]}``."""
-
-    mixture: tuple[Component3, ...] = Field(min_length=2, max_length=100, description="The distributions")
-
-    @property
-    def _shares(self) -> FloatArray:
-        weights = np.array([one.weight for one in self.mixture])
-        return np.asarray(weights / weights.sum(), dtype=np.float64)
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Draw a distribution, then a vector of it."""
-        return self.mixture[int(rng.choice(len(self.mixture), p=self._shares))].law.draw(rng)
-
-    @property
-    def second_moment(self) -> FloatArray:
-        """(3, 3) weighted mean of those of the distributions."""
-        moments = [share * one.law.second_moment for share, one in zip(self._shares, self.mixture, strict=True)]
-        return np.asarray(np.sum(moments, axis=0), dtype=np.float64)
-
-
-Vector3 = Annotated[
-    Annotated[Uniform3, Tag("uniform")]
-    | Annotated[Normal3, Tag("normal")]
-    | Annotated[Correlated3, Tag("covariance")]
-    | Annotated[Choice3, Tag("choice")]
-    | Annotated[Mixture3, Tag("mixture")],
-    _either(f"{_VECTOR}, or mixture: [{{weight: w, law: ...}}, ...]"),
-]

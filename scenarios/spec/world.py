@@ -10,16 +10,9 @@ from pydantic import Field, model_validator
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
-from boresight.scenarios.spec.distribution import (
-    Correlated6,
-    PositiveScalar,
-    Scalar,
-    Uniform,
-    Uniform3,
-    Vector3,
-    check_support,
-)
+from boresight.scenarios.spec.distribution import PositiveScalar, Scalar, Uniform, check_support
 from boresight.scenarios.spec.trajectory import StatesSpec, TrajectorySpec
+from boresight.scenarios.spec.vectors import Correlated6, Uniform3, Vector3
 
 
 class ViewpointSpec(SpecModel):

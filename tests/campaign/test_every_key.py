@@ -20,8 +20,9 @@ from pydantic.fields import FieldInfo
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.distribution import Law, Law3
+from boresight.scenarios.spec.distribution import Law
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.vectors import Law3
 
 # Where the first scene that has the key, or a number a quarter larger or smaller, does not do: (scene, value), the
 # scene alone, or the value alone.

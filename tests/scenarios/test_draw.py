@@ -23,20 +23,8 @@ from boresight.scenarios.draw import (
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.spec.distribution import (
-    Choice,
-    Choice3,
-    Component3,
-    Correlated3,
-    Correlated6,
-    LogNormal,
-    LogUniform,
-    Mixture3,
-    Normal,
-    Normal3,
-    Uniform,
-    Uniform3,
-)
+from boresight.scenarios.spec.distribution import Choice, LogNormal, LogUniform, Normal, Uniform
+from boresight.scenarios.spec.vectors import Choice3, Component3, Correlated3, Correlated6, Mixture3, Normal3, Uniform3
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 FALSE_ALARM = 1e-4

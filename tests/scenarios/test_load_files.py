@@ -24,7 +24,8 @@ from boresight.scenarios.load import (
 )
 from boresight.scenarios.load.files import CATALOG
 from boresight.scenarios.spec.brdf import HapkeSpec, LambertSpec
-from boresight.scenarios.spec.distribution import Choice, Normal, Normal3, Uniform
+from boresight.scenarios.spec.distribution import Choice, Normal, Uniform
+from boresight.scenarios.spec.vectors import Normal3
 
 MINIMAL = "camera: {fov_deg: 20}\nviewpoint: {range_m: 1000}\n"
 CAMPAIGN = "scenarios: [quickstart]\nestimators: [prior]\ntrials: 3\nseed: 1\n"
