@@ -20,7 +20,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, pixel_to_opencv
 from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.observation import Frame
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
 
 IMAGE = "images/near_msi/m0126865998f4_2p_iof.lbl"
 KERNELS = tuple(
@@ -52,9 +52,8 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiI
         If a file is missing, the header has no pose, or the size of the image is not one of MSI's.
     """
     product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
-    kernels = [find_data_file(name, search_dirs, "spice", "kernels") for name in KERNELS]
     msi = INSTRUMENTS["near-msi"]
-    with loaded_kernels(kernels):
+    with loaded_kernels(find_kernels(KERNELS, search_dirs, "kernels")):
         et = msi.middle_et(product)
         R_body_j2000 = spiceypy.pxform("J2000", "EROS_FIXED", et)
         R_cam_craft = spiceypy.pxform("NEAR_SC_BUS_PRIME", msi.frame, et)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from boresight.renderers.images.image_set import check_size, files_digest
 from boresight.renderers.images.product import ImageProduct, open_product
 from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
-from boresight.scenarios.data import find_data_file, find_data_folder
+from boresight.scenarios.data import find_data_folder
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, View
 from boresight.scenarios.spec.images import ImageSetSpec, SpiceSpec
 from boresight.scenarios.spice.geometry import ApparentGeometry, SpiceNames, apparent_geometry
-from boresight.scenarios.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
+from boresight.scenarios.spice.kernels import SPICE_ERRORS, find_kernels, loaded_kernels, spice_message
 
 # Largest allowed difference between the cameras of scenario and kernels, anywhere in the image.
 CAMERA_TOLERANCE_PX = 0.01
@@ -77,9 +77,7 @@ class SpiceImageSet:
         if not paths:
             raise BoresightError(f"{folder}: images.spice.files: no file matches {spice.files!r}")
         products = [open_product(path) for path in paths]
-        kernels = [
-            find_data_file(name, (folder, *search_dirs), "spice", "images.spice.kernels") for name in spice.kernels
-        ]
+        kernels = find_kernels(spice.kernels, (folder, *search_dirs), "images.spice.kernels")
         with loaded_kernels(kernels):
             _check_camera(camera, instrument, spice)
             judged = [_frame_or_reason(product, instrument, spice) for product in products]

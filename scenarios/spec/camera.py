@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
@@ -88,15 +88,33 @@ class OpticsSpec(SpecModel):
         return 1000.0 * self.focal_mm / across, 1000.0 * self.focal_mm / down
 
 
-class SpiceCameraSpec(SpecModel):
-    """The camera of an instrument kernel, with its size, focal length, principal point and distortion."""
+class KernelsSpec(SpecModel):
+    """SPICE kernels."""
 
-    instrument: str = Field(min_length=1, description="NAIF's name or number of the camera: ORX_OCAMS_MAPCAM, -64361")
     kernels: tuple[str, ...] = Field(
         min_length=1,
-        description="The instrument kernel and addenda, and a frame kernel if the instrument is named: next to the"
-        " scenario file, or under BORESIGHT_DATA/spice",
+        description="Kernels in the order of loading, a later one overrides: paths next to the scenario file, in its"
+        " folder of images, or under BORESIGHT_DATA/spice",
     )
+
+
+class BodyKernelsSpec(KernelsSpec):
+    """Kernels that have the position and the attitude of a body."""
+
+    target: str = Field(min_length=1, description="NAIF's name of the body")
+    target_frame: str = Field(min_length=1, description="NAIF's name of the body-fixed frame, that of the shape")
+    aberration: Literal["LT+S", "NONE"] = Field(
+        "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
+    )
+
+
+class SpiceCameraSpec(KernelsSpec):
+    """The camera of an instrument kernel, with its size, focal length, principal point and distortion.
+
+    The kernels are the instrument's and its addenda, and a frame kernel if the instrument is named.
+    """
+
+    instrument: str = Field(min_length=1, description="NAIF's name or number of the camera: ORX_OCAMS_MAPCAM, -64361")
 
 
 class CameraSpec(SpecModel):

@@ -9,24 +9,14 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.camera import Rectangle
+from boresight.scenarios.spec.camera import BodyKernelsSpec, Rectangle
 
 
-class SpiceSpec(SpecModel):
+class SpiceSpec(BodyKernelsSpec):
     """Times, poses, Sun and camera from labels and SPICE kernels."""
 
     instrument: str = Field(min_length=1, description="The camera: hayabusa-amica, near-msi")
     files: str = Field("*.lbl", min_length=1, description="Images in the folder: a pattern of labels or image files")
-    kernels: tuple[str, ...] = Field(
-        min_length=1,
-        description="Kernels in the order of loading, a later one overrides: paths beside the scenario file, in its"
-        " folder of images, or under BORESIGHT_DATA/spice",
-    )
-    target: str = Field(min_length=1, description="NAIF's name of the body")
-    target_frame: str = Field(min_length=1, description="NAIF's name of the body-fixed frame, that of the shape")
-    aberration: Literal["LT+S", "NONE"] = Field(
-        "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
-    )
 
     @field_validator("files")
     @classmethod

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.camera import BodyKernelsSpec
 from boresight.scenarios.spec.distribution import Row3
 from boresight.scenarios.spec.tables import Table, columns_of, read_table
 
@@ -75,17 +76,10 @@ class StatesSpec(SpecModel):
         return bool(np.cross(self.position_m, self.velocity_m_s).any(axis=1).all())
 
 
-class SpiceTrajectorySpec(SpecModel):
+class SpiceTrajectorySpec(BodyKernelsSpec):
     """States of a spacecraft from SPICE kernels, at equal steps of time."""
 
-    kernels: tuple[str, ...] = Field(
-        min_length=1,
-        description="Kernels in the order of loading, a later one overrides: paths next to the scenario file, or in"
-        " BORESIGHT_DATA/spice",
-    )
     observer: str = Field(min_length=1, description="NAIF's name of the spacecraft")
-    target: str = Field(min_length=1, description="NAIF's name of the body")
-    target_frame: str = Field(min_length=1, description="NAIF's name of the body-fixed frame, that of the shape")
     camera_frame: str | None = Field(
         None,
         min_length=1,
@@ -95,9 +89,6 @@ class SpiceTrajectorySpec(SpecModel):
     start_utc: str = Field(min_length=1, description="First epoch, as SPICE reads it: 2005-10-07T19:33:00")
     stop_utc: str = Field(min_length=1, description="Last epoch")
     step_s: float = Field(ge=1e-3, description="Time from state to state")
-    aberration: Literal["LT+S", "NONE"] = Field(
-        "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
-    )
 
 
 class TrajectorySpec(SpecModel):

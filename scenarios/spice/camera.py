@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import spiceypy
 
-from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.spice.kernels import SPICE_ERRORS, Constants, loaded_kernels
+from boresight.scenarios.spice.kernels import SPICE_ERRORS, Constants, find_kernels, loaded_kernels
 
 _AGREES = 0.05  # relative difference of two focal lengths that are the same but for their units
 _STRAIGHT = 1e-6
@@ -46,8 +45,7 @@ def read_camera(
     BoresightError
         If a kernel is missing, or does not have these.
     """
-    paths = [find_data_file(name, folders, "spice", "kernels") for name in kernels]
-    with loaded_kernels(paths):
+    with loaded_kernels(find_kernels(kernels, folders, "kernels")):
         try:
             number = int(instrument) if re.fullmatch("-?[0-9]{1,9}", instrument) else spiceypy.bodn2c(instrument)
         except SPICE_ERRORS:

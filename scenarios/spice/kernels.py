@@ -15,6 +15,7 @@ import spiceypy
 from numpy.typing import NDArray
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
+from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.limits import LARGEST_NUMBER
 
@@ -80,6 +81,11 @@ def _arrays(summaries: bytes, order: str, counts: tuple[int, int]) -> Iterator[t
     for index in range(int(number)):
         place = _WORD * (3 + index * size + doubles) + 4 * (integers - 2)
         yield struct.unpack_from(f"{order}2i", summaries, place)
+
+
+def find_kernels(names: Sequence[str], folders: Sequence[Path], key: str) -> list[Path]:
+    """Find kernels in ``folders``, then in the data folder; ``key`` names them in messages, see `find_data_file`."""
+    return [find_data_file(name, folders, "spice", key) for name in names]
 
 
 @contextmanager

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import spiceypy
 
-from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
 from boresight.scenarios.spice.geometry import M_PER_KM, SpiceNames, apparent_geometry
-from boresight.scenarios.spice.kernels import loaded_kernels
+from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
 
 
 def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSpec:
@@ -26,9 +25,8 @@ def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSp
     BoresightError
         If a kernel is missing or damaged, or the kernels do not have a name, a frame or an epoch.
     """
-    kernels = [find_data_file(name, folders, "spice", "spice.kernels") for name in spec.kernels]
     names = SpiceNames(spec.observer, spec.camera_frame or "J2000", spec.target, spec.target_frame)
-    with loaded_kernels(kernels):
+    with loaded_kernels(find_kernels(spec.kernels, folders, "spice.kernels")):
         start_et, stop_et = (float(spiceypy.str2et(utc)) for utc in (spec.start_utc, spec.stop_utc))
         count = math.floor((stop_et - start_et) / spec.step_s + 1e-9) + 1
         if not 1 <= count <= MOST_STATES:
