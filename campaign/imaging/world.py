@@ -184,6 +184,9 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
         raise BoresightError(f"{scenario.path}: {error}") from error
     if spec.viewpoint is not None:
         _check_range(scenario, body.mesh, spec.viewpoint)
+        if spec.viewpoint.states is not None:
+            # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
+            _check_outside(scenario, body.mesh, np.array(spec.viewpoint.states.position_m))
     return body, onboard
 
 
@@ -292,7 +295,7 @@ def _longest_m(mesh: TriangleMesh) -> float:
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
-    """Refuse a range at which a drawn view could be inside the body, or from which the body is a few pixels."""
+    """Refuse a range from which the body is a few pixels, or at which a view that has no state could be inside it."""
     size_m, range_m = _longest_m(mesh), viewpoint.median_range_m
     across_px = size_m / range_m * scenario.spec.camera.camera().fx_px
     if across_px < _LEAST_PX:
@@ -301,7 +304,6 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
     if viewpoint.states is not None:
-        _check_outside(scenario, mesh, np.array(viewpoint.states.position_m))
         return
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
