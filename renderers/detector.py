@@ -16,6 +16,7 @@ from scipy.special import ive
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.camera import DetectorSpec
+from boresight.scenarios.spec.distribution import drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class Detector:
         # The optics blur the light before it is counted, so the counts of neighbouring pixels are independent. Dark
         # electrons are counted with them: a sum of Poisson variables is one too.
         rate_e_per_s = spec.white_e_per_s * blurred(radiance_factor, spec.psf_sigma_px) + spec.dark_e_per_s
-        expected_e = rate_e_per_s * spec.exposure_s
+        expected_e = rate_e_per_s * drawn(spec.exposure_s, rng)
         electrons = rng.poisson(expected_e).astype(np.float64) if spec.shot_noise else expected_e
         # A pixel saturates before it is read: read noise is added to the clipped charge.
         return np.minimum(electrons, spec.full_well_e)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, cross_matrix, look_at
-from boresight.scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.distribution import Choice, Uniform, constant, drawn
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.vectors import Vector3
 from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
@@ -28,6 +28,14 @@ TargetKind = Literal["nadir", "limb", "terminator"]
 TARGET_KINDS: tuple[TargetKind, ...] = ("nadir", "limb", "terminator")
 
 
+class Surface(Protocol):
+    """Surface of a body, above which an altitude is: a mesh, or a cratered surface."""
+
+    def distance_along_m(self, direction: FloatArray) -> float:
+        """Return the distance from the origin to the outermost facet along a unit vector, (3,)."""
+        ...
+
+
 def draw_aimed_view(
     viewpoint: ViewpointSpec,
     lighting: LightingSpec,
@@ -35,16 +43,19 @@ def draw_aimed_view(
     shape: TriangleMesh,
     rng: np.random.Generator,
     state: int = 0,
+    surface: Surface | None = None,
 ) -> View:
     """Draw a camera position and a Sun direction as `draw_lit_view` does, and point at a sunlit target if asked for.
 
     Targets are those of Cheng et al. (2003): the nadir if it is lit, and regions near the lit limb and the terminator.
     The target is a facet of ``shape``, drawn by area; occlusion by other parts is not checked. If no facet fits the
-    kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre.
+    kind, the lit facet nearest to the nadir is taken; if none is lit, the body's centre. An altitude is above
+    ``surface``, by default the shape.
     """
+    surface = surface or shape
     if not viewpoint.targets:
-        return draw_lit_view(viewpoint, lighting, camera, rng, state)
-    view = _lit_view(viewpoint, lighting, camera, rng, state)
+        return draw_lit_view(viewpoint, lighting, camera, rng, state, surface)
+    view = _lit_view(viewpoint, lighting, camera, rng, state, surface)
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
@@ -118,6 +129,7 @@ class Stream(IntEnum):
     RANGES = 15
     REVISIT = 16
     STATES = 17
+    CORRELATED = 18
     ORBIT_CRATERS = 32
     ORBIT_IMAGES = 33
     ORBIT_SIGHTINGS = 34
@@ -159,6 +171,29 @@ def state_of_trial(viewpoint: ViewpointSpec | None, seed: int, trial: int) -> in
     return int(generator(seed, Stream.STATES, trial).integers(count))
 
 
+def drawn_together(spec: ScenarioSpec, seed: int, trial: int) -> ScenarioSpec:
+    """Return the scenario of a trial, in which the keys of ``correlated`` have the values of the trial.
+
+    They are drawn from a stream of their own; a scenario without them is returned as it is.
+    """
+    if spec.correlated is None:
+        return spec
+    shares = spec.correlated.shares(generator(seed, Stream.CORRELATED, trial))
+    for key, share in zip(spec.correlated.keys, shares, strict=True):
+        law, (section, _, name) = spec.law_of(key), key.partition(".")
+        if law is None:
+            raise BoresightError(f"correlated.keys: {key} is not drawn")
+        if spec.correlated.same_row and isinstance(law, Choice):
+            value = law.choice[int(share * len(law.choice))]
+        elif key == "lighting.phase_deg":
+            value = math.degrees(phase_quantile_rad(spec.lighting, share))
+        else:
+            value = law.quantile(share)
+        fixed = getattr(spec, section).model_copy(update={name: constant(value)})
+        spec = spec.model_copy(update={section: fixed})
+    return spec
+
+
 def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator, state: int = 0) -> View:
     """Draw the true view of a trial, at a state of the trajectory if there is one.
 
@@ -175,16 +210,21 @@ def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator, stat
 
 
 def draw_lit_view(
-    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator, state: int = 0
+    viewpoint: ViewpointSpec,
+    lighting: LightingSpec,
+    camera: Camera,
+    rng: np.random.Generator,
+    state: int = 0,
+    surface: Surface | None = None,
 ) -> View:
     """Draw a camera pose with the boresight on the body's origin, and a direction to the Sun.
 
     The direction to the camera is uniform over the area of the latitude band. The direction to the Sun is at the phase
     angle from it, at an azimuth uniform about it. A ``state`` of a trajectory, by its index, has the position, and the
     attitude and the Sun if its table has them; only what it has not is drawn. Off-pointing turns the camera in its
-    place.
+    place. An altitude is above ``surface``.
     """
-    return _off_pointed(_lit_view(viewpoint, lighting, camera, rng, state), viewpoint, rng)
+    return _off_pointed(_lit_view(viewpoint, lighting, camera, rng, state, surface), viewpoint, rng)
 
 
 def _off_pointed(view: View, viewpoint: ViewpointSpec, rng: np.random.Generator) -> View:
@@ -198,7 +238,12 @@ def _off_pointed(view: View, viewpoint: ViewpointSpec, rng: np.random.Generator)
 
 
 def _lit_view(
-    viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator, state: int
+    viewpoint: ViewpointSpec,
+    lighting: LightingSpec,
+    camera: Camera,
+    rng: np.random.Generator,
+    state: int,
+    surface: Surface | None,
 ) -> View:
     """Draw a view that points at the body's origin, or as the state of a trajectory has it."""
     if viewpoint.states is None:
@@ -209,13 +254,12 @@ def _lit_view(
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
     if viewpoint.states is not None:
         position_m = np.array(viewpoint.states.position_m[state])
-    elif isinstance(viewpoint.range_m, float):
-        position_m = viewpoint.range_m * camera_dir_body
     elif viewpoint.range_m is not None:
-        # From a stream of its own, so that all else of a view is the same at every range.
-        position_m = viewpoint.range_m.draw(rng.spawn(1)[0]) * camera_dir_body
+        position_m = drawn(viewpoint.range_m, rng) * camera_dir_body
+    elif viewpoint.altitude_m is None or surface is None:
+        raise BoresightError("viewpoint: give range_m or trajectory; an altitude is above a surface, and none is read")
     else:
-        raise BoresightError("viewpoint: give range_m or trajectory")
+        position_m = (surface.distance_along_m(camera_dir_body) + drawn(viewpoint.altitude_m, rng)) * camera_dir_body
     T_cam_body = look_at(position_m, float(roll_rad))
     if viewpoint.states is not None and viewpoint.states.attitude is not None:
         turned = Pose.from_quat_wxyz(np.array(viewpoint.states.attitude[state]), np.zeros(3)).rotation
@@ -248,6 +292,14 @@ def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
         return float(rng.uniform(low, high))
     # The solid angle of a cap grows with 1 - cos(phase).
     return float(np.arccos(rng.uniform(np.cos(high), np.cos(low))))
+
+
+def phase_quantile_rad(lighting: LightingSpec, share: float) -> float:
+    """Return the phase angle that a share of those of `draw_phase` are below, rad."""
+    if lighting.measure == "angle" or not isinstance(lighting.phase_deg, Uniform):
+        return math.radians(lighting.phase_deg.quantile(share))
+    low, high = np.cos(np.radians(lighting.phase_deg.uniform))
+    return float(np.arccos((1.0 - share) * low + share * high))
 
 
 def rtn_axes(position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:

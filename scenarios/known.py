@@ -237,6 +237,7 @@ def _unmodelled(spec: ScenarioSpec) -> list[Item]:
 def _exposure(spec: ScenarioSpec) -> list[Item]:
     """Return blur and noise of the detector and the brightness of images, which have no onboard model."""
     detector, bright = spec.detector, _nots("brightness") if spec.lighting.brightness != 1.0 else []
+    bright += _nots("exposure") if spec.law_of("detector.exposure_s") is not None else []
     if detector is None:
         return [Item("blur", "absent"), Item("noise", "absent", "no `detector`"), *bright]
     blurred = detector.psf_sigma_px > 0.0

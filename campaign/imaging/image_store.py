@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +40,8 @@ from boresight.scenarios.limits import MOST_PIXELS
 from boresight.scenarios.load import LoadedScenario, canonical_json
 from boresight.scenarios.parquet import PARQUET_FAULTS
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.distribution import Law
+from boresight.scenarios.spec.distribution import Law, drawn
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 KIND = "images"
 SWITCH = "BORESIGHT_IMAGE_STORE"
@@ -275,10 +276,14 @@ class Imager:
     @classmethod
     def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> Imager:
         """Open the camera of a scenario's true body for views drawn from a stream by given distributions."""
-        detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
         store = ImageStore.open(scenario, variant, stream, *laws)
         ground = open_ground(scenario)  # once: opening it takes a second, and tens of millions of facets their memory
-        return cls(open_renderer(scenario, variant, ground), detector, store, ground, scenario.spec.lighting.brightness)
+        return cls(open_renderer(scenario, variant, ground), None, store, ground).of(scenario.spec)
+
+    def of(self, spec: ScenarioSpec) -> Imager:
+        """Return it with the detector and the brightness of a scenario, or of a trial of it."""
+        detector = None if spec.detector is None else Detector(spec.detector)
+        return replace(self, detector=detector, brightness=spec.lighting.brightness)
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
         """Image a view.
@@ -298,9 +303,8 @@ class Imager:
             (H, W) float32, and whether the image came from the store.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
-        if self.brightness != 1.0:
-            # From a stream of its own, so that the noise is the same at every brightness.
-            factor = self.brightness if isinstance(self.brightness, float) else self.brightness.draw(noise.spawn(1)[0])
+        factor = drawn(self.brightness, noise)
+        if factor != 1.0:
             radiance = np.float32(factor) * radiance
         return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
 

@@ -15,7 +15,7 @@ from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import Body, load_body
 from boresight.scenarios.craters import CrateredSurface, check_size, shape_digest
-from boresight.scenarios.draw import Stream, draw_aimed_view, generator, state_of_trial
+from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, state_of_trial
 from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
@@ -73,8 +73,9 @@ class RenderedImageSource:
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Draw a view, render it and expose the detector."""
-        view = self.view(seed, trial)
-        image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
+        view, spec = self.view(seed, trial), drawn_together(self.scenario.spec, seed, trial)
+        imager = self.imager if spec.correlated is None else self.imager.of(spec)
+        image, from_store = imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
         states, state = self.viewpoint.states, state_of_trial(self.viewpoint, seed, trial)
         if states is None:
             return TrialImage(image, view, {}, from_store=from_store)
@@ -87,9 +88,10 @@ class RenderedImageSource:
     def view(self, seed: int, trial: int) -> View:
         """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
         rng, clear = generator(seed, Stream.TRUTH, trial), self.viewpoint.keep_clear_px
-        state, lighting = state_of_trial(self.viewpoint, seed, trial), self.scenario.spec.lighting
+        state, spec = state_of_trial(self.viewpoint, seed, trial), drawn_together(self.scenario.spec, seed, trial)
+        viewpoint, surface = spec.viewpoint or self.viewpoint, self.imager.ground
         for _ in range(_MOST_DRAWS):
-            view = draw_aimed_view(self.viewpoint, lighting, self.camera, self.shape, rng, state)
+            view = draw_aimed_view(viewpoint, spec.lighting, self.camera, self.shape, rng, state, surface)
             if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(
@@ -191,10 +193,16 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:
-    """Range of a scenario's views, m: the median of that of its viewpoint, or over its real images."""
+    """Range of a scenario's views, m: the median of that of its viewpoint, or over its real images.
+
+    To an altitude the radius of a sphere of the body's volume is added.
+    """
     spec = scenario.spec
     if spec.viewpoint is not None:
-        return spec.viewpoint.median_range_m
+        radius_m = 0.0
+        if spec.viewpoint.altitude_m is not None:
+            radius_m = np.cbrt(0.75 / np.pi * load_body(spec.body, scenario.search_dirs).mesh.volume_m3)
+        return float(radius_m + spec.viewpoint.median_range_m)
     images = open_images(scenario)
     return float(np.median([np.linalg.norm(images.view(i).T_cam_body.translation_m) for i in range(len(images))]))
 
@@ -218,7 +226,8 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
-    imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
+    together = () if spec.correlated is None else (spec.correlated,)
+    imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting, *together)
     drawn = RenderedImageSource(scenario, spec.viewpoint, camera, body.mesh, imager)
     return World(scenario, camera, body, imager.renderer, drawn, imager.ground)
 
@@ -231,7 +240,9 @@ def views_in_words(scenario: LoadedScenario) -> str:
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
     size_m, shares = _longest_m(mesh), _shares_in_sight(scenario, viewpoint, mesh)
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
-    ends = viewpoint.range_bounds_m
+    ends, radii_m = np.array(viewpoint.range_bounds_m), np.linalg.norm(mesh.vertices_m, axis=1)
+    if viewpoint.altitude_m is not None:
+        ends = ends + np.array([radii_m.min(), radii_m.max()])
     lit = "" if np.isnan(shares[1]) else f" and {shares[1]:.0f} % of the rest in the dark"
     told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
         ends, [end / camera.fx_px for end in ends], [size_m / end * camera.fx_px for end in ends]
@@ -268,7 +279,8 @@ def _shares_in_sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: T
     for trial in range(_PREVIEWED_VIEWS):
         # Spread over a trajectory, whatever its order is.
         state, draws = trial * count // _PREVIEWED_VIEWS, generator(0, Stream.TRUTH, trial)
-        view = draw_aimed_view(viewpoint, spec.lighting, camera, mesh, draws, state)
+        drawn = drawn_together(spec, 0, trial)
+        view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
         centre = view.T_cam_body.translation_m
         range_m = float(np.linalg.norm(centre))
         radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi
@@ -296,14 +308,14 @@ def _longest_m(mesh: TriangleMesh) -> float:
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
     """Refuse a range from which the body is a few pixels, or at which a view that has no state could be inside it."""
-    size_m, range_m = _longest_m(mesh), viewpoint.median_range_m
+    size_m, range_m = _longest_m(mesh), typical_range_m(scenario)
     across_px = size_m / range_m * scenario.spec.camera.camera().fx_px
     if across_px < _LEAST_PX:
         raise BoresightError(
             f"{scenario.path}: viewpoint: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
-    if viewpoint.states is not None:
+    if viewpoint.range_m is None:
         return
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))

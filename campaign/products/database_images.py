@@ -101,20 +101,21 @@ def database_images(
     variant
         The Mitsuba variant.
     range_m, camera
-        Range and camera; None for those of the scenario.
+        Range and camera; None for those of the scenario, where the range may be an altitude.
     """
     world, camera = open_world(scenario, variant), camera or scenario.spec.camera
     spec = scenario.spec.viewpoint
-    viewpoint = ViewpointSpec(
-        range_m=range_m or typical_range_m(scenario), targets=() if spec is None else spec.targets
-    )
+    place = {"range_m": range_m or typical_range_m(scenario)}
+    if range_m is None and spec is not None and spec.altitude_m is not None:
+        place = {"altitude_m": spec.median_range_m}
+    viewpoint = ViewpointSpec(**place, targets=() if spec is None else spec.targets)
     measure = scenario.spec.lighting.measure if viewpoint.targets else "solid-angle"
     lighting = LightingSpec(phase_deg=Uniform(uniform=phase_deg), measure=measure)
     pictured = replace(scenario, spec=scenario.spec.model_copy(update={"camera": camera}))
     store = ImageStore.open(pictured, variant, Stream.DATABASE, viewpoint, lighting)
     for image in images:
         rng = generator(seed, Stream.DATABASE, image)
-        view = draw_aimed_view(viewpoint, lighting, camera.camera().pinhole, world.body.mesh, rng)
+        view = draw_aimed_view(viewpoint, lighting, camera.camera().pinhole, world.body.mesh, rng, 0, world.ground)
         pixels, stored = store.image(seed, image, view, world.renderer.render)
         yield DatabaseImage(pixels, view, scenario, variant, stored)
     store.flush()

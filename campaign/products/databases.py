@@ -42,13 +42,14 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
         The Mitsuba variant.
     """
     spec = scenario.spec
+    above = spec.viewpoint is not None and spec.viewpoint.altitude_m is not None
     parts = {
         "kind": kind,
         "options": json.loads(options.model_dump_json(exclude_none=True)),
         "body": shape_digest(spec, scenario.search_dirs),
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "shading": spec.body.shading,
-        "range_m": typical_range_m(scenario),
+        "altitude_m" if above else "range_m": typical_range_m(scenario),
         "versions": [*versions, renderer_version(spec)[1]],
         "variant": variant,
     }

@@ -100,6 +100,21 @@ class CrateredSurface:
         """(T, 3) means of the corners of each tile."""
         return np.asarray(self.corners_m[self.tiling.mesh.faces].mean(axis=1))
 
+    def distance_along_m(self, direction: FloatArray) -> float:
+        """Return the distance from the origin to the outermost facet along a unit vector, (3,).
+
+        Raises
+        ------
+        BoresightError
+            If no facet lies in that direction.
+        """
+        along = self.middles_m @ direction
+        across_m = np.linalg.norm(self.middles_m - along[:, None] * direction, axis=1)
+        near = np.flatnonzero((across_m < 2.0 * self.tiling.reach_m) & (along > 0.0))
+        used, faces = np.unique(self.tiling.facets(near), return_inverse=True)
+        vertices_m = self.vertices_m[used].astype(np.float64)
+        return TriangleMesh(vertices_m, faces.reshape(-1, 3).astype(np.int32)).distance_along_m(direction)
+
 
 def cratered_surface(
     body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None

@@ -92,6 +92,27 @@ class TriangleMesh:
         """The largest distance of a vertex from the origin."""
         return float(np.linalg.norm(self.vertices_m, axis=1).max())
 
+    def distance_along_m(self, direction: FloatArray) -> float:
+        """Return the distance from the origin to the outermost facet along a unit vector, (3,).
+
+        Raises
+        ------
+        BoresightError
+            If no facet lies in that direction.
+        """
+        # Coordinates across and along the ray: it meets a facet if the origin lies within its projection.
+        first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+        x, y, along = (self.vertices_m @ axis for axis in (first, np.cross(direction, first), direction))
+        i, j, k = self.faces.T
+        # Barycentric coordinates times twice the projected area; exact opposites on the two sides of an edge.
+        weights = np.stack([x[b] * y[c] - x[c] * y[b] for b, c in ((j, k), (k, i), (i, j))], axis=1)
+        met = ((weights >= 0.0).all(axis=1) | (weights <= 0.0).all(axis=1)) & weights.any(axis=1)
+        weights = weights[met]
+        distances = np.einsum("fk,fk->f", weights, along[self.faces[met]]) / weights.sum(axis=1)
+        if not distances.max(initial=0.0) > 0.0:
+            raise BoresightError(f"from the body's origin no surface lies towards {direction.round(4).tolist()}")
+        return float(distances.max())
+
     @property
     def extent_m(self) -> FloatArray:
         """(3,) size of the axis-aligned box."""

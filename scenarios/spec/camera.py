@@ -11,6 +11,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.lens import Lens
 from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar
 
 # Far beyond any camera; the bounds keep derived quantities finite.
 FocalLength = Annotated[float, Field(ge=1, le=1e9)]
@@ -198,15 +199,17 @@ class CameraSpec(SpecModel):
         return float(np.hypot(across, down))
 
 
-class DetectorSpec(SpecModel):
+class DetectorSpec(DrawnModel):
     """Conversion from radiance to digital numbers. Omit the section for ideal, noise-free images.
 
     The signal of a surface of radiance factor 1 (a white Lambertian plate facing the Sun) is
     ``white_e_per_s * exposure_s`` electrons a pixel.
     """
 
+    limits: ClassVar = {"exposure_s": Limits(0.0, rms=1e6)}
+
     psf_sigma_px: float = Field(0.5, ge=0, le=20, description="Gaussian point spread function")
-    exposure_s: float = Field(0.1, gt=0, description="Exposure time")
+    exposure_s: PositiveScalar = Field(0.1, description="Exposure time, one or drawn")
     white_e_per_s: float = Field(2.0e6, gt=0, description="Electrons a second from a radiance factor of 1")
     dark_e_per_s: float = Field(10.0, ge=0, description="Dark current")
     full_well_e: float = Field(100_000.0, gt=0, description="Electrons at which a pixel saturates")

@@ -7,22 +7,25 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from statistics import NormalDist
-from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.tables import columns_of, read_table
 
 Value = TypeVar("Value")
-Bounds = tuple[float, float]
-Row3 = tuple[float, float, float]
-NonNegative = Annotated[float, Field(ge=0)]
-# Bounds that keep logarithms and their exponentials finite.
-Positive = Annotated[float, Field(ge=1e-100, le=1e100)]
+# Every number of a law: squares of it, and logarithms and their exponentials, are finite.
+Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST_NUMBER)]
+Positive = Annotated[float, Field(ge=1e-100, le=LARGEST_NUMBER)]
+Bounds = tuple[Number, Number]
+Row3 = tuple[Number, Number, Number]
 Spread = Annotated[float, Field(ge=0, le=10)]
 
 _STANDARD = NormalDist()
@@ -63,10 +66,14 @@ class Law(SpecModel):
     def support(self) -> Bounds:
         """Least and largest value, infinite where there is none."""
 
-    @property
     @abstractmethod
+    def quantile(self, share: float) -> float:
+        """Return the value that this share of all values, in (0, 1), is below."""
+
+    @property
     def median(self) -> float:
         """The median."""
+        return self.quantile(0.5)
 
     @property
     @abstractmethod
@@ -90,9 +97,8 @@ class Uniform(Law):
     def support(self) -> Bounds:
         return self.uniform
 
-    @property
-    def median(self) -> float:
-        return 0.5 * (self.uniform[0] + self.uniform[1])
+    def quantile(self, share: float) -> float:
+        return (1.0 - share) * self.uniform[0] + share * self.uniform[1]
 
     @property
     def second_moment(self) -> float:
@@ -103,6 +109,11 @@ class Uniform(Law):
     def text(self, unit: str) -> str:
         low, high = self.uniform
         return f"{low:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
+
+
+def constant(value: float) -> Uniform:
+    """Return the law of one value, which is not checked."""
+    return Uniform.model_construct(uniform=(value, value))
 
 
 class _Gaussian(Law):
@@ -148,18 +159,23 @@ class _Gaussian(Law):
             value = float(rng.normal(mean, sigma))
         else:
             low, high = map(_STANDARD.cdf, self._limits)
-            # Neither 0 nor 1, which have no quantile.
-            value = mean + sigma * _STANDARD.inv_cdf(min(max(rng.uniform(low, high), 5e-324), 1.0 - 2**-53))
-        least, most = self.support
-        return min(max(self._unscaled(value), least), most)
+            return self._at(rng.uniform(low, high))
+        return self._clipped(self._unscaled(value))
 
-    @property
-    def median(self) -> float:
-        mean, sigma = self._normal
-        if self.within is None or sigma == 0.0:
-            return self._unscaled(mean)
+    def quantile(self, share: float) -> float:
         low, high = map(_STANDARD.cdf, self._limits)
-        return self._unscaled(mean + sigma * _STANDARD.inv_cdf(0.5 * (low + high)))
+        return self._at((1.0 - share) * low + share * high)
+
+    def _at(self, share: float) -> float:
+        """Return the value that a share of the values of the law without bounds is below."""
+        mean, sigma = self._normal
+        # Neither 0 nor 1, which have no quantile.
+        scale = _STANDARD.inv_cdf(min(max(share, 5e-324), 1.0 - 2**-53))
+        return self._clipped(self._unscaled(mean + sigma * scale))
+
+    def _clipped(self, value: float) -> float:
+        least, most = self.support
+        return min(max(value, least), most)
 
 
 class Normal(_Gaussian):
@@ -259,6 +275,10 @@ class LogUniform(Law):
     def support(self) -> Bounds:
         return self.log_uniform
 
+    def quantile(self, share: float) -> float:
+        low, high = self.log_uniform
+        return float(low * (high / low) ** share)
+
     @property
     def median(self) -> float:
         """The geometric mean of the bounds."""
@@ -324,8 +344,12 @@ class Choice(OneOf[float], Law):
     def support(self) -> Bounds:
         return min(self.choice), max(self.choice)
 
+    def quantile(self, share: float) -> float:
+        return sorted(self.choice)[min(int(share * len(self.choice)), len(self.choice) - 1)]
+
     @property
     def median(self) -> float:
+        """The median, between the two middle values of an even number."""
         return float(np.median(self.choice))
 
     @property
@@ -378,19 +402,43 @@ PositiveScalar = Annotated[
     Annotated[float, Field(gt=0), Tag("number")] | _Laws,
     either(_SCALAR),
 ]
-"""A number, or a distribution whose values `check_support` holds to be above zero. A number draws nothing at random."""
+"""A number, or a distribution whose values the limits of its key hold to be above zero; see `drawn`."""
 
 
-def check_support(key: str, law: Law, low: float, high: float = math.inf) -> None:
-    """Refuse a distribution with values outside [low, high].
+def drawn(value: Law | float, rng: np.random.Generator) -> float:
+    """Return a number as it is, or draw one from a stream of its own, so that nothing else depends on the law."""
+    own = rng.spawn(1)[0]
+    return value if isinstance(value, float) else value.draw(own)
 
-    Raises
-    ------
-    ValueError
-        With the key, the law's own bounds, and what to do.
-    """
-    least, most = law.support
+
+class Limits(NamedTuple):
+    """Limits of a key: of its values, and of their root mean square, for laws that need no bounds."""
+
+    low: float
+    high: float = math.inf
+    rms: float = math.inf
+
+
+class DrawnModel(SpecModel):
+    """Section with keys that may be drawn; ``limits`` are those of numbers and laws alike."""
+
+    limits: ClassVar[Mapping[str, Limits]] = {}
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        for key, limits in self.limits.items():
+            value = getattr(self, key)
+            if value is not None:
+                _check_limits(key, value if isinstance(value, Law) else constant(value), limits)
+        return self
+
+
+def _check_limits(key: str, law: Law, limits: Limits) -> None:
+    """Raise ValueError for a law that leaves the limits of its key, with the law's own bounds and what to do."""
+    (least, most), (low, high, largest) = law.support, limits
     if least < low or most > high:
         allowed = f"within [{low:g}, {high:g}]" if math.isfinite(high) else f"of {low:g} and more"
         hint = "" if math.isfinite(least) and math.isfinite(most) else "; bound it by within: [low, high]"
         raise ValueError(f"{key} [{least:g}, {most:g}] is not {allowed}{hint}")
+    if math.isfinite(largest) and math.sqrt(law.second_moment) > largest:
+        raise ValueError(f"{key} has a root mean square of {math.sqrt(law.second_moment):.3g}, above {largest:g}")

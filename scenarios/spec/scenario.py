@@ -11,11 +11,11 @@ from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec, LambertSpec
 from boresight.scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
 from boresight.scenarios.spec.craters import LISTED_PX, CraterPairsSpec, CratersSpec
-from boresight.scenarios.spec.distribution import Scalar
+from boresight.scenarios.spec.distribution import Choice, Law, Scalar
 from boresight.scenarios.spec.images import ImageSetSpec
 from boresight.scenarios.spec.orbit import OrbitSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
-from boresight.scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
+from boresight.scenarios.spec.world import PAPER_POSE_ERROR, CorrelatedSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 _ONBOARD_OF = {
     "sequence": frozenset[str](),
@@ -105,6 +105,9 @@ class ScenarioSpec(SpecModel):
     brdf: BrdfSpec = Field(LambertSpec(), description="Reflectance of the surface")
     viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
+    correlated: CorrelatedSpec | None = Field(
+        None, exclude_if=is_none, description="Keys of views and images that are drawn together"
+    )
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks along an orbit, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
@@ -145,7 +148,10 @@ class ScenarioSpec(SpecModel):
 
     @property
     def m_per_px(self) -> float | None:
-        """Length across the line of sight that a pixel covers at the origin of the body; None if no range is given."""
+        """Length across the line of sight that a pixel covers at the origin of the body; None if no range is given.
+
+        At the ground below the camera if its altitude is given.
+        """
         if self.viewpoint is not None:
             range_m = self.viewpoint.median_range_m
         elif self.crater_pairs is not None:
@@ -198,6 +204,30 @@ class ScenarioSpec(SpecModel):
         if states is not None and states.sun_dir is not None and drawn != LightingSpec():
             raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
         return self
+
+    @model_validator(mode="after")
+    def _correlated_keys_are_drawn(self) -> Self:
+        if self.correlated is None:
+            return self
+        if self.viewpoint is None:
+            raise ValueError(f"correlated has no part in a scenario with {self._kind}: leave it out")
+        states = self.viewpoint.states
+        idle = {"viewpoint.roll_deg", "viewpoint.off_pointing_deg"} if states and states.attitude else set[str]()
+        idle |= {"lighting.phase_deg"} if states and states.sun_dir else set()
+        laws = {key: None if key in idle else self.law_of(key) for key in self.correlated.keys}
+        constant = [key for key, law in laws.items() if law is None or law.support[0] == law.support[1]]
+        if constant:
+            raise ValueError(f"correlated.keys: {constant[0]} is not drawn: give it a distribution, or leave it out")
+        counts = [len(law.choice) if isinstance(law, Choice) else 0 for law in laws.values()]
+        if self.correlated.same_row and (0 in counts or len(set(counts)) > 1):
+            raise ValueError("correlated.same_row: give each of the keys a choice of as many values")
+        return self
+
+    def law_of(self, key: str) -> Law | None:
+        """Return the distribution of a key of a section; None if it is a constant or not given."""
+        section, _, name = key.partition(".")
+        law = getattr(getattr(self, section), name, None)
+        return law if isinstance(law, Law) else None
 
     @model_validator(mode="after")
     def _brightness_is_of_rendered_images(self) -> Self:

@@ -11,7 +11,7 @@ from pydantic import Field, Tag, model_validator
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel, is_none
-from boresight.scenarios.spec.distribution import Bounds, NonNegative, OneOf, Row3, check_order, either
+from boresight.scenarios.spec.distribution import Bounds, NonNegative, Number, OneOf, Row3, check_order, either
 
 
 class Law3(SpecModel):
@@ -51,7 +51,7 @@ class Uniform3(Law3):
         return np.asarray(moments, dtype=np.float64)
 
 
-Row6 = tuple[float, float, float, float, float, float]
+Row6 = tuple[Number, Number, Number, Number, Number, Number]
 
 
 class _NormalVector(Law3):
@@ -99,6 +99,25 @@ class Normal3(_NormalVector):
         return rng.normal(0.0, self.normal)
 
 
+def check_semidefinite(name: str, matrix: FloatArray) -> None:
+    """Refuse a matrix (n, n) that is no covariance."""
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+        raise ValueError(f"{name} is not symmetric")
+    # Of the correlations, as components may differ in unit; one without variance is left as it is.
+    sigmas = np.sqrt(np.abs(np.diag(matrix)))
+    sigmas[sigmas == 0.0] = 1.0
+    least = float(np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0])
+    if least < -1e-9:
+        raise ValueError(f"{name} is not positive semidefinite: its correlations have the eigenvalue {least:.3g}")
+
+
+def draw_normals(covariance: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Draw (n,) normal numbers of a covariance (n, n), by its eigenvectors: it may have no Cholesky factor."""
+    values, vectors = np.linalg.eigh(covariance)
+    normal = rng.standard_normal(len(values))
+    return np.asarray(vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal), dtype=np.float64)
+
+
 class _Correlated(_NormalVector):
     """Normal components with a covariance."""
 
@@ -106,17 +125,7 @@ class _Correlated(_NormalVector):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        matrix = np.array(self.covariance, dtype=np.float64)
-        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-            raise ValueError("covariance is not symmetric")
-        # Of the correlations, as components may differ in unit; one without variance is left as it is.
-        sigmas = np.sqrt(np.abs(np.diag(matrix)))
-        sigmas[sigmas == 0.0] = 1.0
-        least = float(np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0])
-        if least < -1e-9:
-            raise ValueError(
-                f"covariance is not positive semidefinite: its correlations have the eigenvalue {least:.3g}"
-            )
+        check_semidefinite("covariance", np.array(self.covariance, dtype=np.float64))
         return self
 
     @property
@@ -125,11 +134,8 @@ class _Correlated(_NormalVector):
         return 0.5 * (matrix + matrix.T)
 
     def _deviation(self, rng: np.random.Generator) -> FloatArray:
-        # By the eigenvectors, since a semidefinite matrix has no Cholesky factor.
         scale = self._scale
-        values, vectors = np.linalg.eigh(np.array(self.covariance) / np.outer(scale, scale))
-        normal = rng.standard_normal(len(values))
-        return np.asarray(scale * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal)), dtype=np.float64)
+        return scale * draw_normals(np.array(self.covariance) / np.outer(scale, scale), rng)
 
     @property
     def _scale(self) -> FloatArray:

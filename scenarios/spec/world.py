@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from statistics import NormalDist
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -10,20 +11,30 @@ from pydantic import Field, model_validator
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import Rectangle
-from boresight.scenarios.spec.distribution import PositiveScalar, Scalar, Uniform, check_support
+from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar, Scalar, Uniform
 from boresight.scenarios.spec.trajectory import StatesSpec, TrajectorySpec
-from boresight.scenarios.spec.vectors import Correlated6, Uniform3, Vector3
+from boresight.scenarios.spec.vectors import Correlated6, Uniform3, Vector3, check_semidefinite, draw_normals
+
+_DISTANCE = Limits(1e-3, 1e13)
+"""Of a camera from a body, m: from a millimetre to what no camera shows."""
 
 
-class ViewpointSpec(SpecModel):
-    """Random direction at a range, or states of a trajectory; boresight to the body's centre or to a target kind."""
+class ViewpointSpec(DrawnModel):
+    """Random direction at a range or altitude, or states of a trajectory; boresight to the centre or a target kind."""
 
-    alternatives: ClassVar = (("range_m", "trajectory"),)
+    alternatives: ClassVar = (("range_m", "trajectory", "altitude_m"),)
     no_default: ClassVar = True
+    limits: ClassVar = {"range_m": _DISTANCE, "altitude_m": _DISTANCE, "latitude_deg": Limits(-90.0, 90.0)}
 
     kind: Literal["random-direction"] = Field("random-direction", description="The only kind of viewpoint")
     range_m: PositiveScalar | None = Field(
         None, description="Distance of the camera from the body's origin, one or drawn"
+    )
+    altitude_m: PositiveScalar | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Distance of the camera from the true surface, on the line from the body's origin through the"
+        " camera, one or drawn; instead of range_m",
     )
     trajectory: TrajectorySpec | None = Field(
         None, exclude_if=is_none, description="Camera positions of a mission, instead of range_m"
@@ -51,13 +62,6 @@ class ViewpointSpec(SpecModel):
     )
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
-        check_support("latitude_deg", self.latitude_deg, -90.0, 90.0)
-        if self.range_m is not None and not isinstance(self.range_m, float):
-            check_support("range_m", self.range_m, 1e-3)
-        return self
-
-    @model_validator(mode="after")
     def _a_trajectory_has_the_views(self) -> Self:
         if self.states is None:
             return self
@@ -77,20 +81,19 @@ class ViewpointSpec(SpecModel):
 
     @property
     def range_bounds_m(self) -> tuple[float, float]:
-        """The shortest and the longest range, m; infinite where there is none."""
-        if isinstance(self.range_m, float):
-            return self.range_m, self.range_m
-        if self.range_m is not None:
-            return self.range_m.support
-        ranges = self._state_ranges_m
-        return float(ranges.min()), float(ranges.max())
+        """The shortest and the longest range, or altitude where that is given, m."""
+        distance = self.range_m or self.altitude_m
+        if distance is None:
+            return float(self._state_ranges_m.min()), float(self._state_ranges_m.max())
+        return (distance, distance) if isinstance(distance, float) else distance.support
 
     @property
     def median_range_m(self) -> float:
-        """The median of the range, m, at which data bases are built."""
-        if isinstance(self.range_m, float):
-            return self.range_m
-        return float(np.median(self._state_ranges_m)) if self.range_m is None else self.range_m.median
+        """The median of the range, or of the altitude where that is given, m, at which data bases are built."""
+        distance = self.range_m or self.altitude_m
+        if distance is None:
+            return float(np.median(self._state_ranges_m))
+        return distance if isinstance(distance, float) else distance.median
 
     @property
     def _state_ranges_m(self) -> FloatArray:
@@ -100,8 +103,10 @@ class ViewpointSpec(SpecModel):
         return np.asarray(np.linalg.norm(self.states.position_m, axis=1), dtype=np.float64)
 
 
-class LightingSpec(SpecModel):
+class LightingSpec(DrawnModel):
     """Direction to the Sun by the phase angle; its azimuth about the line of sight is uniform."""
+
+    limits: ClassVar = {"phase_deg": Limits(0.0, 180.0), "brightness": Limits(0.0, rms=1e6)}
 
     phase_deg: Scalar = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
     brightness: PositiveScalar = Field(
@@ -114,12 +119,56 @@ class LightingSpec(SpecModel):
         description="Uniform over the solid angle of the cap, or in the angle itself, for a uniform phase_deg",
     )
 
+
+CorrelatedKey = Literal[
+    "viewpoint.range_m",
+    "viewpoint.altitude_m",
+    "viewpoint.roll_deg",
+    "viewpoint.off_pointing_deg",
+    "lighting.phase_deg",
+    "lighting.brightness",
+    "detector.exposure_s",
+]
+
+
+class CorrelatedSpec(SpecModel):
+    """Keys that are drawn together, each by the law that its own section has.
+
+    With ``correlation`` the normal scores of the values have these correlations (a Gaussian copula). Normal laws are
+    then jointly normal: a covariance c_ij is written as sigma_i of each key and c_ij / (sigma_i sigma_j) here.
+    With ``same_row`` each key has a ``choice`` of as many values, and a trial has the values of one row.
+    """
+
+    alternatives: ClassVar = (("correlation", "same_row"),)
+    no_default: ClassVar = True
+
+    keys: tuple[CorrelatedKey, ...] = Field(min_length=2, description="The keys, with their sections")
+    correlation: tuple[tuple[Annotated[float, Field(ge=-1, le=1)], ...], ...] | None = Field(
+        None, description="Correlation matrix, in the order of the keys: symmetric, positive semidefinite"
+    )
+    same_row: Literal[True] | None = Field(
+        None, description="Draw a row of the columns that the keys have as choice, instead of correlation"
+    )
+
     @model_validator(mode="after")
     def _check(self) -> Self:
-        check_support("phase_deg", self.phase_deg, 0.0, 180.0)
-        if not isinstance(self.brightness, float):
-            check_support("brightness", self.brightness, 0.0)
+        twice = [key for key in self.keys if self.keys.count(key) > 1]
+        if twice:
+            raise ValueError(f"keys: {twice[0]} is given twice")
+        if self.correlation is not None:
+            count = len(self.keys)
+            if {len(self.correlation), *map(len, self.correlation)} != {count}:
+                raise ValueError(f"correlation is not {count} x {count}, as there are {count} keys")
+            if any(row[place] != 1.0 for place, row in enumerate(self.correlation)):
+                raise ValueError("correlation has other numbers than 1 on its diagonal")
+            check_semidefinite("correlation", np.array(self.correlation))
         return self
+
+    def shares(self, rng: np.random.Generator) -> tuple[float, ...]:
+        """Draw for each key the share of all values that its value is above."""
+        if self.correlation is None:
+            return (float(rng.uniform()),) * len(self.keys)
+        return tuple(map(NormalDist().cdf, draw_normals(np.array(self.correlation), rng).tolist()))
 
 
 class AttitudeErrorSpec(SpecModel):

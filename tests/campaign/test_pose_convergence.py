@@ -23,6 +23,7 @@ from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.draw import Stream, draw_view, generator
+from boresight.scenarios.errors import BoresightError
 
 CONVERGENCE = """\
 title: Pose solvers
@@ -97,6 +98,12 @@ def test_views_are_those_of_the_images_and_landmarks_are_visible_ones(experiment
         visible = np.flatnonzero(visible_landmarks(database.mesh(), camera, expected))
         assert set(draw.chosen) <= set(visible)
         assert len(set(draw.chosen)) == min(LANDMARKS, len(visible))
+
+
+def test_an_altitude_is_refused(file):
+    campaign = resolve(str(file), overrides=["viewpoint.altitude_m=1800"])
+    with pytest.raises(BoresightError, match=r"viewpoint.altitude_m has no part in pose-solver: give range_m"):
+        PoseConvergence.check_scenario(campaign.scenarios[0])
 
 
 def test_all_visible_landmarks_are_found_in_the_given_order(experiment):

@@ -48,7 +48,7 @@ def key(loaded: LoadedScenario, options: DatabaseOptions = OPTIONS, variant: str
     [
         "body.detail.seed=4", "body.detail.facets=30000", "body.shading=smooth", "camera.fov_deg=19",
         "camera.width_px=130", "brdf.albedo=0.2", "brdf.kind=oren-nayar", "rendering.samples_per_pixel=1",
-        "viewpoint.range_m=1900",
+        "viewpoint.range_m=1900", "viewpoint.altitude_m=1700",
     ],
 )  # fmt: skip
 def test_what_would_change_the_landmarks_changes_the_key(tmp_path, change):

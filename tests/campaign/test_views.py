@@ -11,7 +11,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.imaging.world import check_bodies, open_world, views_in_words
+from boresight.campaign.imaging.world import check_bodies, open_world, typical_range_m, views_in_words
+from boresight.campaign.products.database_images import database_images
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.errors import BoresightError
@@ -139,3 +140,68 @@ def test_brightness_multiplies_the_radiance_of_each_image_before_the_detector():
             factors.append(float(np.median(ratios)))
     assert np.allclose(factors[:12], factors[12:], atol=1e-3), "the factor does not depend on the detector"
     assert 0.5 <= min(factors) < 0.75 < 1.25 < max(factors) <= 1.5
+
+
+def test_correlated_keys_of_light_and_detector_reach_the_image():
+    """Rows in which brightness and exposure make up for each other give the image of a trial without them."""
+    ideal = "shot_noise: false, read_noise_e: 0, psf_sigma_px: 0, dark_e_per_s: 0, offset_dn: 0"
+    detector = f"{ideal}, bits: 16, gain_e_per_dn: 1, full_well_e: 1.0e+6"
+    rows = (
+        f"detector={{{detector}, exposure_s: {{choice: [0.01, 0.02, 0.04]}}}}",
+        "lighting.brightness={choice: [2, 1, 0.5]}",
+        "correlated={keys: [lighting.brightness, detector.exposure_s], same_row: true}",
+    )
+    plain, together, apart = (
+        open_world(load_scenario("quickstart", (BALL, *SMALL, *more)), choose_variant().name).source
+        for more in ((f"detector={{{detector}, exposure_s: 0.02}}",), rows, rows[:2])
+    )
+    unlike = 0
+    for trial in range(6):
+        one, other, free = (source.trial_image(3, trial).image for source in (plain, together, apart))
+        np.testing.assert_allclose(one, other, atol=1.0)  # a digital number, by rounding
+        unlike += bool(np.abs(one - free).max() > 100.0)
+    assert unlike > 1
+
+
+def test_estimators_are_not_told_which_values_were_drawn_together():
+    keys = "correlated={keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}"
+    laws = ("viewpoint.range_m={uniform: [1800, 2500]}", "viewpoint.off_pointing_deg={normal: 1}")
+    world = open_world(load_scenario("quickstart", (BALL, *SMALL, *laws, keys)), choose_variant().name)
+    drawn = [world.source.view(3, trial).T_cam_body.translation_m for trial in range(40)]
+    ranges, off = np.linalg.norm(drawn, axis=1), [np.hypot(x, y) for x, y, _ in drawn]
+    assert 1800.0 <= ranges.min() < ranges.max() <= 2500.0
+    assert np.ptp(off) > 10.0
+    priors = [
+        prior_covariance(world.scenario.spec.pose_error, look_at(np.array([0, 0, r])), world.camera) for r in ranges
+    ]
+    frame = observe(world, world.source.trial_image(3, 1), 3, 1).frame
+    assert frame.prior_covariance == pytest.approx(priors[0])
+
+
+CRATERS = "craters={count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30}"
+
+
+@pytest.mark.parametrize("more", [("body.detail.facets=5000",), (CRATERS, "body.detail=null")], ids=["mesh", "craters"])
+def test_altitudes_are_above_the_surface_that_is_rendered(more):
+    scenario = load_scenario("quickstart", (BALL, *SMALL, *more, "viewpoint.altitude_m=250"))
+    check_bodies(scenario)
+    world = open_world(scenario, choose_variant().name)
+    for trial in range(12):
+        view = world.source.view(3, trial)
+        centre = np.array([[view.camera.cx_px, view.camera.cy_px]])
+        hit = world.renderer.surface(view, centre).points_body_m[0]
+        assert np.linalg.norm(view.T_cam_body.camera_position_m - hit) == pytest.approx(250.0, abs=0.01)
+    radii_m = np.linalg.norm(world.body.mesh.vertices_m, axis=1)
+    ends = dict.fromkeys(f"{250.0 + radius_m:.4g}" for radius_m in (radii_m.min(), radii_m.max()))
+    assert f"range {' to '.join(ends)} m" in views_in_words(scenario)
+
+
+def test_images_of_data_bases_are_from_the_median_altitude():
+    overrides = (BALL, *SMALL, "body.detail.facets=5000", "viewpoint.altitude_m={log_uniform: [100, 400]}")
+    scenario = load_scenario("quickstart", overrides)
+    for image in database_images(scenario, range(4), (0.0, 60.0), 1, choose_variant().name):
+        position_m = image.view.T_cam_body.camera_position_m
+        range_m = float(np.linalg.norm(position_m))
+        mesh = open_world(scenario, choose_variant().name).body.mesh
+        assert range_m - mesh.distance_along_m(position_m / range_m) == pytest.approx(200.0)
+    assert typical_range_m(scenario) == pytest.approx(200.0 + np.cbrt(0.75 * mesh.volume_m3 / np.pi))

@@ -79,6 +79,9 @@ SCENES = {
     "flown": RENDERED.replace("range_m: 2000", "trajectory: {table: states.csv}").replace(
         "lighting: {phase_deg: {uniform: [20, 60]}}\n", ""
     ),
+    "above": RENDERED.replace("range_m: 2000", "altitude_m: 1700"),
+    "together": RENDERED.replace("range_m: 2000", "range_m: {choice: [1800, 2500]}, off_pointing_deg: {choice: [0, 2]}")
+    + "correlated: {keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}\n",
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
     "real": """

@@ -42,6 +42,14 @@ def test_the_chain_without_noise_is_arithmetic():
     assert expose([[0.25]], dark_e_per_s=100, gain_e_per_dn=4, offset_dn=10)[0, 0] == 335.0
 
 
+def test_an_exposure_that_is_drawn_scales_the_image_and_draws_no_noise():
+    law = {"exposure_s": {"uniform": (0.2, 0.8)}}
+    exposures = [expose([[1.0]], seed, **law)[0, 0] / 10_000 for seed in range(400)]
+    assert stats.kstest(exposures, stats.uniform(0.2, 0.6).cdf).pvalue > FALSE_ALARM
+    noise = [expose(flat(0.0, 4), 3, read_noise_e=9.0, offset_dn=99, **more) for more in ({}, law)]
+    assert np.array_equal(*noise)
+
+
 def test_numbers_are_whole_and_rounded_to_the_nearest():
     image = np.array([[0.2, 0.4, 0.6, 1.2]]) / 5000
     assert expose(image).tolist() == [[0, 0, 1, 1]]

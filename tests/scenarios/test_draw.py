@@ -322,6 +322,8 @@ def test_a_law_is_that_of_scipy(law):
     theirs, rng = LAWS[law], np.random.default_rng(8)
     assert stats.kstest([law.draw(rng) for _ in range(4000)], theirs.cdf).pvalue > 1e-3
     assert law.median == pytest.approx(theirs.median(), abs=1e-9, rel=1e-9)
+    shares = (1e-9, 0.1, 0.7, 1.0 - 1e-6)
+    assert [law.quantile(share) for share in shares] == pytest.approx(theirs.ppf(shares), abs=1e-9, rel=1e-9)
     assert law.second_moment == pytest.approx(theirs.expect(lambda x: x * x), rel=1e-6)
     if law.support != (0.0, np.inf):
         assert law.support == pytest.approx(theirs.support())
@@ -378,6 +380,7 @@ def test_a_choice_draws_each_of_its_values_as_often_as_it_stands_there():
     assert values.tolist() == [1.0, 2.0, 5.0]
     assert stats.chisquare(counts, [1000, 2000, 1000]).pvalue > 1e-3
     assert (law.median, law.second_moment, law.support) == (2.0, 8.5, (1.0, 5.0))
+    assert [law.quantile(share) for share in (0.0, 0.24, 0.26, 0.74, 0.76, 1.0)] == [1.0, 1.0, 2.0, 2.0, 5.0, 5.0]
 
 
 def test_a_law_without_spread_is_its_middle():
@@ -487,7 +490,11 @@ CHANGES = {
     "camera.distortion": "camera.distortion.k1=0.5",
 }
 ONE_CHOICE = {"viewpoint.kind", "pose_error.attitude.axis"}
-OF_THE_WORLD = {"viewpoint.keep_clear_px", "viewpoint.targets"}  # views are drawn anew where the body is known
+OF_THE_WORLD = {
+    "viewpoint.keep_clear_px",
+    "viewpoint.targets",
+    "viewpoint.altitude_m",
+}  # views are drawn anew where the body is known
 # In test_trajectory.py and test_spice_camera.py.
 OF_A_MISSION = {"viewpoint.trajectory", "pose_error.position_rtn_m", "camera.spice"}
 OF_IMAGES = {"lighting.brightness"}  # test_views.py

@@ -225,6 +225,8 @@ def test_a_detector_adds_blur_and_noise_as_not_known():
     assert "blur (0.8 px), noise" in line_of("quickstart", "detector={psf_sigma_px: 0.8}")
     sharp = line_of("quickstart", "detector={psf_sigma_px: 0}")
     assert "; no blur. Imperfect or no knowledge of: pose, noise." in sharp
+    drawn = line_of("quickstart", "detector={exposure_s: {uniform: [0.1, 0.2]}}")
+    assert "noise, exposure." in drawn
 
 
 def test_kinds_of_trials_have_different_knowledge():

@@ -30,7 +30,7 @@ from boresight.estimators.landmark.pose.stack import (
 from boresight.estimators.landmark.projection import faces_camera, image_covariances, is_occluded
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.draw import Stream, degrade, draw_view, generator, state_of_trial
+from boresight.scenarios.draw import Stream, degrade, draw_view, drawn_together, generator, state_of_trial
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
@@ -71,7 +71,7 @@ def draw_landmarks(spec: ScenarioSpec, database: LandmarkDatabase, seed: int, tr
     The paper draws ten landmarks of those projected into the image; a camera sees none behind the body, so they are
     drawn from the visible ones.
     """
-    camera = spec.camera.camera()
+    camera, spec = spec.camera.camera(), drawn_together(spec, seed, trial)
     state = state_of_trial(spec.viewpoint, seed, trial)
     view = draw_view(spec, camera, generator(seed, Stream.TRUTH, trial), state)
     truth = view.T_cam_body
@@ -147,6 +147,8 @@ class PoseConvergence(Trials):
         """Refuse a scenario without a viewpoint."""
         if scenario.spec.viewpoint is None:
             raise BoresightError(f"{scenario.path}: viewpoint: missing, but the experiment {NAME} needs it")
+        if scenario.spec.viewpoint.altitude_m is not None:
+            raise BoresightError(f"{scenario.path}: viewpoint.altitude_m has no part in {NAME}: give range_m")
         if scenario.spec.onboard.pose_error is not None:
             raise BoresightError(f"{scenario.path}: onboard.pose_error has no part in {NAME}: leave it out")
 
