@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import ctypes
+import functools
+import resource
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -15,6 +19,7 @@ from tiny_campaign import CAMPAIGN, SCENE, assert_same_results, boresight, compu
 from tiny_sequences import write_sequences
 
 from boresight.campaign.cli import main
+from boresight.campaign.pool import workers
 from boresight.campaign.store import RunFolder
 
 PRIOR_ALONE = "scenarios: [scene]\nestimators: [prior]\ntrials: 4\nseed: 5\n"
@@ -215,24 +220,20 @@ def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def started_by(preparation: str, *words: object) -> subprocess.CompletedProcess[str]:
-    """Run Python in a process that is prepared before, and whose workers inherit that."""
-    started = "import os, sys; os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
-    line = [sys.executable, "-c", f"{preparation}; {started}", *map(str, words)]
-    return subprocess.run(line, capture_output=True, text=True, check=False, timeout=120)
+@contextmanager
+def as_a_user() -> Iterator[None]:
+    """Take CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH from this thread: root writes everywhere; nobody else has them."""
+    library, header, before = ctypes.CDLL(None), (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
+    assert library.capget(header, before) == 0
+    without = type(before)(before[0] & ~0b110, *before[1:])
+    try:
+        assert library.capset(header, without) == 0
+        yield
+    finally:
+        library.capset(header, before)
 
 
-# Root writes everywhere: it starts the command without CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH. Nobody else has them.
-AS_A_USER = "import ctypes; [ctypes.CDLL(None).prctl(24, capability) for capability in (1, 2)]"
-IN_TURN = """
-import json, sys
-from boresight.campaign.cli import main
-for words in json.loads(sys.argv[1]):
-    print(main(words), end="\\f", file=sys.stderr)
-"""
-
-
-def test_read_only_folders_are_left_alone(tmp_path):
+def test_read_only_folders_are_left_alone(tmp_path, capsys):
     """A folder for a new run, and a run that became read-only: it neither goes on nor has a report."""
     file, out, locked = write_sequences(tmp_path / "campaign", 4), tmp_path / "run", tmp_path / "locked"
     compute(file, out, 2)
@@ -241,13 +242,13 @@ def test_read_only_folders_are_left_alone(tmp_path):
     folders = [locked, out, *(path for path in out.rglob("*") if path.is_dir())]
     for path in folders:
         path.chmod(0o555)
-    new, on, report = ("run", file, "--out", locked / "run"), ("run", file, "--out", out), ("report", out)
-    commands = json.dumps([[*map(str, words)] for words in (new, on, report)])
-    done = started_by(AS_A_USER, "-c", IN_TURN, commands)
+    errors = []
+    with as_a_user():
+        for words in (("run", file, "--out", locked / "run"), ("run", file, "--out", out), ("report", out)):
+            assert main([*map(str, words)]) == 2
+            errors.append(the_one_line(capsys))
     for path in folders:
         path.chmod(0o755)
-    errors = done.stderr.split("\f")[:3]
-    assert [(error.count("\n"), error[-2:]) for error in errors] == [(1, "\n2")] * 3, errors
     assert str(locked / "run") in errors[0]
     assert "--out" in errors[0]
     assert not list(locked.iterdir())
@@ -273,16 +274,18 @@ def test_a_file_in_the_place_of_a_table(tiny_run, tmp_path, capsys, name):
             assert after[path] == content, path
 
 
-def with_file_size_limit(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line where no file may grow beyond a size: like a full disk, a write fails in its middle.
+@contextmanager
+def file_size_limit(limit: int) -> Iterator[None]:
+    """Let no file of this process and of workers that it starts grow beyond a size: like on a full disk, writing fails.
 
-    The limit is inherited by the workers.
+    Python ignores the signal.
     """
-    preparation = (
-        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
-    )
-    return started_by(preparation, "-m", "boresight", *arguments)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize(
@@ -295,16 +298,15 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
     ],
     ids=["product", "table", "image in a worker", "report"],
 )
-def test_a_full_disk(tiny_run, tmp_path, limit, jobs, options, stopped_at):
+def test_a_full_disk(tiny_run, tmp_path, monkeypatch, capsys, limit, jobs, options, stopped_at):
     out = tmp_path / "run"
     if stopped_at.endswith("parquet"):
         compute(tiny_run.file, out, 10)
     before = files(out)
-    done = with_file_size_limit(limit, "run", tiny_run.file, "--jobs", jobs, "--out", out, *options)
-    assert done.returncode == 2
-    assert done.stderr.startswith("boresight: ")
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert stopped_at in done.stderr
+    monkeypatch.setattr(workers, "_idle_workers", functools.cache(workers._IdleWorkers))  # with the limit from birth
+    with file_size_limit(limit):
+        assert run(tiny_run.file, out, "--jobs", jobs, *options) == 2
+    assert stopped_at in the_one_line(capsys)
     after = files(out)
     assert {path: after[path] for path in before if path != "manifest.json"} == {
         path: content for path, content in before.items() if path != "manifest.json"
@@ -336,9 +338,10 @@ def test_a_reader_that_stops_reading_is_no_fault():
 
 def test_a_fault_of_the_user_shows_no_traceback_in_a_process_of_its_own(tmp_path):
     file = write_campaign(tmp_path, scene=SCENE.replace("fov_deg", "fov_dge"))
-    done = boresight("run", file, "--out", tmp_path / "run")
+    done = boresight("show", file)
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
     assert "Traceback" not in done.stderr
+    assert run(file, tmp_path / "run") == 2
     assert not (tmp_path / "run").exists()

@@ -63,7 +63,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     )
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(scope="module", params=NAMES)
 def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
     return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.assets)
 

@@ -1,8 +1,7 @@
-"""What trials of a scenario show to an estimator, the truth that they are scored against and what is lent, hashed."""
+"""What trials of a scenario show to an estimator, the truth that they are scored against and what is lent, as bytes."""
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -31,8 +30,11 @@ from boresight.scenarios.orbits.imaging import imaging_of
 from boresight.scenarios.sequences import draw_sequence
 
 
-def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
-    """Hash what some trials show to an estimator, the truth that they are scored against and what is lent."""
+def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> Iterator[bytes]:
+    """Yield what some trials show to an estimator, the truth that they are scored against and what is lent.
+
+    Each part is made when it is asked for: of two scenarios that differ, the first difference is enough.
+    """
     scenario = load_scenario(str(file), overrides)
     spec, variant = scenario.spec, choose_variant().name
     if spec.sequence is not None:
@@ -44,8 +46,9 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     elif spec.orbit.imaging is not None:
         shown = _navigation(scenario, variant)
     else:
-        shown = draw_orbit(open_orbit_world(scenario, 3), 3, 0)
-    return hashlib.sha256(b"|".join(_parts(shown))).hexdigest()
+        shown = iter([draw_orbit(open_orbit_world(scenario, 3), 3, 0)])
+    for part in shown:
+        yield from _parts(part)
 
 
 def _parts(value: object) -> Iterator[bytes]:
@@ -65,54 +68,54 @@ def _parts(value: object) -> Iterator[bytes]:
                 yield from _parts(getattr(value, field.name))
 
 
-def _images(scenario: LoadedScenario, variant: str, products: Path) -> object:
+def _images(scenario: LoadedScenario, variant: str, products: Path) -> Iterator[object]:
     """Three images, and what estimators borrow: the camera, the shape, and an image of it in the believed BRDF."""
-    assets, world = BuiltAssets(scenario, products, None, variant), open_world(scenario, variant)
+    assets = BuiltAssets(scenario, products, None, variant)
     shape = assets.shape()
-    view = View(assets.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
-    found: list[object] = [assets.camera, shape.vertices_m, assets.mesh_renderer(shape).render(view)]
+    yield assets.camera, shape.vertices_m
+    world = open_world(scenario, variant)
     if world.ground is not None:
-        found.append(world.ground.rims.crest_m)
+        yield world.ground.rims.crest_m
     for trial in range(3):
         try:
             image = world.source.trial_image(3, trial)
             observation = observe(world, image, 3, trial)
-            found += [
-                image.image,
-                image.view.T_cam_body,
-                image.further,
-                observation,
-                observation.frame.prior_covariance,
-            ]
+            covariance = observation.frame.prior_covariance
+            yield image.image, image.view.T_cam_body, image.further, observation, covariance
         except BoresightError as error:
-            found.append(str(error))
-    return found
+            yield str(error)
+    view = View(assets.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
+    yield assets.mesh_renderer(shape).render(view)
 
 
-def _navigation(scenario: LoadedScenario, variant: str) -> object:
+def _navigation(scenario: LoadedScenario, variant: str) -> Iterator[object]:
     world = open_orbit_world(scenario, 3)
     with tempfile.TemporaryDirectory() as folder:
         stages = StageFiles(Path(folder))
         taken = NavigationTrial.take(world, open_sights(scenario, imaging_of(world), variant), 3, 0, stages)
-        searched = taken.search(CraterNavigation.from_options({}), taken.task, stages)
-    return taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m, taken.views, list(searched)
+        yield taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m, taken.views
+        yield from taken.search(CraterNavigation.from_options({}), taken.task, stages)
 
 
-def _sequences(scenario: LoadedScenario, variant: str) -> object:
+def _sequences(scenario: LoadedScenario, variant: str) -> Iterator[object]:
     spec, ground = scenario.spec, ground_of(scenario)
     if spec.sequence.images is None:
-        drawn = [draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial) for trial in range(2)]
-        return [(truth.points_m, truth.poses, sequence) for truth, sequence in drawn]
+        for trial in range(2):
+            truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
+            yield truth.points_m, truth.poses, sequence
+        return
     tracks = ImageTracks(spec.sequence, ground, OrbitImages.open(scenario, variant, 3))
-    watches = [tracks.watch(3, trial) for trial in range(2)]
-    for watch in watches:
+    for trial in range(2):
+        watch = tracks.watch(3, trial)
         sequence_estimator_class("ba-slam").from_options({"connectivity": 2}).follow(watch.sequence)
-    seen = [watch.seen() for watch in watches]
-    return [(one.truth.points_m, one.sequence, one.sequence.frames[0].sigma_px) for one in seen]
+        seen = watch.seen()
+        yield seen.truth.points_m, seen.sequence, seen.sequence.frames[0].sigma_px
 
 
-def _pairs(scenario: LoadedScenario, variant: str) -> object:
+def _pairs(scenario: LoadedScenario, variant: str) -> Iterator[object]:
     detector = BY_GEOMETRY if scenario.spec.crater_pairs.images is None else "crater-classic"
     source = open_pairs(scenario, scenario.spec.crater_pairs, variant, [detector])
-    pairs = [source.looks(3, trial).seen_by(detector) for trial in range(2)]
-    return [(one.detections, one.frame, one.view.T_cam_body) for pair in pairs for one in (pair.first, pair.second)]
+    for trial in range(2):
+        pair = source.looks(3, trial).seen_by(detector)
+        for one in (pair.first, pair.second):
+            yield one.detections, one.frame, one.view.T_cam_body
