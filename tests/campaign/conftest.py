@@ -21,10 +21,17 @@ class TinyRun:
     folder: Path
 
 
+EMPTY = {
+    **dict.fromkeys(("test_paper", "test_sensitivity_command"), ()),
+    **dict.fromkeys(("test_manual", "test_run_folder", "test_pose_convergence", "test_printed"), ("png", "pdf")),
+}
+"""Kinds of figures that a module leaves empty, if not PDF alone: none where sizes are read, both where names are."""
+
+
 @pytest.fixture(scope="module", autouse=True)
 def quick_figures(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Leave the PDF of each figure empty, but where its size is read: it is drawn as PNG too."""
-    with undrawn(*(() if request.module.__name__ in ("test_paper", "test_sensitivity_command") else ("pdf",))):
+    """Leave the PDF of each figure empty: it is drawn as PNG too."""
+    with undrawn(*EMPTY.get(request.module.__name__, ("pdf",))):
         yield
 
 

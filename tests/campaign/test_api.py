@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from tiny_campaign import TRIALS, write_campaign
 from tiny_campaign import run as run_command
-from tiny_campaign import write_campaign
+from tiny_sequences import write_sequences
 
 import boresight
 from boresight.campaign.runs.resolve import resolve
@@ -32,7 +33,7 @@ class Heard:
 
 
 def test_the_rows_are_those_of_the_command_and_a_run_goes_on(tmp_path):
-    file = write_campaign(tmp_path)
+    file = write_sequences(tmp_path, 20)
     assert run_command(file, tmp_path / "command", "--trials", 20) == 0
     heard = Heard()
     first = boresight.run(file, trials=10, jobs=1, out=tmp_path / "python")
@@ -45,19 +46,19 @@ def test_the_rows_are_those_of_the_command_and_a_run_goes_on(tmp_path):
 
 
 def test_a_run_of_fewer_trials_than_are_stored_returns_as_many_as_asked_for(tmp_path):
-    file = write_campaign(tmp_path)
+    file = write_sequences(tmp_path, 20)
     boresight.run(file, trials=20, jobs=1, out=tmp_path / "run")
     again = boresight.run(file, trials=10, jobs=1, out=tmp_path / "run")
     assert set(again["trial"]) == set(range(10))
 
 
-def test_statistics_are_those_of_the_rows(tmp_path):
-    rows = boresight.run(write_campaign(tmp_path), trials=10, jobs=1, out=tmp_path / "run")
-    table = boresight.summary(tmp_path / "run")
+def test_statistics_are_those_of_the_rows(tiny_run):
+    rows = boresight.read_run(tiny_run.folder).rows
+    table = boresight.summary(tiny_run.folder)
     ours = table.query("estimator == 'prior' and stage == 'final' or estimator == 'prior' and stage == 'prior'")
     median = ours.query("measure == 'position_error_m' and statistic == 'median'")["value"].iloc[0]
     assert median == pytest.approx(rows.query("estimator == 'prior'")["position_error_m"].median())
-    assert len(boresight.read_run(rows.attrs["folder"]).rows) == len(rows)
+    assert len(rows) == 2 * TRIALS
 
 
 @pytest.mark.parametrize(
@@ -95,17 +96,16 @@ def test_importing_it_loads_nothing():
     assert done.stdout == "[]\n"
 
 
-def test_a_trial_is_that_of_a_campaign(tmp_path):
-    file = write_campaign(tmp_path)
-    rows = boresight.run(file, trials=3, jobs=1, out=tmp_path / "run")
-    spec = boresight.load(file)
+def test_a_trial_is_that_of_a_campaign(tiny_run):
+    rows = boresight.read_run(tiny_run.folder).rows
+    spec = boresight.load(tiny_run.file)
     entry = next(one for one in spec.loaded.spec.estimators if one.name != "prior")
     scenario, seed = spec.scenarios[0], spec.loaded.spec.seed
     alone = boresight.trial(scenario.path, entry.name, 2, seed=seed, options=entry.options)
     stored = rows.query("trial == 2 and estimator == @entry.label").iloc[0]
     assert alone.row["status"] == stored["status"] == "ok"
     assert alone.row["position_error_m"] == stored["position_error_m"], "bit for bit"
-    again = boresight.inspect(tmp_path / "run", scenario.spec.name, entry.label, 2)
+    again = boresight.inspect(tiny_run.folder, scenario.spec.name, entry.label, 2)
     assert again.row == alone.row
     np.testing.assert_array_equal(alone.image, boresight.render(scenario.path, 2, seed=seed).image)
     assert isinstance(alone.truth, boresight.View)
@@ -148,11 +148,7 @@ def _with_own(folder, step_m):
     folder.mkdir(exist_ok=True)
     (folder / "beside.py").write_text(f"STEP_M = {step_m}\n")
     (folder / "mine.py").write_text(ESTIMATOR.replace("STEP_M\n\nfrom", f"STEP_M  # {step_m}\n\nfrom", 1))
-    file = write_campaign(folder)
-    text = file.read_text()
-    assert "- prior\n" in text
-    file.write_text(text.replace("- prior\n", "- prior\n  - mine.py:Ahead\n", 1))
-    return file
+    return write_campaign(folder, "scenarios: [scene]\nestimators: [prior, mine.py:Ahead]\ntrials: 2\nseed: 5\n")
 
 
 def test_an_estimator_of_a_file_needs_no_package(tmp_path, monkeypatch):

@@ -2,10 +2,12 @@
 
 import json
 import os
+from contextlib import chdir, redirect_stdout
+from io import StringIO
 
 import numpy as np
 import pytest
-from tiny_campaign import boresight, write_campaign
+from tiny_campaign import write_campaign
 
 from boresight.campaign.cli import main
 from boresight.campaign.runs.benchmark import WHOLE_TRIAL
@@ -17,10 +19,10 @@ def times(cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     before = kept_images()
     file = write_campaign(folder)
-    done = boresight("bench", file, "--blocks", 2, "--json", folder / "times.json", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    with chdir(folder), redirect_stdout(StringIO()) as said:
+        assert main(["bench", str(file), "--blocks", "2", "--json", str(folder / "times.json")]) == 0
     assert kept_images() == before, "other trials' images are not to make room for a benchmark's"
-    return file, folder / "times.json", done.stdout
+    return file, folder / "times.json", said.getvalue()
 
 
 def kept_images():

@@ -21,6 +21,7 @@ import pytest
 from rich.console import Console
 from ruamel.yaml import YAML
 from tiny_campaign import SCENE, SMALL, compute, write_campaign
+from undrawn import undrawn
 
 from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
@@ -367,7 +368,8 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
 
 def test_the_report_shows_the_worst_trials_and_how_to_see_all_of_them(tiny_run, tmp_path, capsys):
     shutil.copytree(tiny_run.folder, tmp_path / "run", ignore=shutil.ignore_patterns("report"))
-    said(capsys, "report", str(tmp_path / "run"), "--worst", "2")
+    with undrawn("png", "pdf"):
+        said(capsys, "report", str(tmp_path / "run"), "--worst", "2")
     names = {path.name for path in (tmp_path / "run" / "report").glob("worst_*.png")}
     assert names == {"worst_1.png", "worst_2.png"}
     rows = pd.read_parquet(tmp_path / "run" / "rows")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 import pytest
-from tiny_campaign import run, write_campaign
+from tiny_campaign import run
+from tiny_sequences import write_sequences
 
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.requirements import Need, Rate, needs, rate_of, remember
@@ -35,7 +36,7 @@ def test_the_last_run_counts_and_one_trial_tells_nothing():
 
 
 def test_a_run_leaves_its_rate_but_not_one_of_a_changed_world_or_of_nothing_new(tmp_path):
-    file, out = write_campaign(tmp_path), tmp_path / "run"
+    file, out = write_sequences(tmp_path, 10), tmp_path / "run"
     name = load_campaign(str(file), CATALOG).spec.name
     assert run(file, tmp_path / "changed", "--trials", 10, "--set", "camera.fov_deg=12") == 0
     assert rate_of(name) is None

@@ -15,6 +15,7 @@ from browser import needs_chromium, opened
 from scipy.spatial.transform import Rotation
 from stored_runs import RunBuilder, seal
 from tiny_campaign import CAMPAIGN, compute, write_campaign
+from undrawn import undrawn
 
 from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Case, Choice, worst_cases
@@ -41,7 +42,8 @@ def refused(capsys, *arguments):
 
 
 def test_the_worst_trial_comes_out_the_same_and_is_kept_whole(copied, capsys):
-    assert main(["inspect", str(copied), "--worst", "1", "--pdf"]) == 0
+    with undrawn("png", "pdf"):
+        assert main(["inspect", str(copied), "--worst", "1", "--pdf"]) == 0
     said = capsys.readouterr().out
     assert "the same as stored, bit for bit" in said
     rows = pd.read_parquet(copied / "rows")
@@ -59,7 +61,8 @@ def test_the_worst_trial_comes_out_the_same_and_is_kept_whole(copied, capsys):
 def test_what_is_kept_is_what_the_estimator_saw_and_said(copied):
     rows = pd.read_parquet(copied / "rows")
     trial = int(rows[(rows["estimator"] == "landmark-harris") & (rows["status"] == "ok")]["trial"].iloc[0])
-    assert main(["inspect", str(copied), "--trial", str(trial), "--estimator", "landmark-harris"]) == 0
+    with undrawn("png"):
+        assert main(["inspect", str(copied), "--trial", str(trial), "--estimator", "landmark-harris"]) == 0
     folder = copied / "inspect" / f"scene_landmark-harris_{trial:07d}"
     campaign = reopened(RunFolder(copied))
     again = recompute(campaign, RunFolder(copied), Case("scene", "landmark-harris", trial))

@@ -62,7 +62,7 @@ def test_the_examples_of_the_page_run(
     file.write_text(f"{text}set: {json.dumps(smaller)}\n")
     monkeypatch.chdir(examples)
     monkeypatch.setenv("COLUMNS", "200")
-    assert main(["run", file.name, "--trials", "8", "--jobs", "1", "--out", "short", "--no-report"]) == 0
+    assert main(["run", file.name, "--trials", "5", "--jobs", "1", "--out", "short", "--no-report"]) == 0
     rows = pd.read_parquet(examples / "short" / "rows")
     assert set(rows["estimator"]) == {"prior", "landmark-harris", "lmaps", "Correlate"}
     assert (rows.query("estimator != 'landmark-harris'")["status"] == "ok").all()

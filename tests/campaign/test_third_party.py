@@ -295,7 +295,7 @@ def test_a_method_that_changes_the_directory_moves_no_file(tmp_path, monkeypatch
     assert list((here / "cache" / "images").glob("*")), "nor what is written to a cache in a relative folder"
 
 
-@pytest.mark.parametrize("read_noise_e", [0, 60])
+@pytest.mark.parametrize("read_noise_e", [pytest.param(0, marks=pytest.mark.long), 60])
 def test_black_images_are_failures_with_a_reason_and_no_errors(tmp_path, read_noise_e):
     scene = SCENE + f"detector: {{exposure_s: 1.0e-9, read_noise_e: {read_noise_e}}}\n"
     file, out = write_campaign(tmp_path, scene=scene), tmp_path / "run"

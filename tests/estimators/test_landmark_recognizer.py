@@ -18,7 +18,7 @@ from boresight.scenarios.observation import Frame, Observation
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 DATABASE = {
-    "images": 80,
+    "images": 60,
     "min_observations": 6,
     "clusters": {"seed_radius_m": 4.0},
     "corners": {"count": 100},
