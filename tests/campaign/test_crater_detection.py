@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from terminal_text import terminal_lines
 from tiny_campaign import Heard, run
+from undrawn import undrawn
 
 from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Choice
@@ -271,7 +272,8 @@ def test_same_seed_same_rows(folder: Path, done: Path) -> None:
 def test_worlds_of_craters_are_the_unit_where_there_are_several(folder: Path, done: Path) -> None:
     """Trials 0 and 2 are of the first world, the one of a campaign with a single world, and the others of another."""
     (folder / "worlds.yaml").write_text(CAMPAIGN + "databases: 2\n")
-    assert run(folder / "worlds.yaml", folder / "worlds", "--worst", 0) == 3
+    with undrawn("png", "pdf"):
+        assert run(folder / "worlds.yaml", folder / "worlds", "--worst", 0) == 3
     several, one = (RunFolder(path).table("craters").set_index("trial") for path in (folder / "worlds", done))
     pd.testing.assert_frame_equal(several.loc[[0, 2]], one.loc[[0, 2]])
     assert not several.loc[[1, 3]].reset_index().equals(one.loc[[1, 3]].reset_index())

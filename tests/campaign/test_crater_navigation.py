@@ -102,7 +102,7 @@ def test_an_interrupted_chain_goes_on_and_comes_to_the_same(done):
 
 
 def test_images_without_a_crater_and_with_one_do_not_stop_it(tmp_path):
-    records = _trials(tmp_path, _world(imaging={"epochs": 14}), sights=_Lost).run(range(1))
+    records = _trials(tmp_path, _world(imaging={"epochs": 10}), sights=_Lost).run(range(1))
     assert [line["n_detections"] for line in records["navigated_images"]][2:4] == [0, 1]
     assert records["rows"][0]["status"] == "ok"
 
@@ -162,7 +162,7 @@ class _DoubtsOnce(CraterNavigation):
 
 
 def test_a_rejected_orbit_begins_again_with_images_placed_by_it(tmp_path):
-    navigator, world = _DoubtsOnce(NavigationOptions(matcher="vote")), _world(imaging={"epochs": 14})
+    navigator, world = _DoubtsOnce(NavigationOptions(matcher="vote")), _world(imaging={"epochs": 10})
     trials = _trials(tmp_path, world, {"vote": navigator})
     records = trials.run(range(1))
     (row,), (chain,) = records["rows"], records["navigation"]

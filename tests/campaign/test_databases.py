@@ -37,7 +37,7 @@ SCENE_ERRED = "onboard: {height_error: {rms_m: 1, min_wavelength_m: 20, seed: 5}
 def several(cache, tmp_path_factory):
     """A run with three data bases, and the same with one."""
     folder = tmp_path_factory.mktemp("databases")
-    text = SMALL.replace("trials:", "  - lmaps: {maplets: {spacing_m: 24, side: 15}}\ntrials:")
+    text = SMALL.replace("trials:", "  - lmaps: {maplets: {spacing_m: 40, side: 15}}\ntrials:")
     files = {
         1: write_campaign(folder / "one", text),
         DATABASES: write_campaign(folder / "several", text + f"databases: {DATABASES}\n"),

@@ -30,6 +30,7 @@ from boresight.scenarios.onboard import onboard_spec
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)
+SMALL_DATABASE = {**DATABASE, "images": 20, "min_observations": 4}
 CAMERA_20 = {"width_px": 128, "height_px": 128, "fov_deg": 20.0}
 CONTENT = ("landmarks.csv", "facets.csv", "database.json")
 
@@ -140,7 +141,7 @@ def test_a_data_base_does_not_depend_on_workers_or_cache(tmp_path, monkeypatch):
         # "kept" takes what "two" left in the cache; the others build.
         monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / ("cache-two" if name == "kept" else f"cache-{name}")))
         said: list[str] = []
-        database = scenario_assets(loaded, tmp_path / name, jobs, said).product(KIND, DATABASE)
+        database = scenario_assets(loaded, tmp_path / name, jobs, said).product(KIND, SMALL_DATABASE)
         assert isinstance(database, LandmarkDatabase)
         assert bool(said) == (name != "kept")
         (folder,) = (tmp_path / name).iterdir()
@@ -161,7 +162,7 @@ def test_a_data_base_is_made_with_one_blas_thread_and_leaves_the_threads_as_they
     monkeypatch.setattr(landmark_database, "database_from_candidates", watched)
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
     with threadpool_limits(2, user_api="blas"):
-        scenario_assets(scene(tmp_path), tmp_path / "run", jobs).product(KIND, DATABASE)
+        scenario_assets(scene(tmp_path), tmp_path / "run", jobs).product(KIND, SMALL_DATABASE)
         after = blas_threads()
         use_threads(1)
         at_trials = blas_threads()
@@ -222,7 +223,7 @@ def test_a_run_stands_alone_without_the_cache(tiny_run, tmp_path, monkeypatch):
     assert KIND not in {entry.kind for entry in default_cache().entries()}, "the data base was not built again"
 
 
-@pytest.mark.parametrize("place", ["/proc/boresight", "file"])
+@pytest.mark.parametrize("place", [pytest.param("/proc/boresight", marks=pytest.mark.long), "file"])
 def test_a_cache_that_cannot_be_written_does_not_break_a_run(tiny_run, tmp_path, monkeypatch, caplog, place):
     (tmp_path / "file").write_text("mine")
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / place))

@@ -176,7 +176,7 @@ def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(e
         raise error
 
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
-    file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 15, side: 15}}"), tmp_path / "run"
+    file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 40, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr("boresight.campaign.products.maplets.build_maplets", fall)
         assert run(file, out) == 3
@@ -184,7 +184,7 @@ def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(e
     (reason,) = set(rows.loc["lmaps", "reason"])
     why = "on the way" if isinstance(error, BoresightError) else f"{type(error).__name__}: on the way"
     assert f"the maplets of scene cannot be made: {why}; its options are {{" in reason
-    assert '"spacing_m":15.0' in reason
+    assert '"spacing_m":40.0' in reason
     traces = pd.read_parquet(out / "tracebacks")["traceback"]
     assert traces.str.contains(r"in fall\n *raise error").all()
     before = files(out, *RESULTS)
@@ -198,7 +198,7 @@ def test_a_full_disk_ends_the_run_so_that_the_same_command_can_go_on(cache, tmp_
         raise OSError(28, "No space left on device")
 
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
-    file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 15, side: 15}}"), tmp_path / "run"
+    file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 40, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr("boresight.campaign.products.maplets.build_maplets", fall)
         assert run(file, out) == 2
