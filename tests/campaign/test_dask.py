@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("distributed", reason="distributed (the extra dask) is not installed")
 
 from tiny_campaign import RESULTS, compute, files, run, started, wait_for_blocks, write_campaign
+from tiny_sequences import write_sequences
 
 from boresight.campaign.runs.dask import asset_file, bundle_of, opened
 from boresight.campaign.runs.resolve import resolve
@@ -22,6 +23,7 @@ from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 
 LONG = 60
+MANY = 200  # quick ones, of sequences
 
 
 class ClusterProcesses:
@@ -64,9 +66,9 @@ def cluster(tmp_path_factory):
 
 
 @contextmanager
-def under_way(file, out, cluster, blocks):
+def under_way(file, out, cluster, blocks, trials=LONG):
     """Start a run on a cluster and wait for its first blocks."""
-    words = ("--trials", LONG, "--backend", "dask", "--scheduler", cluster.address, "--out", out)
+    words = ("--trials", trials, "--backend", "dask", "--scheduler", cluster.address, "--out", out)
     with started("run", file, *words) as process:
         wait_for_blocks(process, out, blocks)
         yield process
@@ -99,13 +101,13 @@ def test_a_worker_that_is_killed_and_one_that_comes_late_change_nothing(cluster,
 
 def test_a_run_goes_on_where_a_cluster_of_one_worker_left_it(cluster, tmp_path):
     cluster.add_worker()
-    file = write_campaign(tmp_path)
-    compute(file, tmp_path / "here", LONG)
-    with under_way(file, tmp_path / "there", cluster, 1) as process:
+    file = write_sequences(tmp_path, MANY)
+    compute(file, tmp_path / "here", MANY)
+    with under_way(file, tmp_path / "there", cluster, 1, MANY) as process:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=60)
         assert process.returncode == 130
-    compute(file, tmp_path / "there", LONG)
+    compute(file, tmp_path / "there", MANY)
     assert files(tmp_path / "there", *RESULTS) == files(tmp_path / "here", *RESULTS)
 
 

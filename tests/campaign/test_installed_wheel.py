@@ -89,7 +89,8 @@ def test_the_command_lists_the_catalogue_elsewhere(environment, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_campaign_runs_elsewhere_with_the_same_rows(environment, tiny_run, tmp_path, jobs):
     file = write_campaign(tmp_path / "mine")
     cache = str(tmp_path / "cache")

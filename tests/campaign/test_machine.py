@@ -71,9 +71,8 @@ def test_a_case_is_recomputed_with_the_threads_of_its_run(tiny_run):
 # --- Each worker renders on a GPU of its own, told by the driver's own variable --------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("chosen", "expected"), [("0,3", {"0", "3"}), pytest.param("2", {"2"}, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("chosen", "expected"), [("0,3", {"0", "3"}), ("2", {"2"})])
 def test_workers_share_the_gpus_out(monkeypatch, chosen, expected):
     rested = parallel._IdleWorkers()
     monkeypatch.setattr(parallel, "_idle_workers", lambda: rested)

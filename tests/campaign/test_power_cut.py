@@ -35,7 +35,6 @@ from boresight.campaign.store.folder import BlockState, blocks
 from boresight.scenarios import atomic
 
 CUT_TRIALS, KILL_TRIALS = 20, 60
-MANY = pytest.param(50, marks=pytest.mark.long)
 
 
 class Disk:
@@ -93,7 +92,7 @@ class Told(Heard):
         self.blocks.append(len(self.disk.told))
 
 
-@pytest.mark.parametrize("instants", [5, MANY])
+@pytest.mark.parametrize("instants", [5, pytest.param(50, marks=pytest.mark.long)])
 def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkeypatch, instants):
     campaign = resolve(str(write_sequences(tmp_path, CUT_TRIALS)))
     (tmp_path / "runs").mkdir()
@@ -172,8 +171,9 @@ def serving(file: Path):
         process.stdin.close()
 
 
-@pytest.mark.parametrize("instants", [3, MANY])
-def test_kills_at_random_instants_change_nothing(tmp_path, instants):
+@pytest.mark.long
+def test_kills_at_random_instants_change_nothing(tmp_path):
+    instants = 50
     file, out, whole = write_sequences(tmp_path, KILL_TRIALS), tmp_path / "run", tmp_path / "whole"
     every = list(blocks(["orbit"], KILL_TRIALS, KIND.block_trials))
     rng = np.random.default_rng(20150709)

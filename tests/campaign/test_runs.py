@@ -183,7 +183,12 @@ def test_a_damaged_block_is_told_refused_by_readers_and_run_again(tiny_run, tmp_
 
 
 @pytest.mark.parametrize(
-    "change", [("--seed", "6"), ("--set", "lighting.phase_deg.uniform=[0, 20]"), ("--variant", "scalar_rgb")]
+    "change",
+    [
+        ("--seed", "6"),
+        ("--set", "lighting.phase_deg.uniform=[0, 20]"),
+        pytest.param(("--variant", "scalar_rgb"), marks=pytest.mark.long),
+    ],
 )
 def test_another_request_is_another_run(tiny_run, tmp_path, monkeypatch, change):
     if change[0] == "--variant" and choose_variant().name == change[1]:

@@ -162,6 +162,7 @@ def unlucky_block(folder, block, _bench, _lost):
     return [guarded(Call(block.scenario, trial, "mine"), os.getpid) for trial in range(block.first, block.last)]
 
 
+@pytest.mark.long
 def test_a_method_is_not_to_blame_for_a_process_that_ends_before_it(tmp_path):
     told, folder = [], tmp_path / "tries"
     folder.mkdir()
