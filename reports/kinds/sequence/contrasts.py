@@ -52,10 +52,10 @@ class _PairedErrors:
         # Not by pandas' merge, which takes 10 ms for a few rows: a run has hundreds of pairs.
         theirs = dict(zip(zip(*(other[name] for name in on), strict=True), other[error], strict=True))
         keys = list(zip(*(one[name] for name in on), strict=True))
-        both = one[[key in theirs for key in keys]]
+        both = one.take([row for row, key in enumerate(keys) if key in theirs])
         errors = np.column_stack([both[error], [theirs[key] for key in keys if key in theirs]]).astype(np.float64)
         known = np.isfinite(errors).all(axis=1)
-        return cls(errors[known], clusters_of(run, both[known]), len(both))
+        return cls(errors[known], clusters_of(run, both.take(np.flatnonzero(known))), len(both))
 
     def measured(self, of_means: Callable[[FloatArray], FloatArray]) -> Measured:
         """Evaluate ``of_means`` of the two mean errors (..., 2)."""
@@ -76,7 +76,7 @@ def _each_pair(
     pooled = pooled_scenarios(run)
     for name, members in groups(run):
         own = table[table["scenario"].isin(members if name not in pooled else ())]
-        rows = {label: part[[*_ON, *errors.values()]] for label, part in own.groupby("estimator")}
+        rows = {str(label): part[[*_ON, *errors.values()]] for label, part in own.groupby("estimator")}
         for one, other in permutations(rows, 2):
             for ratio, error in errors.items():
                 both = _PairedErrors.of(run, rows[one], rows[other], error, _ON)
