@@ -14,7 +14,7 @@ from boresight.scenarios.geometry.camera import Camera, pixel_from_opencv, pixel
 from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
 from boresight.scenarios.geometry.lens import OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.mesh import TriangleMesh
-from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
+from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, orbit_axes, plane_axes
 from boresight.scenarios.geometry.view import SurfaceHits, View
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "View",
     "cross_matrix",
     "look_at",
+    "orbit_axes",
     "pixel_from_opencv",
     "pixel_to_opencv",
     "plane_axes",

@@ -32,6 +32,19 @@ def plane_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, np.cross(normals, first)
 
 
+def orbit_axes(normal: FloatArray) -> FloatArray:
+    """(3, 3) rows: the direction of zero anomaly, the one 90 deg on, and the normal of an orbit, of any length.
+
+    Zero anomaly is the orbit's point nearest to the x axis, or to the y axis if the normal is along x.
+    """
+    normal = normal / np.linalg.norm(normal)
+    # Within 0.08 deg of x its projection on the orbit's plane has no digits.
+    along = np.eye(3)[0] if abs(normal[0]) < 0.999999 else np.eye(3)[1]
+    first = along - (along @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
 class FrameMismatchError(BoresightError):
     """Raised when transforms with different inner frames are chained."""
 

@@ -1,9 +1,7 @@
-"""Trajectory of the camera about the body, read from a table of states."""
+"""Trajectories of the camera about the body: states from a table, from SPICE kernels or of a made-up flight."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -14,12 +12,13 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import BodyKernelsSpec
 from boresight.scenarios.spec.distribution import Row3
-from boresight.scenarios.spec.tables import Table, columns_of, read_table
+from boresight.scenarios.spec.flights import MOST_STATES, DescentSpec, FlybySpec, HoverSpec
+from boresight.scenarios.spec.tables import REF_FRAME, Table, columns_of, read_table
 
-MOST_STATES = 20_000
 _DAY_S = 86400.0
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _SUN = ("sun_x", "sun_y", "sun_z")
+_INERTIAL = frozenset({"ECLIPJ2000", "EME2000", "GCRF", "ICRF", "J2000", "MCI", "TEME", "TOD"})
 _UNITS = {"m": 1.0, "km": 1000.0}
 _VELOCITY = tuple(f"v{axis}_{unit}_s" for axis in "xyz" for unit in _UNITS)
 
@@ -44,7 +43,7 @@ class RotationSpec(SpecModel):
 
 
 class StatesSpec(SpecModel):
-    """States of the camera in body axes, one for each epoch, as `TrajectorySpec` reads them."""
+    """States of the camera in body axes, one for each epoch, as `FlownSpec` reads them."""
 
     time_s: tuple[float, ...] = Field(min_length=1, max_length=MOST_STATES, description="Epochs")
     position_m: tuple[Row3, ...] = Field(description="Camera from the body's origin")
@@ -91,33 +90,27 @@ class SpiceTrajectorySpec(BodyKernelsSpec):
     step_s: float = Field(ge=1e-3, description="Time from state to state")
 
 
-class TrajectorySpec(SpecModel):
-    """States of the camera from a table (CSV or Parquet) or from SPICE kernels, one view each.
+class FlownSpec(SpecModel):
+    """States of the camera from one source, read once, in body axes."""
 
-    A table has the columns ``time_s`` and ``x_m``, ``y_m``, ``z_m``, the camera from the body's origin. It may have
-    ``vx_m_s``, ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the rotation from the
-    table's axes to those of the camera (x right, y down, z along the boresight); and ``sun_x``, ``sun_y``, ``sun_z``,
-    the direction to the Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``). Without an attitude
-    the boresight is on the body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
-    """
-
-    alternatives: ClassVar = (("table", "spice"),)
-    prose: ClassVar = frozenset({"table", "rotation", "spice"})
+    alternatives: ClassVar = (("table", "spice", "flyby", "hover", "descent"),)
 
     table: str | None = Field(
-        None, min_length=1, description="CSV or Parquet file of states, in increasing order of time"
+        None, min_length=1, description="CSV, Parquet or OEM file of states, in increasing order of time"
     )
     spice: SpiceTrajectorySpec | None = Field(
         None, exclude_if=is_none, description="States from SPICE kernels, instead of table"
     )
-    rotation: RotationSpec | None = Field(
-        None, description="Rotation of the body, for a table in inertial axes; left out: the table is in body axes"
+    flyby: FlybySpec | None = Field(None, exclude_if=is_none, description="A hyperbola, instead of table")
+    hover: HoverSpec | None = Field(None, exclude_if=is_none, description="A point that is kept, instead of table")
+    descent: DescentSpec | None = Field(
+        None, exclude_if=is_none, description="A straight way down at a constant rate, instead of table"
     )
-    order: Literal["in-turn", "random"] = Field(
-        "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
+    rotation: RotationSpec | None = Field(
+        None, description="Rotation of the body, for states in inertial axes; left out: states are in body axes"
     )
     read_states: StatesSpec | None = Field(
-        None, exclude_if=is_none, description="Filled in from table or kernels; not written by hand"
+        None, exclude_if=is_none, description="Filled in from table, kernels or flight; not written by hand"
     )
 
     @model_validator(mode="after")
@@ -131,15 +124,17 @@ class TrajectorySpec(SpecModel):
         if self.read_states is not None:
             return self
         folders = (info.context or {}).get("folders", ())
+        source = self.table or next(key for key in type(self).alternatives[0] if getattr(self, key) is not None)
+        flight = self.flyby or self.hover or self.descent
         try:
-            if self.spice is None:
-                states = self._read_table(folders)
-            else:
+            if self.spice is not None:
                 from boresight.scenarios.spice.trajectory import spice_states  # spiceypy is not always installed
 
                 states = spice_states(self.spice, folders)
+            else:
+                states = self._states_of(read_table(str(self.table), folders) if flight is None else flight.states())
         except (BoresightError, ImportError, OSError, ValueError, TypeError) as error:
-            raise ValueError(f"{self.table or 'spice'} cannot be used: {error}") from None
+            raise ValueError(f"{source} cannot be used: {error}") from None
         return self.model_copy(update={"read_states": states})
 
     @property
@@ -149,9 +144,11 @@ class TrajectorySpec(SpecModel):
             raise ValueError("a trajectory is read when its scenario is")
         return self.read_states
 
-    def _read_table(self, folders: Sequence[Path]) -> StatesSpec:
-        """Read the table, searching ``folders`` and the data folder."""
-        table = read_table(str(self.table), folders)
+    def _states_of(self, table: Table) -> StatesSpec:
+        """Turn the columns of a table into states in body axes."""
+        inertial = _INERTIAL.intersection(map(str, table.get(REF_FRAME, ())))
+        if inertial and self.rotation is None:
+            raise ValueError(f"its states are in {min(inertial)}, inertial axes: give the body's rotation")
         times = columns_of(table, ("time_s",))[:, 0]
         if not 1 <= len(times) <= MOST_STATES:
             raise ValueError(f"{len(times)} states are not within [1, {MOST_STATES}]")
@@ -176,6 +173,24 @@ class TrajectorySpec(SpecModel):
             attitude=None if quaternions is None else rows_of(_from_body(quaternions, to_body)),
             sun_dir=None if sun is None else rows_of(_turned(to_body, _unit(sun, "the direction to the Sun"))),
         )
+
+
+class TrajectorySpec(FlownSpec):
+    """States of the camera, one view each: from a table, from SPICE kernels or of a made-up flight.
+
+    A table is CSV or Parquet with the columns ``time_s`` and ``x_m``, ``y_m``, ``z_m``, the camera from the body's
+    origin. It may have ``vx_m_s``, ``vy_m_s``, ``vz_m_s``, the inertial velocity; ``qw``, ``qx``, ``qy``, ``qz``, the
+    rotation from the table's axes to those of the camera (x right, y down, z along the boresight); and ``sun_x``,
+    ``sun_y``, ``sun_z``, the direction to the Sun. In place of metres there may be kilometres (``x_km``, ``vx_km_s``).
+    Or it is an Orbit Ephemeris Message of the CCSDS as text, ``.oem``. Without an attitude the boresight is on the
+    body's origin, or on ``targets``; without a Sun its direction is drawn by ``lighting``.
+    """
+
+    prose: ClassVar = frozenset({"table", "rotation", "spice", "flyby", "hover", "descent"})
+
+    order: Literal["in-turn", "random"] = Field(
+        "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
+    )
 
 
 def _metres(table: Table, prefix: str, suffix: str) -> FloatArray:

@@ -10,7 +10,8 @@ import numpy as np
 import spiceypy
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.spec.trajectory import MOST_STATES, SpiceTrajectorySpec, StatesSpec, rows_of
+from boresight.scenarios.spec.flights import MOST_STATES
+from boresight.scenarios.spec.trajectory import SpiceTrajectorySpec, StatesSpec, rows_of
 from boresight.scenarios.spice.geometry import M_PER_KM, SpiceNames, apparent_geometry
 from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
 

@@ -145,6 +145,11 @@ SPICE = (
     b"@2005", b"PATH_VALUES", b"KERNELS_TO_LOAD = ( '/etc/passwd' )", b"KPL/MK", b"'" + b"x" * 200,
     b"( " + b"1.0 " * 3000 + b")",
 )  # fmt: skip
+OEM = (
+    b"META_START", b"META_STOP", b"COVARIANCE_START", b"COMMENT", b"REF_FRAME = ICRF", b"TIME_SYSTEM = UTC",
+    b"2027-02-30T00:00:00", b"2027-366T00:00:00", b"0000-01-01T00:00:00", b"2027-01-01T23:59:60.5", b"T", b":", b"Z",
+    b"9999-12-31T23:59:59.999", b"1e400", b"nan",
+)  # fmt: skip
 COLUMNS = (
     b"int64", b"double", b"string", b"bool", b"binary", b"timestamp[s]", b"null", b"uint8", b"list<double>", b"date32",
     b"float", b"trial", b"scenario", b"status", b"ok", b"failed", b"error", b"large_string", b"image", b"reason",
@@ -238,12 +243,15 @@ def kernel(path: Path) -> object:
         return instrument.camera(instrument.constants())
 
 
-def states(name: str) -> Callable[[Path], object]:
-    """Read a table as the states of a trajectory, and its first column as ranges."""
+def states(name: str, ranges: str = "time_s") -> Callable[[Path], object]:
+    """Read a table as the states of a trajectory, and one of its columns as ranges."""
 
     def read(path: Path) -> object:
         scene = path.with_name("scene.yaml")
-        for viewpoint in (f"trajectory: {{table: {name}}}", f"range_m: {{choice: {{table: {name}, columns: time_s}}}}"):
+        for viewpoint in (
+            f"trajectory: {{table: {name}}}",
+            f"range_m: {{choice: {{table: {name}, columns: {ranges}}}}}",
+        ):
             scene.write_text(f"extends: quickstart\nviewpoint: {{{viewpoint}}}\n")
             digest(load_scenario(str(scene)).spec)
         return None
@@ -275,6 +283,7 @@ READERS = {
         in_file("poses.csv", lambda path: read_table(path, ("ref",))), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")
     ),
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
+    "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
     "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),
     **{f"landmarks-{name}": landmarks(name) for name in LANDMARKS},
     "maplets": Reader(in_file(MAPLETS, lambda path: MapletDatabase.load(path.parent), recipes.npz), ARRAYS),

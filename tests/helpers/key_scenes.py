@@ -82,6 +82,18 @@ SCENES = {
     "above": RENDERED.replace("range_m: 2000", "altitude_m: 1700"),
     "together": RENDERED.replace("range_m: 2000", "range_m: {choice: [1800, 2500]}, off_pointing_deg: {choice: [0, 2]}")
     + "correlated: {keys: [viewpoint.range_m, viewpoint.off_pointing_deg], correlation: [[1, 0.9], [0.9, 1]]}\n",
+    "passing": RENDERED.replace(
+        "range_m: 2000",
+        "trajectory: {flyby: {periapsis_m: 1500, v_infinity_m_s: 0.2, gm_m3_s2: 20, duration_s: 9000, step_s: 900}}",
+    ),
+    "hovering": RENDERED.replace(
+        "range_m: 2000",
+        "trajectory: {hover: {position_m: [1500, 900, 300], duration_s: 1500, step_s: 750, box_m: 80, drift_m_s: 0.1}}",
+    ),
+    "descending": RENDERED.replace(
+        "range_m: 2000",
+        "trajectory: {descent: {direction: [1, 0.5, 0.2], from_m: 2000, to_m: 1400, rate_m_s: 0.2, step_s: 1500}}",
+    ),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],
     "real": """
