@@ -21,6 +21,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.trajectory import StatesSpec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
@@ -188,7 +189,7 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
         _check_range(scenario, body.mesh, spec.viewpoint)
         if spec.viewpoint.states is not None:
             # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
-            _check_outside(scenario, body.mesh, np.array(spec.viewpoint.states.position_m))
+            check_outside(scenario, body.mesh, spec.viewpoint.states, "viewpoint")
     return body, onboard
 
 
@@ -329,8 +330,9 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: Viewpo
         )
 
 
-def _check_outside(scenario: LoadedScenario, mesh: TriangleMesh, positions_m: FloatArray) -> None:
-    """Refuse states (n, 3) of a trajectory that are inside the body; the lowest are looked at."""
+def check_outside(scenario: LoadedScenario, mesh: TriangleMesh, states: StatesSpec, key: str) -> None:
+    """Refuse states of a section's trajectory that are inside the body; the lowest are looked at."""
+    positions_m = np.array(states.position_m)
     volume = Polyhedron(mesh, mesh.volume_m3)
     reach_m = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
     ranges_m = np.linalg.norm(positions_m, axis=1)
@@ -339,6 +341,6 @@ def _check_outside(scenario: LoadedScenario, mesh: TriangleMesh, positions_m: Fl
         # The Laplacian of the potential is -4 pi inside, for this gravity parameter, and 0 outside.
         if volume.laplacian(positions_m[row]) < -2.0 * np.pi:
             raise BoresightError(
-                f"{scenario.path}: viewpoint: row {row} (from 0) of the trajectory is inside the body: check its units"
+                f"{scenario.path}: {key}: row {row} (from 0) of the trajectory is inside the body: check its units"
                 " and axes"
             )

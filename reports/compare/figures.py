@@ -41,6 +41,7 @@ _LABELS: Mapping[str, str] = {
     "n_landmarks": "landmarks used",
     "prior": "error of the prior",
     "anomaly_deg": "anomaly, deg",
+    "time_s": "time, s",
     "distance_m": "distance to the body, m",
     LATERAL: "across boresight, m",
     BORESIGHT: "along boresight, m",
@@ -240,7 +241,8 @@ def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
 
 def frames_by_condition(tables: Mapping[str, pd.DataFrame]) -> ConditionTables:
     """Choose errors and conditions of the frames of sequences; success is a property of whole sequences."""
-    return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
+    along = "anomaly_deg" if any(table["anomaly_deg"].notna().any() for table in tables.values()) else "time_s"
+    return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), (along, "distance_m", "n_landmarks"))
 
 
 def _condition_tables(

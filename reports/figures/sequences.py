@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,7 @@ from boresight.reports.figures.style import (
     scale_ordinate,
     styled,
 )
+from boresight.reports.figures.trajectory import ANOMALY, TIME
 from boresight.reports.statistics.measured import MEAN, measure
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
@@ -106,23 +107,32 @@ def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title
 
 @styled
 def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
-    """Draw the position error of every trial against the anomaly (Delpech et al. 2015, figures 3.1 and 5.1).
+    """Draw the position error of every trial along the frames (Delpech et al. 2015, figures 3.1 and 5.1).
 
     Parameters
     ----------
     epochs
-        Frames of one estimator: columns ``trial``, ``anomaly_deg`` and ``position_error_m``.
+        Frames of one estimator: columns ``trial``, ``anomaly_deg``, ``time_s`` where that has none, and
+        ``position_error_m``.
     """
+    along, label = _abscissa([epochs])
     figure, (axes,) = new_figure(1, width_in=5.4)
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
         colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
-        axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
+        axes.plot(own[along], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
     mark_revolutions(axes, epochs["anomaly_deg"])
-    axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
+    axes.set(xlabel=label, ylabel="camera position error, m")
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), title="start")
     return finish(figure, title)
+
+
+def _abscissa(epochs: Collection[pd.DataFrame]) -> tuple[str, str]:
+    """Return the column that frames are drawn over, and its label: the anomaly, or the time where there is none."""
+    if any(len(table) for table in epochs) and all(table["anomaly_deg"].isna().all() for table in epochs):
+        return "time_s", TIME
+    return "anomaly_deg", ANOMALY
 
 
 @styled
@@ -132,7 +142,7 @@ def draw_traces(
     credit_lines: Sequence[str] = (),
     panels: Sequence[str] = (POSITION, LANDMARKS),
 ) -> Figure:
-    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % and the first trial.
+    """Draw the median error over trials along the frames, with the band of 5 to 95 % and the first trial.
 
     Bands are drawn for at most three estimators, as more would hide each other. A panel for which no estimator has a
     value, such as the landmarks of dead reckoning, is left out, unless that holds for all panels.
@@ -140,30 +150,34 @@ def draw_traces(
     Parameters
     ----------
     epochs
-        Label of each estimator to its frames: columns ``trial``, ``anomaly_deg`` and the errors.
+        Label of each estimator to its frames: columns ``trial``, ``anomaly_deg``, ``time_s`` where that has none, and
+        the errors.
     panels
         Columns of the errors to show.
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
-    drawn = plot_styles(epochs)
+    drawn, (along, label) = plot_styles(epochs), _abscissa(epochs.values())
     for axes, name in zip(places, shown, strict=True):
         for estimator, table in epochs.items():
-            _draw_trace(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
+            _draw_trace(axes, table, (along, name), estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
         mark_revolutions(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
-        axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
+        axes.set(xlabel=label, ylabel=_PANELS[name])
         scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
     return finish(figure, title, credit_lines, legend=places[0])
 
 
-def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, style: PlotStyle, *, banded: bool) -> None:
+def _draw_trace(
+    axes: Axes, table: pd.DataFrame, columns: tuple[str, str], label: str, style: PlotStyle, *, banded: bool
+) -> None:
+    along, name = columns
     known = table.dropna(subset=[name])
     if known.empty:
         return
     if banded:
-        draw_band(axes, known[name], known["anomaly_deg"], style, alpha=0.18)
+        draw_band(axes, known[name], known[along], style, alpha=0.18)
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):
-            axes.plot(first["anomaly_deg"], first[name], color=style.colour, linewidth=0.5, alpha=0.8)
-    middle = known.groupby("anomaly_deg")[name].median()
+            axes.plot(first[along], first[name], color=style.colour, linewidth=0.5, alpha=0.8)
+    middle = known.groupby(along)[name].median()
     axes.plot(middle.index, middle, color=style.colour, linestyle=style.line, label=label)

@@ -350,7 +350,7 @@ def raise_top(axes: Axes, lines: int) -> None:
 
 def mark_revolutions(axes: Axes, anomaly_deg: ArrayLike) -> None:
     """Draw a dotted line at every whole revolution up to the largest anomaly; none where no frame was estimated."""
-    last_deg = np.max(np.asarray(anomaly_deg, dtype=np.float64), initial=0.0)
+    last_deg = np.fmax.reduce(np.asarray(anomaly_deg, dtype=np.float64), initial=0.0)  # NaN: frames without one
     for turn in range(1, int(last_deg / _FULL_TURN_DEG) + 1):
         axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
 

@@ -24,6 +24,7 @@ from boresight.reports.figures.style import (
 from boresight.scenarios.arrays import FloatArray
 
 SIGMAS = 3.0
+ANOMALY, TIME = "anomaly, deg", "time, s"
 _COMPONENTS = ("radial", "along-track", "cross-track")
 
 
@@ -33,8 +34,8 @@ class TrajectoryErrors:
 
     Parameters
     ----------
-    anomaly_deg
-        (F,) anomaly since the first frame, deg, at each estimated frame.
+    along
+        (F,) of each estimated frame what errors are drawn over.
     true_m, estimated_m
         (F, 3) inertial positions in the axes of the orbit: towards the first position, along the motion there, and
         across the plane.
@@ -44,14 +45,17 @@ class TrajectoryErrors:
         (F, 3) standard deviation of each component by the estimator's covariance; NaN where it has none.
     body_radius_m
         Radius of a sphere around the body.
+    abscissa
+        Label of ``along``: the anomaly since the first frame, or the time along a trajectory of given states.
     """
 
-    anomaly_deg: FloatArray
+    along: FloatArray
     true_m: FloatArray
     estimated_m: FloatArray
     error_m: FloatArray
     sigma_m: FloatArray
     body_radius_m: float
+    abscissa: str = ANOMALY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +65,17 @@ class TrackLifetimes:
     Parameters
     ----------
     first, last
-        (T,) anomaly, deg, of the first and of the last frame that sees the track.
+        (T,) abscissa of the first and of the last frame that sees the track.
     error_m
         (T,) error of its landmark when it was last seen; NaN where the estimator had no landmark.
     wrong_at
-        (k, 2) anomaly, deg, and track of each wrong sighting.
+        (k, 2) abscissa and track of each wrong sighting.
     per_frame
-        (F, 2) anomaly, deg, and number of tracks.
+        (F, 2) abscissa and number of tracks.
     ended
-        Anomaly, deg, of the last estimated frame; None where all frames are estimated.
+        Abscissa of the last estimated frame; None where all frames are estimated.
+    abscissa
+        Its label, see `TrajectoryErrors`.
     """
 
     first: FloatArray
@@ -78,6 +84,7 @@ class TrackLifetimes:
     wrong_at: FloatArray
     per_frame: FloatArray
     ended: float | None = None
+    abscissa: str = ANOMALY
 
 
 @styled
@@ -90,7 +97,8 @@ def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
     scale = max((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if s * largest <= room), default=1.0)
     estimate = "estimate" if scale == 1.0 else f"estimate, error x {scale:g}"
     shown = trajectory.true_m + scale * (trajectory.estimated_m - trajectory.true_m)
-    pairs = ((plane, 1, 1e-3, "along the first motion, km"), (edge, 2, 1.0, "across the orbit, m"))
+    across = "across the orbit, m" if trajectory.abscissa == ANOMALY else "across both, m"
+    pairs = ((plane, 1, 1e-3, "along the first motion, km"), (edge, 2, 1.0, across))
     for axes, which, unit, label in pairs:
         scaled = np.array([1e-3, unit])
         true, estimated = (points_m[:, [0, which]] * scaled for points_m in (trajectory.true_m, shown))
@@ -108,25 +116,26 @@ def draw_trajectory(trajectory: TrajectoryErrors, title: str) -> Figure:
 
 @styled
 def draw_error_bands(trajectory: TrajectoryErrors, title: str) -> Figure:
-    """Draw each component of the error over the anomaly, with the band of three standard deviations."""
+    """Draw each component of the error over the frames, with the band of three standard deviations."""
     figure, panels = grid_figure(3, 1, width_in=7.5, height_in=6.0)
     for k, (axes, name) in enumerate(zip(panels[:, 0], _COMPONENTS, strict=True)):
         band = SIGMAS * trajectory.sigma_m[:, k]
         known = np.isfinite(band)
         if known.any():
             axes.fill_between(
-                trajectory.anomaly_deg, -band, band, where=list(known), color=ORANGE, alpha=0.25, linewidth=0,
+                trajectory.along, -band, band, where=list(known), color=ORANGE, alpha=0.25, linewidth=0,
                 label=f"{SIGMAS:g} sigma of its covariance",
             )  # fmt: skip
-        axes.plot(trajectory.anomaly_deg, trajectory.error_m[:, k], color=BLUE, linewidth=1.1, label="error")
+        axes.plot(trajectory.along, trajectory.error_m[:, k], color=BLUE, linewidth=1.1, label="error")
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         outside = np.count_nonzero(np.abs(trajectory.error_m[known, k]) > band[known])
         share = f": {100.0 * outside / known.sum():.0f} % of frames outside" if known.any() else ": no covariance"
         axes.set_title(f"{name}{share}", loc="left")
         axes.set_ylabel("error, m")
-        mark_revolutions(axes, trajectory.anomaly_deg)
+        if trajectory.abscissa == ANOMALY:
+            mark_revolutions(axes, trajectory.along)
     panels[0, 0].legend(loc="upper left", ncols=2)
-    panels[-1, 0].set_xlabel("anomaly, deg")
+    panels[-1, 0].set_xlabel(trajectory.abscissa)
     return finish(figure, title)
 
 
@@ -156,7 +165,7 @@ def draw_tracks(tracks: TrackLifetimes, title: str) -> Figure:
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper left")
     below.step(*tracks.per_frame.T, where="mid", color=BLUE)
-    below.set(xlabel="anomaly, deg", ylabel="tracks in the frame", xlim=span)
+    below.set(xlabel=tracks.abscissa, ylabel="tracks in the frame", xlim=span)
     below.set_ylim(bottom=0.0)
     return finish(figure, title)
 

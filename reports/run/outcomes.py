@@ -90,7 +90,7 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
 
 def revolution_ends(epochs: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
     """Yield the number of each whole revolution, from 1, and the frames that end it."""
-    last_deg = float(epochs["anomaly_deg"].max()) if len(epochs) else 0.0
+    last_deg = float(epochs["anomaly_deg"].fillna(0.0).max()) if len(epochs) else 0.0
     for k in range(1, int((last_deg + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
         yield k, epochs[(epochs["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
 

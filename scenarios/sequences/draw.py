@@ -16,7 +16,6 @@ from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
 from boresight.scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
 from boresight.scenarios.sequences.trajectory import (
     CameraTrajectory,
-    anomalies_deg,
     camera_trajectory,
     draw_unmodelled_m_s2,
     nominal_trajectory,
@@ -34,8 +33,6 @@ class SequenceTruth:
     ----------
     poses
         T_cam_body of each frame.
-    anomaly_deg
-        (F,) anomaly since the first frame.
     points_m
         (T, 3) landmark of each track, body frame.
     wrong
@@ -47,11 +44,15 @@ class SequenceTruth:
     """
 
     poses: tuple[Pose, ...]
-    anomaly_deg: FloatArray
     points_m: FloatArray
     wrong: tuple[BoolArray, ...]
     trajectory: CameraTrajectory
     gm_m3_s2: float
+
+    @property
+    def anomaly_deg(self) -> FloatArray:
+        """(F,) anomaly since the first frame; NaN along given states."""
+        return self.trajectory.anomaly_deg
 
 
 def draw_sequence(
@@ -66,16 +67,20 @@ def draw_sequence(
     visibility = Visibility(ground, spec.vision.lit_only)
     field_rng = generator(seed, Stream.TRACK_FIELD, trial)
     simulated = simulate_tracks(
-        spec.vision, visibility, trajectory.views(camera), _population(spec, camera, ground), field_rng
+        spec.vision,
+        visibility,
+        trajectory.views(camera),
+        _population(spec, camera, ground),
+        field_rng,
+        by_scale=spec.trajectory is not None,
     )
     seen = _measure_tracks(simulated, trajectory.poses, camera, spec.vision, seed, trial)
     truth = SequenceTruth(
         trajectory.poses,
-        anomalies_deg(spec.orbit),
         simulated.points_m,
         tuple(wrong for _, wrong in seen),
         trajectory,
-        spec.orbit.gm_m3_s2,
+        spec.gm_m3_s2,
     )
     return truth, onboard_sequence(spec, camera, trajectory, [sighting for sighting, _ in seen], (seed, trial))
 

@@ -92,7 +92,7 @@ def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.r
     The first attitude is exact, as it defines the body axes. Errors of pole and rate grow from there by the rotational
     equations of motion.
     """
-    motion, knowledge = spec.body_motion, spec.knowledge
+    motion, knowledge = spec.motion, spec.knowledge
     if not knowledge.pole_sigma_deg and not knowledge.spin_sigma:
         return trajectory.R_body_inertial
     rate = angular_velocity(motion)
@@ -109,7 +109,7 @@ def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
     The error about the pole is the relative rate error times the angle; a tilt of the pole gives a rotation of
     2 tilt |sin(angle / 2)| about a perpendicular axis. For tumbling this is the order of magnitude only.
     """
-    motion, knowledge = spec.body_motion, spec.knowledge
+    motion, knowledge = spec.motion, spec.knowledge
     angle = np.linalg.norm(angular_velocity(motion)) * times_s
     about = knowledge.spin_sigma * angle
     across = 2.0 * np.radians(knowledge.pole_sigma_deg) * np.sin(0.5 * angle)
@@ -191,12 +191,12 @@ def onboard_forces(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.ran
     knowledge, orbit = spec.knowledge, spec.orbit
     if not knowledge.dynamics:
         return None
-    gm = orbit.gm_m3_s2 * (1.0 + knowledge.gm_sigma * rng.normal())
+    gm = spec.gm_m3_s2 * (1.0 + knowledge.gm_sigma * rng.normal())
     radiation = trajectory.radiation_m_s2 * (1.0 + knowledge.radiation_sigma * rng.normal())
     velocity = trajectory.velocities_m_s[0] + knowledge.velocity_sigma_m_s * rng.normal(size=3)
     return Forces(
         gm_m3_s2=float(gm),
-        gm_sigma_m3_s2=float(knowledge.gm_sigma * orbit.gm_m3_s2),
+        gm_sigma_m3_s2=float(knowledge.gm_sigma * spec.gm_m3_s2),
         radiation_m_s2=radiation,
         radiation_sigma_m_s2=float(knowledge.radiation_sigma * np.linalg.norm(trajectory.radiation_m_s2)),
         noise_m_s2=orbit.forces.noise_m_s2 if knowledge.noise_m_s2 is None else knowledge.noise_m_s2,

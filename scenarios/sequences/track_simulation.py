@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
@@ -13,6 +15,7 @@ from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.sequence import VisionSpec
 
+_PLACES = 16384  # of the ground, the nearest of which is at the camera's height
 _MOST_ROUNDS = 1000  # of draws to fill a frame
 
 
@@ -41,32 +44,45 @@ def simulate_tracks(
     views: Sequence[View],
     total: float,
     rng: np.random.Generator,
+    *,
+    by_scale: bool = False,
 ) -> SimulatedTracks:
-    """Simulate tracks along the frames; ``total`` is the expected number if the whole surface were in view."""
+    """Simulate tracks along the frames; ``total`` is the expected number if the whole surface were in view.
+
+    With ``by_scale`` tracks are lost by the change of scale too, as a camera sees it that comes nearer.
+    """
     simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
-    return simulate(vision, visibility, views, total, rng)
+    changes = np.array([0.0, *(_change_deg(a.T_cam_body, b.T_cam_body) for a, b in itertools.pairwise(views))])
+    if by_scale:
+        ground = cKDTree(visibility.ground.spread(_PLACES)[0])
+        heights, _ = ground.query(np.array([view.T_cam_body.camera_position_m for view in views]))
+        # A shift along the line of sight changes the view as one across it of the same share of the distance.
+        changes[1:] = np.hypot(changes[1:], np.degrees(np.diff(np.log(heights))))
+    return simulate(vision, visibility, views, [vision.survival(change) for change in changes.tolist()], total, rng)
 
 
 def _renewed_tracks(
     vision: VisionSpec,
     visibility: Visibility,
     views: Sequence[View],
+    keeps: Sequence[float],
     total: float,
     rng: np.random.Generator,
 ) -> SimulatedTracks:
     """Simulate a renewed field: every track has a new landmark.
 
     A track that is visible in the next frame continues with probability ``k^(change / step)``, the change being the
-    angle at the body's origin between the two camera positions; one that is not visible ends. A visible place gets a
-    new track with the probability that it has none: 1 if it was not visible before, else 1 - k. With
-    ``count: average`` the tracks of each frame are then a Poisson field of constant density over the visible surface.
+    angle at the body's origin between the two camera positions, and along given states with the change of the distance
+    to the nearest ground; one that is not visible ends. A visible place gets a new track with the probability that it
+    has none: 1 if it was not visible before, else 1 - k. With ``count: average`` the tracks of each frame are then a
+    Poisson field of constant density over the visible surface.
     """
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     alive = np.empty(0, dtype=np.int64)
     seen: list[IndexArray] = []
     for i, view in enumerate(views):
         before = views[i - 1] if i else None
-        keep = 1.0 if before is None else vision.survival(_change_deg(before.T_cam_body, view.T_cam_body))
+        keep = keeps[i]
         alive = _survivors(alive, visibility.visible(points[alive], normals[alive], view), keep, vision, rng)
         born, born_normals = _births(vision, visibility, (before, view), keep, (total, len(alive)), rng)
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
@@ -79,6 +95,7 @@ def _fixed_field_tracks(
     vision: VisionSpec,
     visibility: Visibility,
     views: Sequence[View],
+    keeps: Sequence[float],
     total: float,
     rng: np.random.Generator,
 ) -> SimulatedTracks:
@@ -96,7 +113,7 @@ def _fixed_field_tracks(
     seen: list[IndexArray] = []
     older = np.zeros(len(points), dtype=bool)
     for i, view in enumerate(views):
-        keep = 1.0 if i == 0 else vision.survival(_change_deg(views[i - 1].T_cam_body, view.T_cam_body))
+        keep = keeps[i]
         visible, luck = visibility.visible(points, normals, view), rng.uniform(size=len(points))
         alive = np.flatnonzero(track >= 0)
         stayed = _survivors(alive, visible[alive], keep, vision, rng)

@@ -1,4 +1,4 @@
-"""True motion of camera and body in a sequence: circular or propagated orbit, spin or tumbling."""
+"""True motion of camera and body in a sequence: circular or propagated orbit or given states, spin or tumbling."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
 from boresight.scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose, View
+from boresight.scenarios.geometry import Camera, Pose, View, look_at, orbit_axes
 from boresight.scenarios.sequences.ground import LandmarkGround, MeshGround
 from boresight.scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
+from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
 AttitudeFunction = Callable[[FloatArray], FloatArray]
 """Takes (n,) seconds since the first frame to R_body_inertial, (n, 3, 3)."""
 
 _HOUR_S = 3600.0
 _TOLERANCE = 1e-12
+_LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
 
 R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
@@ -39,23 +41,9 @@ def frame_times_s(orbit: SequenceOrbitSpec) -> FloatArray:
     return np.asarray(np.radians(anomalies_deg(orbit)) / _rate_rad_s(orbit), dtype=np.float64)
 
 
-def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
-    """(3, 3) rows, inertial axes: the direction of zero anomaly, the one 90 deg on, and the orbit's normal.
-
-    Zero anomaly is the orbit's point nearest to the x axis, or to the y axis if the normal is along x.
-    """
-    normal = np.asarray(orbit.normal_body, dtype=np.float64)
-    normal = normal / np.linalg.norm(normal)
-    # Within 0.08 deg of x its projection on the orbit's plane has no digits.
-    along = np.eye(3)[0] if abs(normal[0]) < 0.999999 else np.eye(3)[1]
-    first = along - (along @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first), normal])
-
-
 def circular_poses(orbit: SequenceOrbitSpec) -> tuple[Pose, ...]:
     """T_cam_inertial of each frame of a circular orbit, the camera as in `nadir_pose`."""
-    first, second, normal = orbit_axes(orbit)
+    first, second, normal = orbit_axes(np.array(orbit.normal_body))
     found = []
     for angle in np.radians(orbit.start_deg + anomalies_deg(orbit)):
         radial = np.cos(angle) * first + np.sin(angle) * second
@@ -65,7 +53,7 @@ def circular_poses(orbit: SequenceOrbitSpec) -> tuple[Pose, ...]:
 
 def circular_velocities_m_s(orbit: SequenceOrbitSpec) -> FloatArray:
     """(F, 3) velocities on a circular orbit, inertial axes."""
-    first, second, _ = orbit_axes(orbit)
+    first, second, _ = orbit_axes(np.array(orbit.normal_body))
     angles = np.radians(orbit.start_deg + anomalies_deg(orbit))[:, None]
     return np.asarray(_rate_rad_s(orbit) * orbit.radius_m * (np.cos(angles) * second - np.sin(angles) * first))
 
@@ -172,10 +160,12 @@ class CameraTrajectory:
         (F, 3, 3) attitude of the body.
     poses
         T_cam_body of each frame.
-    sun_dir
-        (3,) direction of the Sun, inertial axes.
+    suns_body
+        (F, 3) direction of the Sun.
     radiation_m_s2
         (3,) acceleration by sunlight, inertial axes.
+    anomaly_deg
+        (F,) anomaly since the first frame; NaN along given states.
     """
 
     times_s: FloatArray
@@ -183,28 +173,30 @@ class CameraTrajectory:
     velocities_m_s: FloatArray
     R_body_inertial: FloatArray
     poses: tuple[Pose, ...]
-    sun_dir: FloatArray
+    suns_body: FloatArray
     radiation_m_s2: FloatArray
+    anomaly_deg: FloatArray
 
     def views(self, camera: Camera) -> tuple[View, ...]:
         """Return the views of all frames."""
-        suns = self.R_body_inertial @ self.sun_dir
-        return tuple(View(camera, pose, sun) for pose, sun in zip(self.poses, suns, strict=True))
+        return tuple(View(camera, pose, sun) for pose, sun in zip(self.poses, self.suns_body, strict=True))
 
 
 def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s2: FloatArray) -> CameraTrajectory:
     """Compute the camera trajectory over the rotating body.
 
-    ``unmodelled_m_s2``, (F - 1, 3), inertial axes, acts on propagated orbits only.
+    ``unmodelled_m_s2``, (F - 1, 3), inertial axes, acts on propagated orbits only. Given states are taken as they are.
 
     Raises
     ------
     OrbitLostError
         If a propagated orbit impacts on the body.
     """
+    if spec.trajectory is not None:
+        return _given_trajectory(spec.trajectory, spec.motion)
     orbit, times = spec.orbit, frame_times_s(spec.orbit)
     # A terminator orbit: the Sun is along its normal.
-    sun_dir = orbit_axes(orbit)[2]
+    sun_dir = orbit_axes(np.array(orbit.normal_body))[2]
     radiation = radiation_pressure(orbit.forces, sun_dir)
     attitude = attitude_function(spec.body_motion, angular_velocity(spec.body_motion), float(times[-1]))
     poses, velocities = circular_poses(orbit), circular_velocities_m_s(orbit)
@@ -218,12 +210,53 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
         poses = tuple(nadir_pose(*state) for state in zip(positions, velocities, strict=True))
     turns = attitude(times)
     over = tuple(_to_body_axes(pose, turn) for pose, turn in zip(poses, turns, strict=True))
-    return CameraTrajectory(times, positions, velocities, turns, over, sun_dir, radiation)
+    suns = turns @ sun_dir
+    return CameraTrajectory(times, positions, velocities, turns, over, suns, radiation, anomalies_deg(orbit))
+
+
+def _given_trajectory(flown: SequenceTrajectorySpec, motion: BodyMotionSpec) -> CameraTrajectory:
+    """Take the states of a trajectory: velocities are differences where it has none, poses look down where it has none.
+
+    See `SequenceTrajectorySpec` for the roll about the boresight, and the Sun.
+    """
+    states, in_body = flown.states, np.array(flown.states.position_m)
+    times = np.array(states.time_s) - states.time_s[0]
+    turns = attitude_function(motion, angular_velocity(motion), float(times[-1]))(times)
+    positions = inertial_from_body(in_body, turns)
+    if states.velocity_m_s is not None:
+        velocities = inertial_from_body(np.array(states.velocity_m_s), turns)
+    else:
+        velocities = np.gradient(positions, times, axis=0)
+    if states.attitude is not None:
+        rotations = Rotation.from_quat(states.attitude, scalar_first=True).as_matrix()
+        poses = tuple(Pose(turn, -turn @ place) for turn, place in zip(rotations, in_body, strict=True))
+    elif states.velocity_m_s is not None and _has_planes(positions, velocities):
+        ways = zip(positions, velocities, turns, strict=True)
+        poses = tuple(_to_body_axes(nadir_pose(place, way), turn) for place, way, turn in ways)
+    else:
+        poses = tuple(look_at(place) for place in in_body)
+    # Those of the poses to the last bit, so that an exact first position is one.
+    positions = inertial_from_body(np.array([pose.camera_position_m for pose in poses]), turns)
+    if states.sun_dir is not None:
+        suns = np.array(states.sun_dir)
+    else:
+        sun_dir = in_body[0] if flown.sun_dir is None else np.array(flown.sun_dir)
+        if flown.sun_dir is not None and flown.rotation is not None:
+            sun_dir = flown.rotation.matrices(np.array(states.time_s[:1]))[0] @ sun_dir
+        suns = turns @ (sun_dir / np.linalg.norm(sun_dir))
+    return CameraTrajectory(times, positions, velocities, turns, poses, suns, np.zeros(3), np.full(len(times), np.nan))
+
+
+def _has_planes(positions_m: FloatArray, velocities_m_s: FloatArray) -> bool:
+    """Return whether no velocity is vertical but for its last digits."""
+    across = np.linalg.norm(np.cross(positions_m, velocities_m_s), axis=1)
+    sizes = np.linalg.norm(positions_m, axis=1) * np.linalg.norm(velocities_m_s, axis=1)
+    return bool((across > _LEAST_HORIZONTAL * sizes).all())
 
 
 def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:
     """Compute the camera trajectory without unmodelled acceleration."""
-    return camera_trajectory(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
+    return camera_trajectory(spec, ground, np.zeros((spec.frames - 1, 3)))
 
 
 def draw_unmodelled_m_s2(orbit: SequenceOrbitSpec, seed: int, trial: int) -> FloatArray:

@@ -41,9 +41,10 @@ def is_none(value: object) -> bool:
 class SpecModel(BaseModel):
     """Base of all models: frozen; unknown keys and non-finite numbers are errors.
 
-    ``alternatives`` are groups of keys of which exactly one must be given. If a file extends another, a key of such a
-    group replaces the others (see ``scenarios.load.merge``); with ``no_default`` a file that extends none must give one
-    itself. ``prose`` are keys that results do not depend on, ``own`` those that a file does not inherit.
+    ``alternatives`` are groups of keys of which exactly one must be given, or at most one if one of them has a default.
+    If a file extends another, a key of such a group replaces the others (see ``scenarios.load.merge``); with
+    ``no_default`` a file that extends none must give one itself. ``prose`` are keys that results do not depend on,
+    ``own`` those that a file does not inherit.
     """
 
     model_config = ConfigDict(
@@ -61,9 +62,10 @@ class SpecModel(BaseModel):
 
     @model_validator(mode="after")
     def _exactly_one_of_each_group(self) -> Self:
+        fields = type(self).model_fields
         for keys in type(self).alternatives:
-            given = [key for key in keys if getattr(self, key) is not None]
-            if not given:
+            given = [key for key in keys if getattr(self, key) != fields[key].default]
+            if not given and all(fields[key].default is None for key in keys):
                 raise ValueError(f"give either {' or '.join(keys)}")
             if len(given) > 1:
                 raise ValueError(f"give either {' or '.join(given)}, not both")

@@ -109,7 +109,7 @@ class ScenarioSpec(SpecModel):
         None, exclude_if=is_none, description="Keys of views and images that are drawn together"
     )
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
-    sequence: SequenceSpec | None = Field(None, description="Tracks along an orbit, instead of viewpoint")
+    sequence: SequenceSpec | None = Field(None, description="Tracks of a camera's way, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
     orbit: OrbitSpec | None = Field(
         None,

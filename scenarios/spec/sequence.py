@@ -1,14 +1,17 @@
-"""Sequence section: orbit, forces, body rotation, simulated or image-based tracks, and a priori knowledge."""
+"""Sequence section: orbit or trajectory, forces, body rotation, simulated or image-based tracks, and knowledge."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
 MOST_FRAMES = 1_000_000
+_DAY_S = 86400.0
 
 
 class ForcesSpec(SpecModel):
@@ -73,8 +76,9 @@ class BodyMotionSpec(SpecModel):
 class ImageVisionSpec(SpecModel):
     """Features of the scenario's rendered images, matched from frame to frame.
 
-    The body does not rotate, so that the images of one revolution are used for all. Trials begin at ``starts`` places
-    around the orbit with the same images; every ``starts`` trials the detector noise is drawn again.
+    About an orbit the body does not rotate, so that the images of one revolution are used for all. Trials begin at
+    ``starts`` places around the orbit with the same images; every ``starts`` trials the detector noise is drawn again.
+    Along a trajectory all trials begin at its first state, each with noise of its own.
     """
 
     starts: int = Field(6, ge=1, le=360, description="Places around the orbit where trials begin, evenly spaced")
@@ -264,12 +268,17 @@ class SequenceKnowledgeSpec(SpecModel):
 
 
 class SequenceSpec(SpecModel):
-    """An image sequence along an orbit, instead of single images."""
+    """An image sequence along an orbit or a trajectory, instead of single images."""
+
+    alternatives: ClassVar = (("orbit", "trajectory"),)
 
     sphere_radius_m: float | None = Field(
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
     )
     orbit: SequenceOrbitSpec = SequenceOrbitSpec()
+    trajectory: SequenceTrajectorySpec | None = Field(
+        None, exclude_if=is_none, description="States of the camera, instead of orbit"
+    )
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
@@ -277,10 +286,33 @@ class SequenceSpec(SpecModel):
 
     @model_validator(mode="after")
     def _orbit_clears_the_sphere(self) -> Self:
-        if self.sphere_radius_m is not None and self.orbit.radius_m <= self.sphere_radius_m:
-            raise ValueError(
-                f"orbit.radius_m {self.orbit.radius_m:g} is not above the sphere of {self.sphere_radius_m:g} m"
-            )
+        sphere_m = self.sphere_radius_m or 0.0
+        if self.trajectory is not None:
+            ranges_m = np.linalg.norm(self.trajectory.states.position_m, axis=1)
+            if ranges_m.min() <= sphere_m:
+                row = int(ranges_m.argmin())
+                raise ValueError(
+                    f"trajectory: row {row} (from 0), at {ranges_m[row]:.6g} m, is not above the sphere of"
+                    f" {sphere_m:g} m: check its units and axes"
+                )
+        elif self.orbit.radius_m <= sphere_m:
+            raise ValueError(f"orbit.radius_m {self.orbit.radius_m:g} is not above the sphere of {sphere_m:g} m")
+        return self
+
+    @model_validator(mode="after")
+    def _a_trajectory_has_its_own(self) -> Self:
+        flown, turning = self.trajectory, self.body_motion.kind != "none"
+        if flown is None:
+            return self
+        if turning and (flown.rotation is not None or flown.spice is not None):
+            has = "rotation" if flown.rotation is not None else "spice"
+            raise ValueError(f"body_motion has no part where trajectory.{has} has the body's rotation: leave it out")
+        if turning and flown.flyby is not None:
+            raise ValueError("body_motion: a flyby is in inertial axes: give the rotation as trajectory.rotation")
+        if self.knowledge.dynamics and flown.flyby is None:
+            raise ValueError("knowledge.dynamics: only orbit and trajectory.flyby have forces: leave it out")
+        if self.images is not None and self.images.starts != type(self.images).model_fields["starts"].default:
+            raise ValueError("images.starts has no part where trials begin at the first state: leave it out")
         return self
 
     @model_validator(mode="after")
@@ -294,7 +326,7 @@ class SequenceSpec(SpecModel):
     @model_validator(mode="after")
     def _rotation_errors_need_a_rotation(self) -> Self:
         wrong = [name for name in ("pole_sigma_deg", "spin_sigma") if getattr(self.knowledge, name)]
-        if wrong and self.body_motion.kind == "none":
+        if wrong and self.motion.kind == "none":
             raise ValueError(f"knowledge.{wrong[0]}: the body does not turn: give body_motion.kind, or leave it out")
         return self
 
@@ -302,7 +334,7 @@ class SequenceSpec(SpecModel):
     def _tracks_of_a_fixed_field_are_found_fast_enough(self) -> Self:
         vision = self.vision
         # An untracked landmark is found with the probability (1 - k) f / (1 - f), which must not exceed 1.
-        odds, lost = vision.tracked_share / (1.0 - vision.tracked_share), 1.0 - vision.survival(self.orbit.step_deg)
+        odds, lost = vision.tracked_share / (1.0 - vision.tracked_share), 1.0 - vision.survival(self._largest_step_deg)
         if vision.field == "fixed" and odds * lost > 1.0:
             raise ValueError(
                 f"vision.tracked_share {vision.tracked_share:g} cannot be kept up where {lost:.2g} of the tracks"
@@ -317,6 +349,8 @@ class SequenceSpec(SpecModel):
         if self.vision != VisionSpec() or self.sphere_radius_m is not None:
             key = "sphere_radius_m" if self.vision == VisionSpec() else "vision"
             raise ValueError(f"{key} has no part where images show the body: leave it or images out")
+        if self.trajectory is not None:
+            return self
         if self.orbit.model != "circular" or self.body_motion.kind != "none":
             raise ValueError("images are of a circular orbit about a body at rest: leave images or the motion out")
         count = 360.0 / self.orbit.step_deg
@@ -325,6 +359,49 @@ class SequenceSpec(SpecModel):
         if round(count) % self.images.starts:
             raise ValueError(f"images.starts {self.images.starts} does not divide the {count:.0f} images of the orbit")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_an_idle_orbit(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = dump(self)
+        if self.trajectory is not None:
+            plain.pop("orbit", None)
+        return plain
+
+    @property
+    def _largest_step_deg(self) -> float:
+        """The largest change of view between two frames, which is an angle at the body's origin."""
+        if self.trajectory is None:
+            return self.orbit.step_deg
+        places = np.array(self.trajectory.states.position_m)
+        places /= np.linalg.norm(places, axis=1, keepdims=True)
+        apart = np.linalg.norm(np.diff(places, axis=0), axis=1).max()
+        return float(np.degrees(2.0 * np.arcsin(min(0.5 * apart, 1.0))))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, the first included."""
+        return self.orbit.frames if self.trajectory is None else len(self.trajectory.states)
+
+    @property
+    def gm_m3_s2(self) -> float:
+        """Gravity of the body; along a trajectory without one, nothing depends on it."""
+        flyby = None if self.trajectory is None else self.trajectory.flyby
+        return self.orbit.gm_m3_s2 if flyby is None else flyby.gm_m3_s2
+
+    @property
+    def motion(self) -> BodyMotionSpec:
+        """Rotation of the body: ``body_motion``, or that of the trajectory."""
+        flown = self.trajectory
+        if flown is None or (flown.rotation is None and flown.spice is None):
+            return self.body_motion
+        if flown.rotation is not None:
+            rate = np.array([0.0, 0.0, np.radians(flown.rotation.rate_deg_day) / _DAY_S])
+        else:
+            rate = np.array(flown.states.spin_rad_s or (0.0, 0.0, 0.0))
+        size = float(np.linalg.norm(rate))
+        if not size:
+            return BodyMotionSpec()
+        return BodyMotionSpec(kind="spin", period_h=2.0 * np.pi / size / 3600.0, axis_body=tuple(rate.tolist()))
 
     @property
     def sigma_px(self) -> float:

@@ -52,6 +52,9 @@ class StatesSpec(SpecModel):
         None, description="Quaternions w, x, y, z from body to camera axes"
     )
     sun_dir: tuple[Row3, ...] | None = Field(None, description="Unit vectors towards the Sun")
+    spin_rad_s: Row3 | None = Field(
+        None, exclude_if=is_none, description="Angular velocity of the body at the first epoch, for sequences"
+    )
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -94,6 +97,7 @@ class FlownSpec(SpecModel):
     """States of the camera from one source, read once, in body axes."""
 
     alternatives: ClassVar = (("table", "spice", "flyby", "hover", "descent"),)
+    reads_spin: ClassVar[bool] = False
 
     table: str | None = Field(
         None, min_length=1, description="CSV, Parquet or OEM file of states, in increasing order of time"
@@ -130,7 +134,7 @@ class FlownSpec(SpecModel):
             if self.spice is not None:
                 from boresight.scenarios.spice.trajectory import spice_states  # spiceypy is not always installed
 
-                states = spice_states(self.spice, folders)
+                states = spice_states(self.spice, folders, spin=self.reads_spin)
             else:
                 states = self._states_of(read_table(str(self.table), folders) if flight is None else flight.states())
         except (BoresightError, ImportError, OSError, ValueError, TypeError) as error:
@@ -191,6 +195,37 @@ class TrajectorySpec(FlownSpec):
     order: Literal["in-turn", "random"] = Field(
         "in-turn", description="Trial t has state t, beginning again after the last, or one drawn at random"
     )
+
+
+class SequenceTrajectorySpec(FlownSpec):
+    """States of the camera, one frame of a sequence each, from the sources of ``viewpoint.trajectory``.
+
+    Without attitudes the boresight is on the body's origin, and x along the horizontal velocity; where there are no
+    velocities, or they are vertical, north is up. Inertial axes are the body's axes at the first frame. With
+    ``rotation`` or kernels the body rotates as they say, with kernels uniformly at the rate of the first frame; else as
+    ``body_motion`` says.
+    """
+
+    # The rotation and the gravity of a flyby decide more than the states.
+    prose: ClassVar = frozenset({"table", "spice", "hover", "descent"})
+    reads_spin: ClassVar[bool] = True
+
+    sun_dir: Row3 | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Direction to the Sun in the axes of the states, at the first frame and fixed in space; left out:"
+        " that of the table or the kernels, else behind the first camera",
+    )
+
+    @model_validator(mode="after")
+    def _one_sun_and_two_frames(self) -> Self:
+        if len(self.states) < 2:
+            raise ValueError("a sequence needs two states at least")
+        if self.sun_dir is not None and self.states.sun_dir is not None:
+            raise ValueError("sun_dir has no part where the states have the Sun: leave it out")
+        if self.sun_dir is not None and not any(self.sun_dir):
+            raise ValueError("sun_dir is zero: give the direction to the Sun")
+        return self
 
 
 def _metres(table: Table, prefix: str, suffix: str) -> FloatArray:

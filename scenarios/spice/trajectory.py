@@ -16,8 +16,8 @@ from boresight.scenarios.spice.geometry import M_PER_KM, SpiceNames, apparent_ge
 from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
 
 
-def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSpec:
-    """Compute apparent states (see `apparent_geometry`) at the epochs of a trajectory.
+def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path], *, spin: bool) -> StatesSpec:
+    """Compute apparent states (see `apparent_geometry`) at the epochs of a trajectory, and the first ``spin``.
 
     Velocities are geometric: they serve to name the directions along and across an orbit.
 
@@ -39,10 +39,16 @@ def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path]) -> StatesSp
             state_km, _ = spiceypy.spkezr(spec.observer, et, "J2000", "NONE", spec.target)
             to_body = np.array(spiceypy.pxform("J2000", spec.target_frame, et))
             velocities.append(M_PER_KM * to_body @ np.array(state_km)[3:])
+        spin_rad_s = None
+        if spin:
+            # The angular velocity of the body-fixed frame is given in inertial axes.
+            to_body, rate_rad_s = spiceypy.xf2rav(spiceypy.sxform("J2000", spec.target_frame, epochs[0]))
+            spin_rad_s = tuple((to_body @ rate_rad_s).tolist())
     return StatesSpec(
         time_s=tuple(epochs.tolist()),
         position_m=rows_of(np.array([one.T_cam_body.camera_position_m for one in found])),
         velocity_m_s=rows_of(np.array(velocities)),
         attitude=rows_of(np.array([one.T_cam_body.quat_wxyz for one in found])) if spec.camera_frame else None,
         sun_dir=rows_of(np.array([one.sun_dir_body for one in found])),
+        spin_rad_s=spin_rad_s,
     )

@@ -55,6 +55,16 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "viewpoint.trajectory.flyby.normal": (None, "[0, 1, 1]"),
     "viewpoint.trajectory.hover.duration_s": (None, "700"),
     "viewpoint.trajectory.descent.to_m": (None, "1600"),
+    "sequence.trajectory.table": ("free", "other.csv"),
+    "sequence.trajectory.spice": ("free", FLIGHT),
+    "sequence.trajectory.flyby": (
+        "free",
+        "{periapsis_m: 700, v_infinity_m_s: 0.2, gm_m3_s2: 20, duration_s: 900, step_s: 90}",
+    ),
+    "sequence.trajectory.hover": ("free", "{position_m: [500, 0, 0], duration_s: 20, step_s: 10}"),
+    "sequence.trajectory.descent": ("free", "{direction: [1, 0, 0], from_m: 800, to_m: 400, rate_m_s: 1, step_s: 90}"),
+    "sequence.trajectory.rotation": ("free", "{pole_ra_deg: 9, pole_dec_deg: 60, rate_deg_day: 700}"),
+    "sequence.trajectory.sun_dir": (None, "[0, 1, 1]"),
     "camera.spice": (None, "{instrument: '-999100', kernels: [camera.ti]}"),
     "pose_error.position_body_m": (None, "{covariance: [[9, 2, 0], [2, 9, 0], [0, 0, 4]]}"),
     "pose_error.pose_cam_deg_m": (None, f"{{covariance: {[[float(i == j) for j in range(6)] for i in range(6)]}}}"),
@@ -99,6 +109,9 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
 SAME_TERMS = {f"onboard.{key}" for key in ("brdf", "body", "relief", "height_error", "pose_error")}
 # Filled in, or read from kernels with tests of their own: test_trajectory.py, test_spice_camera.py.
 SAME_TERMS |= {"viewpoint.trajectory.read_states", "viewpoint.trajectory.spice", "camera.spice"}
+SAME_TERMS |= {
+    f"sequence.trajectory.{key}" for key in ("read_states", "spice", "rotation", "flyby", "hover", "descent")
+}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",
@@ -111,6 +124,7 @@ NO_RESULT = {
     "body.expected_diameter_m": "a guard: a body outside is refused",
     "viewpoint.kind": "has one value",
     "viewpoint.trajectory.read_states": "filled in from the table",
+    "sequence.trajectory.read_states": "filled in from the table",
     "pose_error.attitude.axis": "has one value",
 }
 

@@ -130,6 +130,9 @@ sequence:
   knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7}
 """,
     "sequence": SEQUENCE,
+    "free": SEQUENCE.replace("orbit: {step_deg: 6, revolutions: 0.2}", "trajectory: {table: states.csv}").replace(
+        "frame: 30}", "frame: 30, lit_only: true}"
+    ),
     "tumbling": SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n",
     "egg": """
 body: {shape: egg.obj, unit: m}

@@ -29,3 +29,13 @@ def test_no_frames_at_all_are_empty_panels():
         assert figure.axes
         assert not any(turns(axes) for axes in figure.axes)
         assert render(figure, "png")
+
+
+def test_frames_without_an_anomaly_are_drawn_over_time():
+    free = KNOWN.assign(anomaly_deg=float("nan"), time_s=[0.0, 900.0])
+    for figure in (draw_traces({"one": free, "not": NOTHING}, "title"), draw_starts(free, "title")):
+        (axes,) = figure.axes
+        assert axes.get_xlabel() == "time, s"
+        assert [0.0, 900.0] in [list(line.get_xdata()) for line in axes.lines]
+        assert turns(axes) == []
+        assert render(figure, "png")

@@ -1,4 +1,4 @@
-"""The images of a revolution, what is found in them, and what is true of it."""
+"""The images of a revolution or a trajectory, what is found in them, and what is true of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.sequences import MeshGround, camera_trajectory
+from boresight.scenarios.sequences import MeshGround, camera_trajectory, nominal_trajectory
 from boresight.scenarios.spec.sequence import ImageVisionSpec
 
 REPEATED_PX = 2.0
@@ -48,7 +48,7 @@ class Pairs:
 
 @dataclass(slots=True, eq=False)
 class OrbitImages:
-    """Images every step of one revolution about a body at rest, the Sun along the orbit's normal.
+    """Images every step of one revolution about a body at rest, the Sun along the orbit's normal, or of a trajectory.
 
     The exposures of one realisation at a time are held, with their features.
 
@@ -81,6 +81,11 @@ class OrbitImages:
             raise BoresightError(f"{scenario.path}: sequence.images: missing, so there is no image to render")
         mesh = load_body(spec.body, scenario.search_dirs).mesh
         camera = spec.camera.camera()
+        if section.trajectory is not None:
+            path = nominal_trajectory(section, MeshGround(mesh))
+            imager = Imager.open(scenario, variant, Stream.TRUTH, section.trajectory)
+            alike = section.images.model_copy(update={"starts": 1})  # every trial begins at the first state
+            return cls(alike, path.views(camera), camera.pinhole, imager, seed)
         circle = section.orbit.model_copy(update={"revolutions": 1.0})
         path = camera_trajectory(
             section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3))

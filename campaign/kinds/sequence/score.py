@@ -30,6 +30,7 @@ Epoch = dict[str, object]
 REVOLUTIONS = (1, 2)
 _FULL_TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
+_LEAST_HORIZONTAL = 1e-6  # of a motion, below which its horizontal part has no direction
 
 
 def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
@@ -84,7 +85,7 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
         epochs.append(
             {
                 "frame": index,
-                "anomaly_deg": float(truth.anomaly_deg[index]),
+                "anomaly_deg": None if np.isnan(truth.anomaly_deg[index]) else float(truth.anomaly_deg[index]),
                 "time_s": float(truth.trajectory.times_s[index]),
                 **_inertial(frame.position_m, seen.R_body_inertial, ""),
                 **_inertial(truth.poses[index].camera_position_m, truth.trajectory.R_body_inertial[index], "true_"),
@@ -131,8 +132,20 @@ def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
     at, positions = truth.poses[index].camera_position_m, truth.trajectory.positions_m
     after, before = positions[min(index + 1, len(positions) - 1)], positions[max(index - 1, 0)]
     moved = truth.trajectory.R_body_inertial[index] @ (after - before)
-    radial = at / np.linalg.norm(at)
-    cross = np.cross(radial, moved)
+    return track_axes(at, moved, truth.poses[index].rotation[0])
+
+
+def track_axes(position_m: FloatArray, motion: FloatArray, right: FloatArray) -> FloatArray:
+    """(3, 3) rows: radial, along the horizontal motion, and across both.
+
+    Without a horizontal motion, of a camera that hovers or descends, along is the horizontal part of ``right``, the
+    camera's x axis; or of any other axis if that is vertical.
+    """
+    radial = position_m / np.linalg.norm(position_m)
+    for along in (motion, right, *np.eye(3)):
+        cross = np.cross(radial, along)
+        if np.linalg.norm(cross) > _LEAST_HORIZONTAL * np.linalg.norm(along):
+            break
     cross /= np.linalg.norm(cross)
     return np.stack([radial, np.cross(cross, radial), cross])
 
@@ -195,7 +208,8 @@ def summary(
 def _after(epochs: Sequence[Epoch], revolutions: int) -> float | None:
     """Position error of the frame that ends a revolution; None where there is none or the estimate ended before."""
     wanted = revolutions * _FULL_TURN_DEG
-    found = [e for e in epochs if abs(_number(e["anomaly_deg"]) - wanted) < _SAME_FRAME_DEG]
+    known = [e for e in epochs if e["anomaly_deg"] is not None]
+    found = [e for e in known if abs(_number(e["anomaly_deg"]) - wanted) < _SAME_FRAME_DEG]
     return _number(found[0]["position_error_m"]) if found else None
 
 

@@ -18,7 +18,7 @@ from boresight.campaign.inspection.show import (
     Show,
     listed,
 )
-from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame
+from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame, track_axes
 from boresight.campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import opened
@@ -26,6 +26,8 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.reports.figures.trajectory import (
+    ANOMALY,
+    TIME,
     TrackLifetimes,
     TrajectoryErrors,
     draw_error_bands,
@@ -54,32 +56,36 @@ def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
     figures = []
     if estimate.frames and records.get("epochs"):
         followed = followed_of(estimate, sequence, truth, records["epochs"], again.trials.ground.reach_m)
+        circles = followed.abscissa == ANOMALY
         figures += [
             NamedFigure(
                 "trajectory",
                 draw_trajectory(followed, what),
-                f"{what}. True and estimated trajectory in inertial space: in the plane of the orbit, and against its"
-                " normal.",
-                "A circle about the body and an estimate of it, seen from above and from the side.",
+                f"{what}. True and estimated trajectory in inertial space: in the plane of the"
+                f" {'orbit' if circles else 'first motion'}, and against its normal.",
+                f"A {'circle' if circles else 'way'} about the body and an estimate of it, seen from above and from the"
+                " side.",
             ),
             NamedFigure(
                 "errors",
                 draw_error_bands(followed, what),
                 f"{what}. Error of the camera's position right after each frame, and three standard deviations of what"
                 " the estimator says of it.",
-                "Three curves over the anomaly in bands about zero.",
+                f"Three curves over the {followed.abscissa.partition(',')[0]} in bands about zero.",
             ),
         ]
     ends = last_seen(estimate, sequence, truth)
     if sequence.frames:
+        lives = lives_of(sequence, truth, ends, len(estimate.frames))
         figures.append(
             NamedFigure(
                 "tracks",
-                draw_tracks(lives_of(sequence, truth, ends, len(estimate.frames)), what),
+                draw_tracks(lives, what),
                 f"{what}. Above, each track from its first to its last frame, in the colour of its landmark's"
                 " error when it was seen last; crosses are sightings at a wrong place. Below, how many tracks each"
                 " frame has.",
-                "Short lines rising from left to right, and the number of tracks over the anomaly.",
+                "Short lines rising from left to right, and the number of tracks over the"
+                f" {lives.abscissa.partition(',')[0]}.",
             )
         )
     if ends:
@@ -107,8 +113,11 @@ def followed_of(
     estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth, epochs: list[Record], radius_m: float
 ) -> TrajectoryErrors:
     """Collect trajectory and errors; positions in the axes of the true orbit at its first frame."""
-    axes = _orbit_axes(truth)
-    n = len(epochs)
+    path, n = truth.trajectory, len(epochs)
+    right = path.R_body_inertial[0].T @ truth.poses[0].rotation[0]
+    # Towards the first position, along the motion there, and across both.
+    axes = track_axes(path.positions_m[0], path.velocities_m_s[0], right)
+    along, abscissa = _abscissa(truth)
     place = {prefix: _columns(epochs, *(f"{prefix}{axis}_m" for axis in "xyz")) for prefix in ("", "true_")}
     sigma = np.full((n, 3), np.nan)
     for index, frame in enumerate(estimate.frames):
@@ -117,22 +126,21 @@ def followed_of(
             own = orbit_frame(truth, index) @ turn.T
             sigma[index] = np.sqrt(np.maximum(np.diag(own @ frame.covariance_m2 @ own.T), 0.0))
     return TrajectoryErrors(
-        anomaly_deg=_columns(epochs, "anomaly_deg")[:, 0],
+        along=along[:n],
         true_m=place["true_"] @ axes.T,
         estimated_m=place[""] @ axes.T,
         error_m=_columns(epochs, "radial_m", "along_m", "cross_m"),
         sigma_m=sigma,
         body_radius_m=radius_m,
+        abscissa=abscissa,
     )
 
 
-def _orbit_axes(truth: SequenceTruth) -> FloatArray:
-    """(3, 3) rows, inertial: towards the first position, along the motion there, and across both."""
-    at, velocity = truth.trajectory.positions_m[0], truth.trajectory.velocities_m_s[0]
-    radial = at / np.linalg.norm(at)
-    cross = np.cross(radial, velocity)
-    cross /= np.linalg.norm(cross)
-    return np.stack([radial, np.cross(cross, radial), cross])
+def _abscissa(truth: SequenceTruth) -> tuple[FloatArray, str]:
+    """Return what the frames are drawn over, (F,), and its label: the anomaly, or the time where there is none."""
+    if np.isnan(truth.anomaly_deg).any():
+        return truth.trajectory.times_s, TIME
+    return truth.anomaly_deg, ANOMALY
 
 
 def last_seen(
@@ -153,21 +161,22 @@ def lives_of(
     sequence: TrackSequence, truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], estimated: int
 ) -> TrackLifetimes:
     """Say from where to where each track lives, and where it was seen at a wrong place."""
-    anomaly, wrong = truth.anomaly_deg, []
+    (along, abscissa), wrong = _abscissa(truth), []
     span: dict[int, tuple[int, int]] = {}
     for index, frame in enumerate(sequence.frames):
         for track in frame.tracks.tolist():
             span[track] = (span[track][0] if track in span else index, index)
-        wrong += [(anomaly[index], track) for track in frame.tracks[truth.wrong[index]].tolist()]
+        wrong += [(along[index], track) for track in frame.tracks[truth.wrong[index]].tolist()]
     tracks = sorted(span)
     place = {track: row for row, track in enumerate(tracks)}
-    first, last = (anomaly[[span[track][end] for track in tracks]] for end in (0, 1))
+    first, last = (along[[span[track][end] for track in tracks]] for end in (0, 1))
     error = [float(np.linalg.norm(ends[track][0])) if track in ends else np.nan for track in tracks]
     return TrackLifetimes(
         first, last, np.array(error),
         np.array([(at, place[track]) for at, track in wrong]).reshape(-1, 2),
-        np.array([(anomaly[index], len(frame.tracks)) for index, frame in enumerate(sequence.frames)]),
-        float(anomaly[max(estimated - 1, 0)]) if estimated < len(sequence.frames) else None,
+        np.array([(along[index], len(frame.tracks)) for index, frame in enumerate(sequence.frames)]),
+        float(along[max(estimated - 1, 0)]) if estimated < len(sequence.frames) else None,
+        abscissa,
     )  # fmt: skip
 
 

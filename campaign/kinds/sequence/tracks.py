@@ -24,9 +24,9 @@ from boresight.scenarios.sequences import (
     SequenceTruth,
     camera_trajectory,
     measured_ranges,
+    nominal_trajectory,
     onboard_sequence,
 )
-from boresight.scenarios.sequences.trajectory import anomalies_deg
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
@@ -91,7 +91,7 @@ class Watch:
         self._realisation, start = divmod(trial, self._images.spec.starts)
         turn, spec = len(self._images.views), tracks.spec
         first = start * turn // self._images.spec.starts
-        self._slots = [(first + i) % turn for i in range(spec.orbit.frames)]
+        self._slots = [(first + i) % turn for i in range(spec.frames)]
         self._address = (seed, trial)
         self.path = tracks.path(start)
         self._blind = onboard_sequence(
@@ -159,8 +159,7 @@ class Watch:
             for slot, seen in zip(slots, self._tracked, strict=True)
         ]
         wrong = tuple(~(np.linalg.norm(error, axis=1) <= WRONG_PX) for error in errors)
-        orbit = self._tracks.spec.orbit
-        truth = SequenceTruth(self.path.poses, anomalies_deg(orbit), points, wrong, self.path, orbit.gm_m3_s2)
+        truth = SequenceTruth(self.path.poses, points, wrong, self.path, self._tracks.spec.gm_m3_s2)
         records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
         self._seen = Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
         return self._seen
@@ -233,13 +232,15 @@ class ImageTracks:
     def see(self, seed: int, trial: int) -> Seen:
         """Let the vision layer track the images of a trial by itself."""
         watch = self.watch(seed, trial)
-        for index in range(self.spec.orbit.frames):
+        for index in range(self.spec.frames):
             watch.frame(index, None)
         return watch.seen()
 
     def path(self, start: int) -> CameraTrajectory:
         """Return the way of the camera from a start."""
         orbit = self.spec.orbit
+        if self.spec.trajectory is not None:
+            return nominal_trajectory(self.spec, self.ground)
         turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.images.spec.starts})
         still = np.zeros((orbit.frames - 1, 3))
         return camera_trajectory(self.spec.model_copy(update={"orbit": turned}), self.ground, still)

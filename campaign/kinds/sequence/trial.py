@@ -1,4 +1,4 @@
-"""The sequence experiment: follow a camera along an orbit by the tracks of a vision layer, score every frame."""
+"""The sequence experiment: follow a camera by the tracks of a vision layer, score every frame."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.world import check_outside
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.score import (
     check_sequence,
@@ -92,8 +93,10 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
-        """Refuse a missing section, and an orbit that leads into the body by known forces."""
+        """Refuse a missing section, states inside the body, and an orbit that leads into it by known forces."""
         section, ground = _section(scenario), ground_of(scenario)
+        if section.trajectory is not None and isinstance(ground, MeshGround):
+            check_outside(scenario, ground.mesh, section.trajectory.states, "sequence")
         if section.orbit.model == "propagated":
             try:
                 nominal_trajectory(section, ground)
@@ -192,7 +195,7 @@ def ground_of(scenario: LoadedScenario) -> LandmarkGround:
     if section.sphere_radius_m is not None:
         return SphereGround(section.sphere_radius_m)
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
-    if section.orbit.radius_m <= mesh.radius_m:
+    if section.trajectory is None and section.orbit.radius_m <= mesh.radius_m:
         raise BoresightError(
             f"{scenario.path}: sequence.orbit.radius_m: {section.orbit.radius_m:g} m is not above the body, which"
             f" reaches {mesh.radius_m:.6g} m from its origin: choose a larger radius"

@@ -226,14 +226,15 @@ def trace_figure(
 ) -> NamedFigure:
     """Draw the errors of some estimators along the frames."""
     here = run.table("epochs")[run.table("epochs")["scenario"] == scenario]
-    title = f"Errors along the orbit, {scenario}"
+    way, along = ("orbit", "the anomaly") if here["anomaly_deg"].notna().any() else ("trajectory", "time")
+    title = f"Errors along the {way}, {scenario}"
     trials = here["trial"].nunique()
     return NamedFigure(
         file_stem(f"traces_{scenario}"),
         draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
         f"{title}: median over {count_of(trials, 'trial')}, and {band_label(trials)}; a thin line: the"
         " first trial; a trial that failed ends with its last good frame.",
-        f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
+        f"Position error and landmark error against {along} for {', '.join(labels)}.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Columns of sequences: a camera followed along an orbit."""
+"""Columns of sequences: a camera followed along an orbit or a trajectory."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _SCHEMA = KindSchema(
         "epochs": (
             *KEY,
             count("frame", "number of the frame in its sequence, from 0"),
-            number("anomaly_deg", "anomaly gone through since the first frame"),
+            number("anomaly_deg", "anomaly gone through since the first frame; none along given states"),
             number("time_s", "epoch of the frame; the first is at 0"),
             *_inertial("", "estimated camera position in inertial axes (ACRF), by the known rotation of the body"),
             *_inertial("true_", "true camera position in inertial axes about the body's centre of mass (ACRF)"),
