@@ -23,8 +23,11 @@ from boresight.scenarios.cache import default_cache
 _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 
 
-def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
-    """Return a decorator for kernels whose sources, with those of all functions that they call, are in ``folder``.
+def compiler(folder: Path) -> tuple[Callable[[_Kernel], _Kernel], Callable[[_Kernel], _Kernel]]:
+    """Return two decorators for kernels whose sources, with those of all functions that they call, are in ``folder``.
+
+    The first is for kernels that Python calls. The second is for those that only kernels call: they have no code that
+    takes arguments from Python, which a third of the time of compilation may go into.
 
     A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache: of
     several processes one compiles, and the others wait and read. If the cache cannot be written, each process compiles.
@@ -32,31 +35,37 @@ def compiler(folder: Path) -> Callable[[_Kernel], _Kernel]:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     place = (Path(chosen) if chosen else default_cache().root / "kernels") / source_key(folder)
 
-    def kernel(function: _Kernel) -> _Kernel:
+    def decorate(function: _Kernel, inner: bool) -> _Kernel:
         # Numba reads both when a function is decorated; other users of Numba keep theirs.
         before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = str(place), f"{__name__}.{Locator.__name__}"
+        # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or fused.
+        # nogil: other threads of Python go on meanwhile. No compiled code calls a kernel by a pointer.
+        options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
         try:
-            # error_model: division by zero gives inf or NaN as in NumPy. Without fastmath nothing is reordered or
-            # fused. nogil: other threads of Python go on meanwhile. No compiled code calls a kernel by a pointer.
-            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
             dispatcher = numba.njit(cache=True, **options)(function)
-            dispatcher.compile = _one_at_a_time(dispatcher.compile, place / "lock")
-            return cast("_Kernel", dispatcher)
         except RuntimeError:  # the folder cannot be written
-            return cast("_Kernel", numba.njit(**options)(function))
+            dispatcher = numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
+        dispatcher.compile = _one_at_a_time(dispatcher, place / "lock", inner)
+        return cast("_Kernel", dispatcher)
 
-    return kernel
+    return lambda function: decorate(function, False), lambda function: decorate(function, True)
 
 
-def _one_at_a_time(compile_kernel: Callable[[object], object], lock: Path) -> Callable[[object], object]:
+def _one_at_a_time(dispatcher: numba.core.dispatcher.Dispatcher, lock: Path, inner: bool) -> Callable[[object], object]:
     """Let one process at a time compile or read kernels; each reads what another has compiled before."""
+    compile_kernel = dispatcher.compile
 
     def compile_alone(signature: object) -> object:
         if global_compiler_lock.is_locked():  # a kernel calls another
-            return compile_kernel(signature)
+            compiled = compile_kernel(signature)
+            if inner:
+                dispatcher._clear()  # a call from Python comes here again, in place of crashing
+            return compiled
+        if inner:
+            raise TypeError(f"{dispatcher.__name__} is called by kernels only")
         with global_compiler_lock, contextlib.ExitStack() as held:
             with contextlib.suppress(OSError):  # the folder cannot be written any more, or knows no locks
                 fcntl.flock(held.enter_context(lock.open("a")), fcntl.LOCK_EX)

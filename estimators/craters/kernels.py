@@ -22,7 +22,7 @@ _HALVINGS = 5  # most reductions of a step that does not increase the merit enou
 _ARMIJO = 0.1  # least increase, as a share of that predicted by the gradient
 _CONVERGED_PX = 2e-3  # step below which a rim has converged
 
-kernel = compiler(Path(__file__).parent)
+kernel, inner = compiler(Path(__file__).parent)
 
 
 @kernel
@@ -35,7 +35,6 @@ def divide_softly(out: FloatArray, along_u: Image, along_v: Image, floor: float)
             out[i, j, 0], out[i, j, 1] = u / length, v / length
 
 
-@kernel
 def side_weights(toward_sun: Cosines, gap: float) -> tuple[Cosines, Cosines]:
     """Weight rim points by the cosine between their normal and the Sun: 0 in the transition arcs, +1 and -1 beyond.
 
@@ -60,6 +59,9 @@ def side_weights(toward_sun: Cosines, gap: float) -> tuple[Cosines, Cosines]:
     return np.sign(toward_sun) * step, slope
 
 
+_side_weights = inner(side_weights)  # of one cosine
+
+
 @kernel
 def rim_merits(
     value: FloatArray, by: FloatArray, rims: FloatArray, field: FloatArray, sun: FloatArray, gap: float, count: int
@@ -81,7 +83,7 @@ def rim_merits(
         _rim_merit(value[n], by[n], rims[n], field, sun, gap, count)
 
 
-@kernel
+@inner
 def _rim_merit(
     value: FloatArray,
     by: FloatArray,
@@ -93,18 +95,21 @@ def _rim_merit(
 ) -> None:
     """Write the merits (2,) of both sides of one rim (5,) and their derivatives (2, 5)."""
     right, bottom = field.shape[1] - 1.0, field.shape[0] - 1.0
-    total, total_by = np.empty(2), np.empty((2, 5))
+    total, total_by = np.zeros(2), np.zeros((2, 5))
     point_by, spin = np.zeros((2, 5)), np.zeros(5)
     point_by[0, 0] = point_by[1, 1] = spin[4] = 1.0
     a, b = rim[2], rim[3]
     c, s = np.cos(rim[4]), np.sin(rim[4])
-    value[:], by[:], total[:], total_by[:] = 0.0, 0.0, 0.0, 0.0
+    for side in range(2):
+        value[side] = 0.0
+        for d in range(5):
+            by[side, d] = 0.0
     for k in range(count):
         t = k * (2.0 * np.pi / count)
         cos, sin = np.cos(t), np.sin(t)
         length = np.hypot(b * cos, a * sin)
         nu, nv = (c * b * cos - s * a * sin) / length, (s * b * cos + c * a * sin) / length
-        weight, slope = side_weights(nu * sun[0] + nv * sun[1], gap)
+        weight, slope = _side_weights(nu * sun[0] + nv * sun[1], gap)
         if weight == 0.0:
             continue
         # Equation (2), with the origin of OpenCV's pixels in the middle of the first one.
@@ -156,50 +161,74 @@ def climb(start: FloatArray, field: FloatArray, sun: FloatArray, gap: float, rou
     By conjugate gradients (Polak and Ribiere), restarted where the direction leads downhill; all rims stop together.
     """
     n = len(start)
-    value, length, radius = np.empty(n), np.empty(n), np.sqrt(start[:, 2] * start[:, 3])
-    slope, direction, step = np.empty((n, 5)), np.empty((n, 5)), np.zeros((n, 5))
+    value, length, radius = np.empty(n), np.empty(n), np.empty(n)
+    slope, direction, step, unit = np.empty((n, 5)), np.empty((n, 5)), np.zeros((n, 5)), np.empty((n, 5))
     new_value, new_slope, taken = np.empty(n), np.empty((n, 5)), np.empty((n, 5))
-    # Scaled so that a unit of each parameter moves the rim by about a pixel: the angle by the difference of the axes.
-    unit = np.ones((n, 5))
-    unit[:, 4] = 1.0 / np.maximum(start[:, 2] - start[:, 3], 0.1 * radius)
+    trial, trial_slope, turned = np.empty(5), np.empty(5), np.empty(5)
     for k in range(n):
+        radius[k] = np.sqrt(start[k, 2] * start[k, 3])
+        # Scaled so that a unit of each parameter moves the rim by about a pixel: the angle by the difference of the
+        # axes.
+        for d in range(5):
+            unit[k, d] = 1.0 / max(start[k, 2] - start[k, 3], 0.1 * radius[k]) if d == 4 else 1.0
         value[k] = _evaluate(slope[k], step[k], start[k], unit[k], field, sun, gap, radius[k])
-        direction[k] = slope[k]
+        _copy(direction[k], slope[k])
         length[k] = 0.3 / max(np.sqrt(_dot(slope[k], slope[k])), 1e-9)  # the first step is of 0.3 px
     for _ in range(rounds):
         largest = 0.0
         for k in range(n):
             # Restart with the gradient where the conjugate direction has lost the ascent.
             if _dot(direction[k], slope[k]) <= 0.0:
-                direction[k] = slope[k]
+                _copy(direction[k], slope[k])
             gain = _dot(direction[k], slope[k])
-            new_value[k], new_slope[k], taken[k] = value[k], slope[k], step[k]
+            new_value[k] = value[k]
+            _copy(new_slope[k], slope[k])
+            _copy(taken[k], step[k])
             # Backtracking until Armijo's condition holds; a rim that never reaches it stays.
             for _ in range(_HALVINGS):
-                trial, trial_slope = step[k] + length[k] * direction[k], np.empty(5)
+                for d in range(5):
+                    trial[d] = step[k, d] + length[k] * direction[k, d]
                 found = _evaluate(trial_slope, trial, start[k], unit[k], field, sun, gap, radius[k])
                 if found >= value[k] + _ARMIJO * length[k] * gain:
-                    new_value[k], new_slope[k], taken[k] = found, trial_slope, trial
+                    new_value[k] = found
+                    _copy(new_slope[k], trial_slope)
+                    _copy(taken[k], trial)
                     break
                 length[k] *= 0.4
-            largest = max(largest, np.abs(taken[k] - step[k]).max())
+            for d in range(5):
+                largest = max(largest, abs(taken[k, d] - step[k, d]))
         if largest < _CONVERGED_PX:
             break
         for k in range(n):
+            for d in range(5):
+                turned[d] = new_slope[k, d] - slope[k, d]
             # Polak and Ribiere, floored at 0: a negative value would reverse the old direction; 0 restarts with the
             # gradient.
-            beta = _dot(new_slope[k] - slope[k], new_slope[k]) / max(_dot(slope[k], slope[k]), 1e-30)
+            beta = _dot(turned, new_slope[k]) / max(_dot(slope[k], slope[k]), 1e-30)
             before = np.sqrt(_dot(direction[k], direction[k]))
-            direction[k] = new_slope[k] + max(beta, 0.0) * direction[k]
+            for d in range(5):
+                direction[k, d] = new_slope[k, d] + max(beta, 0.0) * direction[k, d]
             size = max(np.sqrt(_dot(direction[k], direction[k])), 1e-30)
             # The first trial is somewhat longer than the last accepted step, and moves the rim by a tenth of its radius
             # at most.
             length[k] = min(1.8 * length[k] * before / size, 0.1 * radius[k] / size)
-            step[k], value[k], slope[k] = taken[k], new_value[k], new_slope[k]
-    return start + step * unit
+            value[k] = new_value[k]
+            _copy(step[k], taken[k])
+            _copy(slope[k], new_slope[k])
+    for k in range(n):
+        for d in range(5):
+            step[k, d] = start[k, d] + step[k, d] * unit[k, d]
+    return step
 
 
-@kernel
+@inner
+def _copy(out: FloatArray, values: FloatArray) -> None:
+    """Write values (5,); Numba compiles an assignment of arrays ten times as slowly."""
+    for d in range(len(values)):
+        out[d] = values[d]
+
+
+@inner
 def _dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for d in range(len(a)):
@@ -207,13 +236,15 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return total
 
 
-@kernel
+@inner
 def _evaluate(
     slope: FloatArray, step: FloatArray, start: FloatArray, unit: FloatArray, field: FloatArray, sun: FloatArray,
     gap: float, radius: float,
 ) -> float:  # fmt: skip
     """Write the derivatives (5,) of a rim's merit by the step and return the merit."""
-    moved, value, by = start + step * unit, np.empty(2), np.empty((2, 5))
+    moved, value, by = np.empty(5), np.empty(2), np.empty((2, 5))
+    for d in range(5):
+        moved[d] = start[d] + step[d] * unit[d]
     # A collapsed rim is not evaluated; the merit is at least -1, so that -2 is refused by the line search.
     collapsed = min(moved[2], moved[3]) < 0.3 * radius
     if collapsed:
@@ -242,7 +273,7 @@ def best_of_each(order: IndexArray, centre: FloatArray, radius: FloatArray, apar
     return kept[:count]
 
 
-@kernel
+@inner
 def _add_taps(out: Image, field: Image, place: PlaceArray, weight: Image, base: np.uint64) -> None:
     """Add to ``out`` (LANES,) the sum of weights (T,) times LANES consecutive values of a flat field at each place."""
     k = 0
@@ -329,35 +360,40 @@ def apply_network(out: Image, pixels: Image, scalars: Image, w: NetworkWeights) 
 
     LANES patches are evaluated at once: they are the last axis of all layers, which have a border of zeros.
     """
-    side, channels = pixels.shape[1], (1, len(w.conv1), len(w.conv2), len(w.conv3))
-    pad, zero = round(np.sqrt(w.conv1.shape[1])) // 2, np.float32(0.0)
+    side, pad, zero = pixels.shape[1], round(np.sqrt(w.conv1.shape[1])) // 2, np.float32(0.0)
+    # No literals, for which numba would compile twice.
+    none, border = np.int64(0), np.int64(1)
     first = np.zeros((side + 2 * pad, side + 2 * pad, 1, LANES), dtype=np.float32)
-    second = np.zeros((side // 2 + 2, side // 2 + 2, channels[1], LANES), dtype=np.float32)
-    third = np.zeros((side // 4 + 2, side // 4 + 2, channels[2], LANES), dtype=np.float32)
+    second = np.zeros((side // 2 + 2, side // 2 + 2, len(w.conv1), LANES), dtype=np.float32)
+    third = np.zeros((side // 4 + 2, side // 4 + 2, len(w.conv2), LANES), dtype=np.float32)
     inputs = np.zeros((1, 1, w.dense1.shape[1], LANES), dtype=np.float32)
     n_seen = w.dense1.shape[1] - scalars.shape[1]
-    last = inputs[0, 0, :n_seen].reshape((side // 8, side // 8, channels[3], LANES))
+    last = inputs[0, 0, :n_seen].reshape((side // 8, side // 8, len(w.conv3), LANES))
     hidden = np.zeros((1, 1, len(w.dense1), LANES), dtype=np.float32)
     result = np.zeros((1, 1, len(w.dense2), LANES), dtype=np.float32)
     for start in range(0, len(pixels), LANES):
         n = min(LANES, len(pixels) - start)
         for p in range(n):
-            first[pad : pad + side, pad : pad + side, 0, p] = pixels[start + p]
-            inputs[0, 0, n_seen:, p] = scalars[start + p]
-        _convolve(second[1:-1, 1:-1], first, w.conv1, w.bias1, zero)
-        _convolve(third[1:-1, 1:-1], second, w.conv2, w.bias2, zero)
-        _convolve(last, third, w.conv3, w.bias3, zero)
-        _convolve(hidden, inputs, w.dense1, w.bias4, zero)
-        _convolve(result, hidden, w.dense2, w.bias5, -np.float32(np.inf))
+            for i in range(side):
+                for j in range(side):
+                    first[pad + i, pad + j, 0, p] = pixels[start + p, i, j]
+            for k in range(scalars.shape[1]):
+                inputs[0, 0, n_seen + k, p] = scalars[start + p, k]
+        _convolve(second, border, first, w.conv1, w.bias1, zero)
+        _convolve(third, border, second, w.conv2, w.bias2, zero)
+        _convolve(last, none, third, w.conv3, w.bias3, zero)
+        _convolve(hidden, none, inputs, w.dense1, w.bias4, zero)
+        _convolve(result, none, hidden, w.dense2, w.bias5, -np.float32(np.inf))
         for p in range(n):
-            out[start + p] = result[0, 0, :, p]
+            for k in range(out.shape[1]):
+                out[start + p, k] = result[0, 0, k, p]
 
 
-@kernel
-def _convolve(out: Image, x: Image, weights: Image, bias: Image, floor: np.float32) -> None:
+@inner
+def _convolve(out: Image, border: np.int64, x: Image, weights: Image, bias: Image, floor: np.float32) -> None:
     """Write a convolution (H / 2, W / 2, C', LANES) of stride 2, at least ``floor``, of a padded (H, W, C, LANES).
 
-    A dense layer has one window, the whole layer before it.
+    A ``border`` of ``out`` is left as it is. A dense layer has one window, the whole layer before it.
     """
     width, depth = x.shape[1], x.shape[2]
     size = round(np.sqrt(weights.shape[1] / depth))
@@ -367,12 +403,12 @@ def _convolve(out: Image, x: Image, weights: Image, bias: Image, floor: np.float
             for c in range(depth):
                 place[i, j, c] = np.uint64(((i * width + j) * depth + c) * LANES)
     total, flat, places = np.empty(LANES, dtype=np.float32), x.ravel(), place.ravel()
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
+    for i in range(out.shape[0] - 2 * border):
+        for j in range(out.shape[1] - 2 * border):
             base = np.uint64((2 * i * width + 2 * j) * depth * LANES)
             for c in range(out.shape[2]):
                 total[:] = bias[c]
                 _add_taps(total, flat, places, weights[c], base)
-                row = out[i, j, c]
+                row = out[border + i, border + j, c]
                 for p in range(LANES):
                     row[p] = max(total[p], floor)

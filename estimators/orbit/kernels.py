@@ -11,7 +11,7 @@ from boresight.scenarios.compiled import compiler
 
 _MIN_PARALLAX = 0.03  # sine of the angle between two rays; below it their midpoint is poorly determined
 
-kernel = compiler(Path(__file__).parent)
+kernel, inner = compiler(Path(__file__).parent)
 
 
 @kernel
@@ -119,13 +119,14 @@ def consistent_rays(
     second set needs ``least`` rays. The rays of landmark j have the rows from ``begin[j]`` to before ``begin[j + 1]``.
     """
     found = np.full(len(origins), -1)
+    first_label, second_label = np.int64(0), np.int64(1)  # no literals, for which numba would compile twice
     for j in range(len(begin) - 1):
-        first = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 0)
+        first = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, first_label)
         if first < 2:  # no two rays meet: their errors cannot be judged, so all are kept
             for k in range(begin[j], begin[j + 1]):
                 found[k] = 0
             continue
-        second = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 1)
+        second = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, second_label)
         if second < least:
             for k in range(begin[j], begin[j + 1]):
                 if found[k] == 1:
@@ -133,7 +134,7 @@ def consistent_rays(
     return found
 
 
-@kernel
+@inner
 def _label_largest_set(
     origins: FloatArray,
     directions: FloatArray,
@@ -141,7 +142,7 @@ def _label_largest_set(
     last: int,
     tolerance: FloatArray,
     found: IndexArray,
-    label: int,
+    label: np.int64,
 ) -> int:
     """Give ``label`` to the largest set among the rays with label -1, and return its size."""
     best, place = 0, np.zeros(3)
@@ -166,7 +167,7 @@ def _label_largest_set(
     return best
 
 
-@kernel
+@inner
 def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, place: FloatArray) -> bool:
     """Fill ``place`` with the midpoint of the shortest line between two rays; return False if nearly parallel."""
     aa, ab, ao, bo = 1.0, 0.0, 0.0, 0.0
@@ -186,7 +187,7 @@ def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, p
     return True
 
 
-@kernel
+@inner
 def _angle_off_ray(origins: FloatArray, directions: FloatArray, k: int, place: FloatArray) -> float:
     """Return the tangent of the angle between a ray and the direction to a place; 10 if that is behind the camera."""
     along, squares = 0.0, 0.0

@@ -245,7 +245,7 @@ def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
 
 def tiles_casting(ground: CrateredSurface, view: View) -> IndexArray:
     """Tiles near the frame with facets that may face the Sun: a ray leaves the body only through such a facet."""
-    sun = np.broadcast_to(view.sun_dir_body, (len(ground.cones), 3))
+    sun = np.tile(view.sun_dir_body, (len(ground.cones), 1))
     facing = may_face(ground.cones, sun, np.full(len(sun), _SINGLE))
     return np.flatnonzero(facing & _near_frame(ground, view, _SHADOWS_PX))
 

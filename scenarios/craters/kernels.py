@@ -10,8 +10,8 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray, IndexArray, SingleArray
 from boresight.scenarios.compiled import compiler
 
-kernel = compiler(Path(__file__).parent)
-"""The decorator of the kernels of this package."""
+kernel, inner = compiler(Path(__file__).parent)
+"""The decorators of the kernels of this package."""
 
 
 class TileLayout(NamedTuple):
@@ -26,7 +26,7 @@ class TileLayout(NamedTuple):
     tile_start: IndexArray
 
 
-@kernel
+@inner
 def _bend(out: FloatArray, p: FloatArray, q: FloatArray, normal: FloatArray) -> None:
     """Write the control point b_210 of Vlachos et al. (2001): p + (q - p) / 3, projected to the tangent plane at p."""
     # b_210 = p + (d - (d . n) n) / 3 with d = q - p.
@@ -35,7 +35,7 @@ def _bend(out: FloatArray, p: FloatArray, q: FloatArray, normal: FloatArray) -> 
         out[x] = p[x] + (q[x] - p[x] - along * normal[x]) / 3.0
 
 
-@kernel
+@inner
 def _normalise(v: FloatArray, row: int) -> None:
     length = np.sqrt(v[row, 0] * v[row, 0] + v[row, 1] * v[row, 1] + v[row, 2] * v[row, 2])
     for x in range(3):
@@ -102,7 +102,7 @@ def place_inner_vertices(
                 row += 1
 
 
-@kernel
+@inner
 def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step: int, n: int) -> int:
     """Return the vertex of an edge that is nearest to the fraction step / n from one end to the other."""
     # round(step / n * pieces) in integers.
@@ -115,14 +115,16 @@ def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step:
     return start + (k - 1 if first == corner else pieces - 1 - k)
 
 
-@kernel
+@inner
 def tile_buffer(layout: TileLayout) -> IndexArray:
     """Return an array that is large enough for the vertex numbers of any tile."""
-    most = layout.tile_pieces.max() + 1
-    return np.empty((most, most), dtype=np.int64)
+    most = 0
+    for pieces in layout.tile_pieces:
+        most = max(most, pieces)
+    return np.empty((most + 1, most + 1), dtype=np.int64)
 
 
-@kernel
+@inner
 def number_tile(ids: IndexArray, f: int, layout: TileLayout) -> int:
     """Write the vertex numbers of a tile, [i, j] at barycentric coordinates (n - i - j, i, j) / n, and return n."""
     a, b, c = layout.faces[f, 0], layout.faces[f, 1], layout.faces[f, 2]
@@ -191,6 +193,7 @@ def add_crater(
     frame: FloatArray,
     radius: float,
     shape: FloatArray,
+    plane: FloatArray,
 ) -> None:
     """Add one crater to the existing relief: see `scenarios.craters.relief`.
 
@@ -204,8 +207,9 @@ def add_crater(
         (3, 3) axes of the crater, the last one up.
     shape
         (4,) rim, rounding, stretch and scale of `profile_height`.
+    plane
+        (3,) solution of `rim_equations`.
     """
-    plane = _rim_plane(heights, points, up, runs, centre, frame, radius)
     offset = np.empty(3)
     for k in range(len(runs)):
         for v in range(runs[k, 0], runs[k, 1]):
@@ -233,7 +237,7 @@ def add_crater(
 
 
 @kernel
-def _rim_plane(
+def rim_equations(
     heights: FloatArray,
     points: FloatArray,
     up: FloatArray,
@@ -241,12 +245,15 @@ def _rim_plane(
     centre: FloatArray,
     frame: FloatArray,
     radius: float,
-) -> FloatArray:
-    """Least-squares plane (constant, slopes along the frame's axes) of the old surface at 0.8 to 1.2 radii."""
-    normal = np.zeros((3, 3))
-    right = np.zeros(3)
-    row = np.ones(3)
-    offset = np.empty(3)
+) -> tuple[FloatArray, FloatArray]:
+    """Return normal equations (3, 3), (3,) of the old surface's plane at 0.8 to 1.2 radii; parameters of `add_crater`.
+
+    The unknowns are a constant and slopes along the frame's axes. The caller solves: numba compiles a call of LAPACK
+    for three seconds.
+    """
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    row, offset = np.empty(3), np.empty(3)
+    row[0] = 1.0
     for k in range(len(runs)):
         for v in range(runs[k, 0], runs[k, 1]):
             for axis in range(3):
@@ -259,13 +266,11 @@ def _rim_plane(
             row[2] = offset[0] * frame[1, 0] + offset[1] * frame[1, 1] + offset[2] * frame[1, 2]
             z = offset[0] * frame[2, 0] + offset[1] * frame[2, 1] + offset[2] * frame[2, 2] + heights[v] * facing
             for i in range(3):
-                # Normal equations of the plane; sums in the order of the vertices.
+                # Sums in the order of the vertices.
                 right[i] += row[i] * z
                 for j in range(3):
                     normal[i, j] += row[i] * row[j]
-    plane = np.empty(3)
-    plane[:] = np.linalg.solve(normal, right)
-    return plane
+    return normal, right
 
 
 @kernel

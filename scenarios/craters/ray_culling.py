@@ -9,7 +9,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray, SingleArray
 from boresight.scenarios.bodies.topology import tangent_axes
-from boresight.scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
+from boresight.scenarios.craters.kernels import TileLayout, inner, kernel, number_tile, tile_buffer
 from boresight.scenarios.craters.surface import CrateredSurface
 from boresight.scenarios.geometry import View
 
@@ -46,7 +46,8 @@ class RayProjection:
     @classmethod
     def of_view(cls, view: View) -> RayProjection:
         """Make the projection of a camera's lines of sight (with any lens distortion)."""
-        return cls(view.T_cam_body.rotation, view.T_cam_body.camera_position_m, True)
+        # A writable copy: numba would compile the kernels again for a read-only array.
+        return cls(np.array(view.T_cam_body.rotation, order="C"), view.T_cam_body.camera_position_m, True)
 
     @classmethod
     def of_parallel(cls, direction: FloatArray) -> RayProjection:
@@ -81,13 +82,12 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
         return np.empty((0, 3, 3), dtype=np.float32)
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
     radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
-    # A writable copy: numba would compile the kernel again for a read-only array.
-    axes, slack_m = np.array(fan.axes, order="C"), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
+    slack_m = _SLACK * radius_m, _DEPTH_SLACK * radius_m
     count = _find_candidates(
         found,
         tiles,
         ground.vertices_m,
-        axes,
+        fan.axes,
         fan.origin_m,
         fan.pencil,
         slack_m,
@@ -143,12 +143,13 @@ def _finite_rays(rays: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         if np.isfinite(rays[k, 0]) and np.isfinite(rays[k, 1]) and np.isfinite(rays[k, 2]):
             for d in range(2):
                 low[d], high[d] = min(low[d], rays[k, d]), max(high[d], rays[k, d])
-            kept[count] = rays[k]
+            for d in range(3):  # numba compiles an assignment of arrays for two seconds
+                kept[count, d] = rays[k, d]
             count += 1
     return kept[:count], low, high
 
 
-@kernel
+@inner
 def _cell(x: float, low: float, per_m: float, n: int) -> int:
     """Return the column or row of a coordinate, clamped to the grid."""
     return int(min(max((x - low) * per_m, 0.0), n - 1.0))
@@ -236,7 +237,7 @@ def _find_candidates(
     return count
 
 
-@kernel
+@inner
 def _cells_about(left: float, top: float, right: float, bottom: float, cells: _Cells) -> tuple[int, int, int, int]:
     """Return first and last column and row of the cells that a box overlaps."""
     low, per_m = cells.low, 1.0 / cells.step
@@ -244,7 +245,7 @@ def _cells_about(left: float, top: float, right: float, bottom: float, cells: _C
     return first, last, _cell(top, low[1], per_m, cells.n_rows), _cell(bottom, low[1], per_m, cells.n_rows)
 
 
-@kernel
+@inner
 def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cells) -> bool:
     """Return whether the cells that a box overlaps contain a ray."""
     first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
@@ -255,7 +256,7 @@ def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cell
     return False
 
 
-@kernel
+@inner
 def _may_be_hit(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
     """Return whether a ray lies in the triangle p q r, within the tolerance, and starts before it."""
     left, right = min(p[0], q[0], r[0]) - slack, max(p[0], q[0], r[0]) + slack
@@ -280,7 +281,7 @@ def _may_be_hit(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: fl
     return False
 
 
-@kernel
+@inner
 def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
     """Return whether a point lies left of the line from a to b, or right of it within the tolerance."""
     along, across = b[0] - a[0], b[1] - a[1]
@@ -289,7 +290,7 @@ def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
     return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
 
 
-@kernel
+@inner
 def _behind(x: float, y: float, from_m: float, p: _Point, q: _Point, r: _Point, slack_m: float) -> bool:
     """Return whether a ray starts beyond the plane through p, q and r; False if the plane is edge-on."""
     qu, qv, q_m = q[0] - p[0], q[1] - p[1], q[2] - p[2]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dgesv
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies.detail.noise import Band
 from boresight.scenarios.bodies.topology import tangent_axes
-from boresight.scenarios.craters.kernels import add_crater, add_octave
+from boresight.scenarios.craters.kernels import add_crater, add_octave, rim_equations
 from boresight.scenarios.craters.population import Craters
 from boresight.scenarios.craters.tiles import Tiling
 from boresight.scenarios.spec.body import RoughnessSpec
@@ -126,9 +127,11 @@ def crater_relief(
         reach_m = REACH * craters.radius_m[k] + tiling.reach_m
         # Sorted, as sums over the vertices must not depend on the order of the tree.
         near = np.sort(np.asarray(tree.query_ball_point(craters.centre_m[k], reach_m), dtype=np.int64))
-        add_crater(
-            heights, points_m, up, runs[near], craters.centre_m[k], frames[k], float(craters.radius_m[k]), shapes[k]
-        )
+        place = heights, points_m, up, runs[near], craters.centre_m[k], frames[k], float(craters.radius_m[k])
+        _, _, plane, failed = dgesv(*rim_equations(*place))
+        if failed:
+            raise np.linalg.LinAlgError("Matrix is singular to machine precision.")
+        add_crater(*place, shapes[k], plane)
     return heights
 
 

@@ -4,5 +4,5 @@ from pathlib import Path
 
 from boresight.scenarios.compiled import compiler
 
-kernel = compiler(Path(__file__).parent)
-"""The decorator of the kernels of this package."""
+kernel, inner = compiler(Path(__file__).parent)
+"""The decorators of the kernels of this package."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.dynamics import kernel
+from boresight.scenarios.dynamics import inner, kernel
 from boresight.scenarios.dynamics.harmonics import (
     Harmonics,
     HarmonicTable,
@@ -171,7 +171,7 @@ def _stacked(tables: list[HarmonicTable]) -> FloatArray:
     return np.ascontiguousarray(np.stack([np.stack(part) for part in zip(*tables, strict=True)]))
 
 
-@kernel
+@inner
 def body_attitude(field: FlatField, time: float) -> FloatArray:
     """Return R_body_inertial, (3, 3), at a time."""
     angle = field.rate_rad_s * time
@@ -250,7 +250,7 @@ def differentiate(
         by_parameters[j, 1] = field.light_m_s2[j]
 
 
-@kernel
+@inner
 def _sum(c: FloatArray, s: FloatArray, work: FloatArray) -> float:
     """Sum the products of a table with V and W."""
     total = 0.0

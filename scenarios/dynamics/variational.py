@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.dynamics import kernel
+from boresight.scenarios.dynamics import inner, kernel
 from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
 
@@ -130,26 +130,29 @@ def _integrate(
     now, row = 0.0, 0
     for p in range(len(pushes)):
         last = p == len(pushes) - 1
-        # As in `PiecewiseAcceleration.piece`: a limit belongs to the interval that it ends.
-        while row < len(times) and (times[row] <= edges[p + 1] or last):
-            y = _integrate_interval(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
-            now = times[row]
-            seen[row] = y
-            row += 1
-        y = _integrate_interval(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
-        now = edges[p + 1]
-        ended[p] = y
+        wanted = True
+        while wanted:
+            # Each of the times, then the end. As in `PiecewiseAcceleration.piece`, a limit belongs to the interval that
+            # it ends.
+            wanted = row < len(times) and (times[row] <= edges[p + 1] or last)
+            end = times[row] if wanted else edges[p + 1]
+            _integrate_interval(field, y, now, end, pushes[p], longest, a, b, c, slopes, work)
+            now = end
+            if wanted:
+                _copy(seen[row], y)
+                row += 1
+        _copy(ended[p], y)
         # The next push is another parameter, which has not acted yet.
         y[:, columns - 3 :] = 0.0
         if row == len(times):
-            return seen, ended[: p + 1].copy()
+            return seen, ended[: p + 1]
     return seen, ended
 
 
-@kernel
+@inner
 def _integrate_interval(
     field: FlatField,
-    start: FloatArray,
+    y: FloatArray,
     begin: float,
     end: float,
     push: FloatArray,
@@ -159,11 +162,10 @@ def _integrate_interval(
     c: FloatArray,
     slopes: FloatArray,
     work: FloatArray,
-) -> FloatArray:
-    """Integrate from one time to another in equal steps; NaN after an impact."""
-    y = start.copy()
+) -> None:
+    """Integrate from one time to another in equal steps, in place; NaN after an impact."""
     if end <= begin:
-        return y
+        return
     # Equal steps that end at the requested time: no interpolation, and the same steps in each call.
     steps = int(np.ceil((end - begin) / longest))
     h = (end - begin) / steps
@@ -171,20 +173,27 @@ def _integrate_interval(
     for step in range(steps):
         t = begin + step * h
         for i in range(len(b)):
-            at[:] = y
+            _copy(at, y)
             for j in range(i):
                 if a[i, j] != 0.0:
                     _add(at, slopes[j], h * a[i, j])
             # Inside the reference radius the harmonics need not converge.
             if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
                 y[:] = np.nan
-                return y
+                return
         for i in range(len(b)):
             _add(y, slopes[i], h * b[i])
-    return y
 
 
-@kernel
+@inner
+def _copy(out: FloatArray, values: FloatArray) -> None:
+    """Write an array; Numba compiles an assignment of arrays ten times as slowly."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = values[i, j]
+
+
+@inner
 def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
     """Add a multiple of an array in place."""
     for i in range(total.shape[0]):
@@ -192,7 +201,7 @@ def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
             total[i, j] += factor * added[i, j]
 
 
-@kernel
+@inner
 def _time_derivative(
     field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray
 ) -> bool:
@@ -200,8 +209,10 @@ def _time_derivative(
     if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
         return False
     columns, count = y.shape[1], 2 + field.parts.shape[1]
-    tide, by = np.empty((3, 3)), np.empty((3, count))
-    differentiate(field, time, y[:3, 0].copy(), work, tide, by)
+    tide, by, position = np.empty((3, 3)), np.empty((3, count)), np.empty(3)
+    for i in range(3):
+        position[i] = y[i, 0]
+    differentiate(field, time, position, work, tide, by)
     for i in range(3):
         for k in range(columns):
             # r' = v, for the state and for all derivatives.

@@ -19,7 +19,7 @@ FOLDERS = [
     path.parent
     for package in ("scenarios", "renderers", "estimators", "reports", "campaign")
     for path in sorted((ROOT / package).rglob("*.py"))
-    if "kernel = compiler(" in path.read_text()
+    if "kernel, inner = compiler(" in path.read_text()
 ]
 
 SOURCE = '''"""Kernels."""
@@ -28,11 +28,11 @@ from pathlib import Path
 
 from boresight.scenarios.compiled import compiler
 
-kernel = compiler(Path(__file__).parent)
+kernel, inner = compiler(Path(__file__).parent)
 FACTOR = 2.0
 
 
-@kernel
+@inner
 def times(x):
     """Multiply."""
     return FACTOR * x
@@ -132,6 +132,20 @@ def test_of_two_processes_one_compiles_and_the_other_reads(tmp_path):
     assert sorted(results) == [["20.0", "0"], ["20.0", "2"]]
 
 
+def test_a_kernel_for_kernels_refuses_python(tmp_path):
+    """Also once another kernel has called it: there is no code that could take the arguments."""
+    process = calling(write(tmp_path / "one", SOURCE), tmp_path / "cache")
+    process["args"][-1] = (
+        "from kernels_of_test import times, twice\n"
+        "for ready in (lambda: None, lambda: twice(10.0)):\n"
+        "    ready()\n"
+        "    try: times(10.0)\n"
+        "    except TypeError as error: print(error)"
+    )
+    done = subprocess.run(**process, capture_output=True, check=True)
+    assert done.stdout == "times is called by kernels only\n" * 2
+
+
 def borrowed(folder: Path) -> set[str]:
     """Return the names in kernels of a folder that come from modules of boresight outside it."""
     found, package = set(), ".".join(("boresight", *folder.relative_to(ROOT).parts))
@@ -145,7 +159,8 @@ def borrowed(folder: Path) -> set[str]:
             for alias in node.names
         }
         for node in tree.body:
-            if isinstance(node, ast.FunctionDef) and any("kernel" in ast.dump(one) for one in node.decorator_list):
+            decorators = {ast.unparse(one) for one in getattr(node, "decorator_list", ())}
+            if isinstance(node, ast.FunctionDef) and decorators & {"kernel", "inner"}:
                 inside = [one for part in node.body for one in ast.walk(part)]
                 # The type of a local variable is not evaluated.
                 types = {

@@ -128,4 +128,5 @@ def suppress_duplicates(
     """
     # The stable sort keeps the order of equal scores the same on every machine.
     order = np.argsort(-score, kind="stable")
-    return best_of_each(order, ellipses.centre_px, ellipses.radius_px, least_apart, least_ratio)
+    # Contiguous, as numba would compile the kernel again for another layout.
+    return best_of_each(order, np.ascontiguousarray(ellipses.centre_px), ellipses.radius_px, least_apart, least_ratio)

@@ -6,4 +6,4 @@ from pathlib import Path
 
 from boresight.scenarios.compiled import compiler
 
-kernel = compiler(Path(__file__).parent)
+kernel, inner = compiler(Path(__file__).parent)

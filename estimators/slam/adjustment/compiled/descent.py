@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.estimators.slam.adjustment.compiled.envelope import Envelope, add_diagonal, factorise, solve
 from boresight.estimators.slam.adjustment.compiled.equations import FlatEquations, lane_sum, linearise, six
 from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, make_ordering
@@ -40,7 +40,7 @@ def reduced(
     return True, matrix, right, inverse
 
 
-@kernel
+@inner
 def _subtract_landmarks(
     system: FlatEquations, ordering: FlatOrdering, inverse: FloatArray, matrix: FloatArray, right: FloatArray
 ) -> None:
@@ -111,10 +111,10 @@ def _subtract_landmarks(
                     matrix[start + 3 * (block - begin[i]) + column] -= lane_sum(blocks, block, 3 * row + column)
 
 
-@kernel
+@inner
 def _invert(sums: FloatArray, landmark: IndexArray, g: int, damping: float, inverse: FloatArray) -> bool:
     """Invert the symmetric block of each lane plus ``damping`` times the identity; False unless positive definite."""
-    sound = np.empty(LANES)
+    sound, determined = np.empty(LANES), True
     lanes = sums.shape[1] // 9
     for k in range(lanes):
         # Empty lanes have the identity.
@@ -136,7 +136,8 @@ def _invert(sums: FloatArray, landmark: IndexArray, g: int, damping: float, inve
         inverse[g, 4 * LANES + k], inverse[g, 5 * LANES + k] = -y, over2
         # NaN is not positive.
         sound[k] = 1.0 if (a > 0.0) & (d1 > 0.0) & (d2 > 0.0) else 0.0
-    determined: bool = sound.sum() == LANES
+    for k in range(LANES):
+        determined &= sound[k] == 1.0
     return determined
 
 
@@ -232,7 +233,7 @@ def reduced_at(
     return determined, matrix, right, ordering.shape, ordering.view_slot, ordering.point_slot
 
 
-@kernel
+@inner
 def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     """Return 1e-6 of the mean diagonal of the normal matrix."""
     # Relative to the matrix, so that the damping does not depend on the unit of length. One lambda for all, eq. (4):
@@ -250,7 +251,7 @@ def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
     return 1e-6 * total / (3 * count) if count > 0 else 1.0
 
 
-@kernel
+@inner
 def _step(
     system: FlatEquations, ordering: FlatOrdering, damping: float, positions: FloatArray, points: FloatArray
 ) -> tuple[bool, float, FloatArray, FloatArray]:
@@ -269,7 +270,7 @@ def _step(
     return True, longest, ahead, points_ahead
 
 
-@kernel
+@inner
 def _add_steps(rows: FloatArray, slots: IndexArray, step: FloatArray) -> None:
     """Add to positions or points the steps (3n,) of their slots in place."""
     for i in range(len(rows)):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
 
@@ -56,7 +56,7 @@ def add_entry(values: FloatArray, shape: Envelope, i: int, row: int, j: int, col
     values[shape.begin[i] + row * shape.width[i] + 3 * (j - i) + column] += added
 
 
-@kernel
+@inner
 def add_symmetric(
     values: FloatArray,
     shape: Envelope,
@@ -73,7 +73,7 @@ def add_symmetric(
             values[at + column] += sign * entries[column]
 
 
-@kernel
+@inner
 def add_diagonal(values: FloatArray, shape: Envelope, added: float) -> None:
     """Add a multiple of the identity."""
     for i in range(len(shape.reach)):
@@ -96,7 +96,7 @@ def factorise(values: FloatArray, shape: Envelope) -> bool:
     return True
 
 
-@kernel
+@inner
 def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
     """Factorise the three rows of a block row in place."""
     for row in range(3):
@@ -117,7 +117,7 @@ def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
     return True
 
 
-@kernel
+@inner
 def _subtract_multiples(
     values: FloatArray, target: int, target_width: int, source: int, width: int, column: int
 ) -> None:
@@ -140,7 +140,7 @@ def _subtract_multiples(
         third[k] -= x2 * x[k] + y2 * y[k] + z2 * z[k]
 
 
-@kernel
+@inner
 def _part(values: FloatArray, begin: int, count: int) -> FloatArray:
     """Return a slice; a loop over it from 0 has no negative indices, so that the compiler can vectorise it."""
     return values[begin : begin + count]
@@ -216,14 +216,14 @@ def without(matrix: FloatArray, gradient: FloatArray, out: BoolArray) -> tuple[b
     matrix, gradient = gathered(matrix, gradient, order)
     # Elimination pivot by pivot shows an undetermined variable by a pivot that is not positive; an inverse would return
     # large numbers instead.
-    gone = 0
+    gone = np.int64(0)  # no literal, for which numba would compile twice
     for i in range(n):
         gone += int(out[i])
     known = eliminate(matrix, gradient, gone)
     return known, matrix[gone:, gone:].copy(), gradient[gone:]
 
 
-@kernel
+@inner
 def gathered(matrix: FloatArray, gradient: FloatArray, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Return the rows and columns ``rows`` (k,) of a matrix, and those rows of a vector."""
     part, values = np.empty((len(rows), len(rows))), np.empty(len(rows))
@@ -234,8 +234,8 @@ def gathered(matrix: FloatArray, gradient: FloatArray, rows: IndexArray) -> tupl
     return part, values
 
 
-@kernel
-def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
+@inner
+def eliminate(matrix: FloatArray, right: FloatArray, count: np.int64) -> bool:
     """Eliminate the first ``count`` rows: the other rows and ``right`` (n,) become their Schur complement.
 
     False if the eliminated part is not positive definite; the values are then undefined.

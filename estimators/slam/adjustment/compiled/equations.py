@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.estimators.slam.adjustment.compiled.envelope import add_entry, add_symmetric
 from boresight.estimators.slam.adjustment.compiled.problem import LANES, FlatOrdering, FlatProblem, prior_slots
 from boresight.scenarios.arrays import FloatArray, IndexArray
@@ -59,7 +59,7 @@ def linearise(
     return (half if np.isfinite(half) else np.inf), system
 
 
-@kernel
+@inner
 def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
     """Return the points of linearisation: the frozen values where there are any, else the present ones."""
     # No copy without frozen values: the usual case of BA-SLAM.
@@ -72,7 +72,7 @@ def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
     return merged
 
 
-@kernel
+@inner
 def _add_pixels(
     problem: FlatProblem,
     ordering: FlatOrdering,
@@ -146,7 +146,7 @@ def _add_pixels(
     return total if lane_sum(seen, 0, 6) == 0.0 else np.inf
 
 
-@kernel
+@inner
 def _gather(points: FloatArray, landmark: IndexArray, g: int, lanes: FloatArray) -> None:
     """Write the coordinates of a group's landmarks to its lanes; zeros to the empty ones."""
     for lane in range(LANES):
@@ -155,7 +155,7 @@ def _gather(points: FloatArray, landmark: IndexArray, g: int, lanes: FloatArray)
             lanes[axis * LANES + lane] = points[j, axis] if j >= 0 else 0.0
 
 
-@kernel
+@inner
 def lane_sum(values: FloatArray, g: int, row: int) -> float:
     """Return the sum of the lanes of one number, in a fixed order."""
     total = 0.0
@@ -164,7 +164,7 @@ def lane_sum(values: FloatArray, g: int, row: int) -> float:
     return total
 
 
-@kernel
+@inner
 def six(values: FloatArray, g: int, lane: int) -> Block:
     """Return the symmetric block xx, xy, xz, yy, yz, zz of a lane."""
     return (
@@ -177,7 +177,7 @@ def six(values: FloatArray, g: int, lane: int) -> Block:
     )
 
 
-@kernel
+@inner
 def _add_distances(
     measured: tuple[IndexArray, IndexArray, FloatArray, FloatArray],
     at: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -210,13 +210,13 @@ def _add_distances(
     return total
 
 
-@kernel
+@inner
 def _line_of_sight(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
     """Return landmark minus camera position, body axes, m."""
     return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
 
 
-@kernel
+@inner
 def _add_sums(ordering: FlatOrdering, by_view: FloatArray, system: FlatEquations) -> None:
     """Add the sums of the free views and the kept landmarks to the kept system."""
     # A depends on landmark minus camera position alone: A'A is the same for both ends of a measurement, and the
@@ -238,7 +238,7 @@ def _add_sums(ordering: FlatOrdering, by_view: FloatArray, system: FlatEquations
                 system.kept_gradient[slot, axis] += system.by_point[g, (6 + axis) * LANES + lane]
 
 
-@kernel
+@inner
 def _couple_kept_points(ordering: FlatOrdering, system: FlatEquations) -> None:
     """Add the coupling blocks between free views and kept landmarks."""
     for g in range(ordering.eliminated, len(ordering.begin) - 1):
@@ -252,7 +252,7 @@ def _couple_kept_points(ordering: FlatOrdering, system: FlatEquations) -> None:
                     add_symmetric(system.kept, ordering.shape, a, ordering.point_slot[j], block, -1.0)
 
 
-@kernel
+@inner
 def _add_motions(
     problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, kept: FloatArray, gradient: FloatArray
 ) -> float:
@@ -286,7 +286,7 @@ def _add_motions(
     return total
 
 
-@kernel
+@inner
 def _add_prior(
     problem: FlatProblem,
     ordering: FlatOrdering,

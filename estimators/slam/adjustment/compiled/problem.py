@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.estimators.slam.adjustment.compiled.envelope import Envelope, make_envelope
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 
@@ -153,7 +153,7 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
     return FlatOrdering(view_slot, point_slot, views, shape, group, lane, landmark, eliminated, begin, offset, pixels)
 
 
-@kernel
+@inner
 def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
     """Assign numbers to the marked entries from ``first`` on, -1 elsewhere; also return the next number."""
     slots = np.empty(len(mask), np.int64)
@@ -163,7 +163,7 @@ def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
     return slots, first
 
 
-@kernel
+@inner
 def _grouped(
     problem: FlatProblem, eliminated: BoolArray
 ) -> tuple[IndexArray, IndexArray, IndexArray, int, IndexArray, IndexArray]:
@@ -200,7 +200,7 @@ def _grouped(
     return group, lane, landmark, full, begin, offset
 
 
-@kernel
+@inner
 def _sorted_by(keys: IndexArray, order: IndexArray, count: int) -> IndexArray:
     """Sort an order (n,) by ``keys`` (n,) from 0 to ``count`` - 1; equal keys keep their order."""
     place = np.zeros(count + 1, np.int64)
@@ -215,7 +215,7 @@ def _sorted_by(keys: IndexArray, order: IndexArray, count: int) -> IndexArray:
     return result
 
 
-@kernel
+@inner
 def prior_slots(problem: FlatProblem, view_slot: IndexArray, point_slot: IndexArray) -> IndexArray:
     """Return the slots (a + b,) of the variables of the prior."""
     views = len(problem.prior_views)

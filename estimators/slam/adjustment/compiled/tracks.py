@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.estimators.slam.adjustment.compiled import kernel
+from boresight.estimators.slam.adjustment.compiled import inner, kernel
 from boresight.scenarios.arrays import FloatArray, IndexArray
 
 
@@ -16,27 +16,40 @@ def select_pixels(
 
     ``track`` (k,) and ``uv_px`` (k, 2) are those of all views, one after the other; ``sizes`` and ``sigmas_px`` (V,).
     """
-    view, point, kept = np.empty(len(track), np.int64), np.empty(len(track), np.int64), np.empty(len(track), np.int64)
-    sigma_px = np.empty(len(track))
+    view, point = np.empty(len(track), np.int64), np.empty(len(track), np.int64)
+    seen_px, sigma_px = np.empty((len(track), 2)), np.empty(len(track))
     count, k = 0, 0
     for i in range(len(sizes)):
         for _ in range(sizes[i]):
-            place = np.searchsorted(tracks, track[k])
-            if place < len(tracks) and tracks[place] == track[k]:
-                view[count], point[count], sigma_px[count], kept[count] = i, place, sigmas_px[i], k
+            place = _index(tracks, track[k])
+            if place >= 0:
+                view[count], point[count], sigma_px[count] = i, place, sigmas_px[i]
+                seen_px[count, 0], seen_px[count, 1] = uv_px[k, 0], uv_px[k, 1]
                 count += 1
             k += 1
-    return view[:count], point[:count], uv_px[kept[:count]], sigma_px[:count]
+    return view[:count], point[:count], seen_px[:count], sigma_px[:count]
 
 
 @kernel
 def lookup(keys: IndexArray, wanted: IndexArray) -> IndexArray:
     """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
-    found = np.searchsorted(keys, wanted)
+    found = np.empty(len(wanted), np.int64)
     for k in range(len(wanted)):
-        if found[k] == len(keys) or keys[found[k]] != wanted[k]:
-            found[k] = -1
+        found[k] = _index(keys, wanted[k])
     return found
+
+
+@inner
+def _index(keys: IndexArray, wanted: int) -> int:
+    """Return the index of a number in the sorted ``keys``; -1 if it is not there."""
+    low, high = 0, len(keys)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(keys) and keys[low] == wanted else -1
 
 
 @kernel
@@ -49,7 +62,16 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
     for k in range(n):
         x, y, z = points_m[k, 0] - position_m[0], points_m[k, 1] - position_m[1], points_m[k, 2] - position_m[2]
         squares[k] = x * x + y * y + z * z
-    squares.sort()
+    # Shell's sort: numba compiles its own for a second.
+    gap = n // 2
+    while gap > 0:
+        for k in range(gap, n):
+            square, place = squares[k], k
+            while place >= gap and squares[place - gap] > square:
+                squares[place] = squares[place - gap]
+                place -= gap
+            squares[place] = square
+        gap //= 2
     median: float = 0.5 * (np.sqrt(squares[(n - 1) // 2]) + np.sqrt(squares[n // 2]))
     return median
 
