@@ -29,7 +29,7 @@ def compiler(folder: Path) -> tuple[Callable[[_Kernel], _Kernel], Callable[[_Ker
     """Return two decorators for kernels whose sources, with those of all functions that they call, are in ``folder``.
 
     The first is for kernels that Python calls. The second is for those that only kernels call: they have no code that
-    takes arguments from Python, which a third of the time of compilation may go into.
+    takes arguments from Python, which takes 0.1 s to compile for a named tuple of 24 arrays.
 
     A function is compiled at its first call. The machine code is cached in $NUMBA_CACHE_DIR or in boresight's cache: of
     several processes one compiles, and the others wait and read. If the cache cannot be written, each process compiles.
