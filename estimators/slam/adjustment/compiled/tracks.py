@@ -62,16 +62,7 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
     for k in range(n):
         x, y, z = points_m[k, 0] - position_m[0], points_m[k, 1] - position_m[1], points_m[k, 2] - position_m[2]
         squares[k] = x * x + y * y + z * z
-    # Shell's sort: numba compiles its own for a second.
-    gap = n // 2
-    while gap > 0:
-        for k in range(gap, n):
-            square, place = squares[k], k
-            while place >= gap and squares[place - gap] > square:
-                squares[place] = squares[place - gap]
-                place -= gap
-            squares[place] = square
-        gap //= 2
+    squares.sort()
     median: float = 0.5 * (np.sqrt(squares[(n - 1) // 2]) + np.sqrt(squares[n // 2]))
     return median
 
