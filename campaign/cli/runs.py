@@ -44,7 +44,7 @@ def run_command(arguments: argparse.Namespace) -> int:
     name, variant = campaign.spec.name, campaign.variant
     where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
     out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
-    for line in preflight(campaign.scenarios):
+    for line in preflight(campaign.scenarios, campaign.spec):
         out.print(line)
     if campaign.embedded:
         out.print(f"values without verdicts: {', '.join(campaign.embedded)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,13 @@ from boresight.scenarios.dynamics.gravity import Polyhedron
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.load.lengths import body_length_m
 from boresight.scenarios.onboard import onboard_spec
+from boresight.scenarios.spec.length import Scale
 from boresight.scenarios.spec.trajectory import StatesSpec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
-_PREVIEWED_VIEWS, _PREVIEWED_POINTS = 40, 4000
 _CHECKED_STATES = 100
 _LEAST_PX = 3.0
 """Body across in the image at the median range: no method finds anything in less."""
@@ -185,16 +186,33 @@ def check_bodies(scenario: LoadedScenario) -> tuple[Body, Body]:
             check_size(body.mesh, spec.craters)
     except BoresightError as error:
         raise BoresightError(f"{scenario.path}: {error}") from error
-    if spec.viewpoint is not None:
-        _check_range(scenario, body.mesh, spec.viewpoint)
-        if spec.viewpoint.states is not None:
-            # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
-            check_outside(scenario, body.mesh, spec.viewpoint.states, "viewpoint")
+    _check_range(scenario, body.mesh)
+    if spec.viewpoint is not None and spec.viewpoint.states is not None:
+        # Here and not for every process that opens the world: a hundred states take the whole mesh a hundred times.
+        check_outside(scenario, body.mesh, spec.viewpoint.states, "viewpoint")
     return body, onboard
 
 
+def ranges_m(scenario: LoadedScenario, mesh: TriangleMesh) -> tuple[float, float, float]:
+    """Return the shortest, the median and the longest range of a scenario's images or tracks, m."""
+    spec = scenario.spec
+    if spec.viewpoint is not None:
+        shortest_m, longest_m = spec.viewpoint.range_bounds_m
+        if spec.viewpoint.altitude_m is not None:
+            radii_m = np.linalg.norm(mesh.vertices_m, axis=1)
+            shortest_m, longest_m = shortest_m + float(radii_m.min()), longest_m + float(radii_m.max())
+        return shortest_m, typical_range_m(scenario), longest_m
+    if spec.crater_pairs is not None:
+        return (spec.crater_pairs.range_m,) * 3
+    if spec.orbit is not None:
+        axis_m, eccentricity = spec.orbit.arc.semi_major_axis_m, spec.orbit.arc.eccentricity
+        return axis_m * (1.0 - eccentricity), axis_m, axis_m * (1.0 + eccentricity)
+    ranges = _known_ranges_m(scenario)
+    return float(min(ranges)), float(np.median(ranges)), float(max(ranges))
+
+
 def typical_range_m(scenario: LoadedScenario) -> float:
-    """Range of a scenario's views, m: the median of that of its viewpoint, or over its real images.
+    """Range of a scenario's views, m: the median of that of its viewpoint or sequence, or over its real images.
 
     To an altitude the radius of a sphere of the body's volume is added.
     """
@@ -204,8 +222,28 @@ def typical_range_m(scenario: LoadedScenario) -> float:
         if spec.viewpoint.altitude_m is not None:
             radius_m = np.cbrt(0.75 / np.pi * load_body(spec.body, scenario.search_dirs).mesh.volume_m3)
         return float(radius_m + spec.viewpoint.median_range_m)
+    return float(np.median(_known_ranges_m(scenario)))
+
+
+def _known_ranges_m(scenario: LoadedScenario) -> list[float]:
+    """List the ranges of the frames of a sequence or of real images, m."""
+    sequence = scenario.spec.sequence
+    if sequence is not None:
+        states = None if sequence.trajectory is None else sequence.trajectory.states
+        return [sequence.orbit.radius_m] if states is None else list(np.linalg.norm(states.position_m, axis=1))
     images = open_images(scenario)
-    return float(np.median([np.linalg.norm(images.view(i).T_cam_body.translation_m) for i in range(len(images))]))
+    return [float(np.linalg.norm(images.view(i).T_cam_body.translation_m)) for i in range(len(images))]
+
+
+def scale_of(scenario: LoadedScenario) -> Scale:
+    """Return what lengths that follow from a scenario are measured by."""
+    spec = scenario.spec
+
+    def m_per_px() -> float:
+        known = spec.m_per_px
+        return typical_range_m(scenario) / spec.camera.camera().fx_px if known is None else known
+
+    return Scale(m_per_px, partial(body_length_m, spec.body, scenario.search_dirs))
 
 
 def open_world(scenario: LoadedScenario, variant: str) -> World:
@@ -226,97 +264,49 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
-    _check_range(scenario, body.mesh, spec.viewpoint)
+    _check_range(scenario, body.mesh)
     together = () if spec.correlated is None else (spec.correlated,)
     imager = Imager.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting, *together)
     drawn = RenderedImageSource(scenario, spec.viewpoint, camera, body.mesh, imager)
     return World(scenario, camera, body, imager.renderer, drawn, imager.ground)
 
 
-def views_in_words(scenario: LoadedScenario) -> str:
-    """Describe the field of view, a pixel and the body in images of a scenario; '' without a viewpoint section."""
-    viewpoint, camera = scenario.spec.viewpoint, scenario.spec.camera.camera()
-    if viewpoint is None:
-        return ""
-    mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
-    size_m, shares = _longest_m(mesh), _shares_in_sight(scenario, viewpoint, mesh)
-    fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
-    ends, radii_m = np.array(viewpoint.range_bounds_m), np.linalg.norm(mesh.vertices_m, axis=1)
-    if viewpoint.altitude_m is not None:
-        ends = ends + np.array([radii_m.min(), radii_m.max()])
-    lit = "" if np.isnan(shares[1]) else f" and {shares[1]:.0f} % of the rest in the dark"
-    told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values)) for values in (
-        ends, [end / camera.fx_px for end in ends], [size_m / end * camera.fx_px for end in ends]
-    )]  # fmt: skip
-    return (
-        f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
-        f" body {told[2]} px long in {camera.width_px} x {camera.height_px}; of the side that faces the camera"
-        f" {shares[0]:.0f} % is out of the frame{lit}"
-    )
+def longest_m(scenario: LoadedScenario, mesh: TriangleMesh) -> float:
+    """Return the longest side of a body's box, m; the diameter of an ideal sphere that a sequence has in its place."""
+    sphere_m = None if scenario.spec.sequence is None else scenario.spec.sequence.sphere_radius_m
+    return float(np.ptp(mesh.vertices_m, axis=0).max()) if sphere_m is None else 2.0 * sphere_m
 
 
-def _shares_in_sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh) -> tuple[float, float]:
-    """Return what of the projected area that faces the camera is out of the frame, %, and what of the rest is unlit, %.
-
-    Means over points that are spread over the surface and over some views that are drawn as those of trials; what one
-    part of the body hides or shades of another is not taken into account.
-
-    Raises
-    ------
-    BoresightError
-        If the sphere about the body is out of the frame in all of these views.
-    """
-    spec, camera, rng = scenario.spec, scenario.spec.camera.camera(), np.random.default_rng(0)
-    areas = np.cumsum(np.linalg.norm(mesh.area_vectors_m2, axis=1))
-    rows = np.searchsorted(areas, areas[-1] * (np.arange(_PREVIEWED_POINTS) + 0.5) / _PREVIEWED_POINTS)
-    weights = rng.dirichlet(np.ones(3), _PREVIEWED_POINTS)  # uniform over a triangle
-    places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
-    width, height = camera.width_px, camera.height_px
-    corners = camera.unproject(np.array([[0.0, 0.0], [0.0, height], [width, 0.0], [width, height]]))
-    axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
-    field_rad, reach_m = np.arccos((corners @ axis).min()), np.linalg.norm(mesh.vertices_m, axis=1).max()
-    count, in_view = len(viewpoint.states or ()), False
-    seen = inside = dark = 0.0
-    for trial in range(_PREVIEWED_VIEWS):
-        # Spread over a trajectory, whatever its order is.
-        state, draws = trial * count // _PREVIEWED_VIEWS, generator(0, Stream.TRUTH, trial)
-        drawn = drawn_together(spec, 0, trial)
-        view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
-        centre = view.T_cam_body.translation_m
-        range_m = float(np.linalg.norm(centre))
-        radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi
-        in_view |= bool(np.arccos(np.clip(axis @ centre / range_m, -1.0, 1.0)) <= field_rad + radius_rad)
-        towards = view.T_cam_body.camera_position_m - places
-        projected = np.einsum("pi,pi->p", normals, towards) / np.linalg.norm(towards, axis=1) ** 3
-        facing = projected > 0.0
-        framed = camera.contains(camera.project(view.T_cam_body.transform(places[facing])))
-        unlit = normals[facing] @ view.sun_dir_body <= 0.0
-        seen += float(projected[facing].sum())
-        inside += float(projected[facing][framed].sum())
-        dark += float(projected[facing][framed & unlit].sum())
-    if not in_view:
-        raise BoresightError(
-            f"{scenario.path}: viewpoint: nothing of the body is in the frame in {_PREVIEWED_VIEWS} views: check"
-            " camera.principal_point_px, and the attitudes of a trajectory"
-        )
-    return 100.0 * (1.0 - inside / seen), 100.0 * dark / inside if inside else np.nan
+_RANGE_KEYS = {
+    "viewpoint": "viewpoint",
+    "images": "images",
+    "sequence": "sequence",
+    "crater_pairs": "crater_pairs.range_m",
+    "orbit": "orbit.arc.semi_major_axis_m",
+}
+"""Key that decides about the range, by the section of a scenario that has it."""
 
 
-def _longest_m(mesh: TriangleMesh) -> float:
-    """Return the longest side of a body's box, m."""
-    return float(np.ptp(mesh.vertices_m, axis=0).max())
-
-
-def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
+def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
     """Refuse a range from which the body is a few pixels, or at which a view that has no state could be inside it."""
-    size_m, range_m = _longest_m(mesh), typical_range_m(scenario)
-    across_px = size_m / range_m * scenario.spec.camera.camera().fx_px
+    spec, size_m = scenario.spec, longest_m(scenario, mesh)
+    key = next(key for section, key in _RANGE_KEYS.items() if getattr(spec, section) is not None)
+    shortest_m, range_m, _ = ranges_m(scenario, mesh)
+    across_px = size_m / range_m * spec.camera.camera().fx_px
     if across_px < _LEAST_PX:
         raise BoresightError(
-            f"{scenario.path}: viewpoint: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
+            f"{scenario.path}: {key}: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
-    if viewpoint.range_m is None:
+    inner_m = float(np.linalg.norm(mesh.vertices_m, axis=1).min())
+    on_orbit = spec.orbit is not None or (spec.sequence is not None and spec.sequence.sphere_radius_m is None)
+    if on_orbit and shortest_m <= inner_m:
+        raise BoresightError(
+            f"{scenario.path}: {key}: the camera comes to {shortest_m:g} m from the origin of the body, all of whose"
+            f" surface is {inner_m:.6g} m or more from it: choose a longer range"
+        )
+    viewpoint = spec.viewpoint
+    if viewpoint is None or viewpoint.range_m is None:
         return
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))

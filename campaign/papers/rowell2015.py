@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay
 
 from boresight.campaign.imaging.world import World, open_world, typical_range_m
 from boresight.campaign.inspection.case import Case
+from boresight.campaign.kinds.landmark_database.trial import DatabaseTrials
 from boresight.campaign.kinds.single_image.examples import (
     SecondLook,
     alignment_of,
@@ -72,7 +73,8 @@ _FIGURE_5 = {
 def _rebuilt(run: FinishedRun, jobs: int | None) -> tuple[World, LandmarkDatabaseBuild, View, str]:
     """Rebuild the data base of a run's first trial, which figures 1 and 2 share, for a view of the body."""
     campaign = run.campaign()
-    scenario, entry = campaign.scenarios[0], campaign.spec.estimators[0]
+    scenario = campaign.scenarios[0]
+    entry = DatabaseTrials.entries(campaign, scenario)[0]
     options = DatabaseOptions.model_validate(dict(entry.options))
     options = options.model_copy(update={"seed": options.seed + campaign.seed})
     world = open_world(scenario, campaign.variant)

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.imaging.world import check_bodies, trial_limit, views_in_words
+from boresight.campaign.imaging.preview import preview
+from boresight.campaign.imaging.world import check_bodies, trial_limit
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.requirements import needs_of_scenario
@@ -18,9 +19,11 @@ from boresight.scenarios.data import data_folder
 from boresight.scenarios.data.datasets import datasets, datasets_providing
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.load.lengths import dotted
 from boresight.scenarios.spec.body import STAND_INS
+from boresight.scenarios.spec.campaign import CampaignSpec
 
-_MOST_LINES = 4
+_MOST_SHOWN = 4
 
 _KINDS = {
     "viewpoint": "single-image",
@@ -104,14 +107,38 @@ def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int 
     return limit, bodies
 
 
-def preflight(scenarios: Sequence[LoadedScenario]) -> list[str]:
-    """Describe the images of scenarios in a few lines, the first name of those that are alike."""
-    names: dict[str, str] = {}
+def preflight(
+    scenarios: Sequence[LoadedScenario], campaign: CampaignSpec | None = None, *, detailed: bool = True
+) -> list[str]:
+    """Describe the images of scenarios in a few lines each, the first name of those that are alike.
+
+    Of a campaign, the lengths that options leave out follow. See `preview` for ``detailed``.
+    """
+    names: dict[tuple[str, ...], str] = {}
     for scenario in scenarios:
-        names.setdefault(views_in_words(scenario), scenario.spec.name)
-    lines = [f"{name}: {words}" for words, name in names.items() if words]
-    left = len(lines) - _MOST_LINES
-    return lines if left <= 0 else [*lines[:_MOST_LINES], f"and {count_of(left, 'further scenario')} with other images"]
+        names.setdefault(tuple(preview(scenario, detailed=detailed)), scenario.spec.name)
+    lines = [f"{name}: {line}" for told, name in list(names.items())[:_MOST_SHOWN] for line in told]
+    left = len(names) - _MOST_SHOWN
+    if left > 0:
+        lines.append(f"and {count_of(left, 'further scenario')} with other images")
+    return lines if campaign is None else lines + lengths_in_words(scenarios, campaign)
+
+
+def lengths_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec) -> list[str]:
+    """List the lengths that the options of methods leave out, over all scenarios; one line for methods that agree."""
+    kind, labels = kind_named(campaign.experiment), dict[str, list[str]]()
+    for entry in campaign.estimators:
+        found: dict[str, list[float]] = {}
+        for scenario in scenarios:
+            for key, length_m in dotted(kind.lengths(entry, scenario)):
+                found.setdefault(key, []).append(length_m)
+        told = [
+            f"{key} {' to '.join(f'{m:g}' for m in sorted({min(several), max(several)}))}"
+            for key, several in found.items()
+        ]
+        if told:
+            labels.setdefault(", ".join(told), []).append(entry.label)
+    return [f"{', '.join(names)}: by the scenario {told}" for told, names in labels.items()]
 
 
 def kind_of(scenario: LoadedScenario) -> str:

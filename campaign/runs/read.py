@@ -57,23 +57,12 @@ def read_campaign(name_or_path: str, overrides: Sequence[str] = (), *, embedded:
         If a file, a key or a value is wrong, or two scenarios share a name.
     """
     loaded = load_campaign(name_or_path, CATALOG)
-    found = [read_source(loaded, source, overrides) for source in sources(loaded.spec)]
+    found = [read_source(loaded, source, overrides, embedded=embedded) for source in sources(loaded.spec)]
     names = [scenario.spec.name for scenario, _ in found]
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.place_of('scenarios')}: scenarios: two of them are called the same: {names}")
     variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
-    scenarios = tuple(scenario for scenario, _ in found)
-    return CampaignFiles(loaded, tuple(map(_on_embedded, scenarios)) if embedded else scenarios, variations)
-
-
-def _on_embedded(scenario: LoadedScenario) -> LoadedScenario:
-    """Return a scenario with built-in bodies, in truth and on board, in place of the shape files they stand for."""
-    spec = scenario.spec
-    if spec.images is not None:
-        return scenario
-    believed = spec.onboard.body
-    onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
-    return replace(scenario, spec=spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard}))
+    return CampaignFiles(loaded, tuple(scenario for scenario, _ in found), variations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +80,14 @@ def sources(campaign: CampaignSpec) -> list[Source]:
 
 
 def read_source(
-    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | ConfigEntry]
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | ConfigEntry], *, embedded: bool = False
 ) -> tuple[LoadedScenario, GridVariation | None]:
     """Read one scenario of a campaign."""
     cell = source.cell
     named = () if cell is None else zip(cell.levels.items(), cell.overrides, strict=True)
     levels = [loaded.level(axis, level, one) for (axis, level), one in named]
-    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
+    near = loaded.path.parent
+    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=near, embedded=embedded)
     if cell is None:
         return one, None
     base = one.spec.name

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from boresight.campaign.pool.steps import report_progress
 from boresight.estimators.registry import base_of
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load.lengths import lengths_left_out, with_lengths
 
 if TYPE_CHECKING:
     from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
     from boresight.campaign.resolved import ResolvedCampaign
     from boresight.scenarios.load import LoadedScenario
+    from boresight.scenarios.spec.base import SpecModel
     from boresight.scenarios.spec.campaign import EstimatorSpec
 
 Record = dict[str, object]
@@ -125,6 +127,33 @@ class Trials(ABC):
         """Return the names of the methods that an entry of a campaign runs: its own, and those that it builds on."""
         base = base_of(entry.name, entry.options)
         return (entry.name,) if base is None else (entry.name, base)
+
+    @classmethod
+    def options_model(cls, name: str) -> type[SpecModel] | None:
+        """Return the model of the options of a method by its name; None if it has none."""
+        return None
+
+    @classmethod
+    def lengths(cls, entry: EstimatorSpec, scenario: LoadedScenario) -> dict[str, Any]:
+        """Return the lengths that the options of a method leave out, for a scenario; sections within sections."""
+        # Imported here: it loads the renderer, which the names of kinds do without.
+        from boresight.campaign.imaging.world import scale_of
+
+        model, base = cls.options_model(entry.name), base_of(entry.name, entry.options)
+        scale = scale_of(scenario)
+        found = {} if model is None else lengths_left_out((model,), entry.options, scale)
+        if base is not None and (of_base := cls.options_model(base)) is not None:
+            given = cast("Mapping[str, Any]", entry.options.get("options", {}))
+            found["options"] = lengths_left_out((of_base,), given, scale)
+        return found
+
+    @classmethod
+    def entries(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> list[EstimatorSpec]:
+        """Return the methods of a campaign with all lengths of their options, for a scenario."""
+        return [
+            entry.model_copy(update={"options": with_lengths(entry.options, cls.lengths(entry, scenario))})
+            for entry in campaign.spec.estimators
+        ]
 
     @classmethod
     @abstractmethod

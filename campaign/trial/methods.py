@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -34,11 +34,14 @@ class Unbuilt:
 
 
 def build_all(
-    campaign: ResolvedCampaign, scenario: LoadedScenario, make: Callable[[EstimatorSpec], T]
+    campaign: ResolvedCampaign,
+    scenario: LoadedScenario,
+    entries: Sequence[EstimatorSpec],
+    make: Callable[[EstimatorSpec], T],
 ) -> dict[str, T | Unbuilt]:
     """Build the methods of a campaign that need no assets, by their labels; refuse wrong options."""
     found: dict[str, T | Unbuilt] = {}
-    for entry in campaign.spec.estimators:
+    for entry in entries:
         with located(campaign, entry.label):
             found[entry.label] = try_build(entry, scenario.spec.name, partial(make, entry), BoresightError)
     return found
@@ -106,13 +109,13 @@ def unbuilt_products(scenario: LoadedScenario, found: Mapping[str, object]) -> l
     return [MissingProduct(name, label, one.reason) for label, one in found.items() if isinstance(one, Unbuilt)]
 
 
-def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario) -> None:
+def check_options(campaign: ResolvedCampaign, scenario: LoadedScenario, entries: Sequence[EstimatorSpec]) -> None:
     """Refuse wrong options of estimators before any product is built.
 
     An estimator reads its options before it requests a shape, a renderer or a product. Later errors, and those that are
     no `BoresightError`, are reported when the estimator is built.
     """
-    for entry in campaign.spec.estimators:
+    for entry in entries:
         assets = _CameraAlone(onboard_camera(scenario.spec))
         try:
             with unmoved(), located(campaign, entry.label):

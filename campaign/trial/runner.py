@@ -14,6 +14,7 @@ from boresight.campaign.trial.methods import Unbuilt, build_all, require_built
 from boresight.campaign.trial.work import Work
 from boresight.scenarios.errors import BoresightError, MachineError
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import EstimatorSpec
 
 Method = TypeVar("Method")
@@ -144,6 +145,11 @@ class MethodRunner(TrialRunner[Optioned, Drawn, Answer]):
         return cls.method_class(name).version
 
     @classmethod
+    def options_model(cls, name: str) -> type[SpecModel] | None:
+        """Return the model of the options of a method, if it has one."""
+        return getattr(cls.method_class(name), "options_model", None)
+
+    @classmethod
     def build(cls, entry: EstimatorSpec) -> Optioned:
         """Build a method of a campaign."""
         return cls.method_class(entry.name).from_options(entry.options)
@@ -151,4 +157,4 @@ class MethodRunner(TrialRunner[Optioned, Drawn, Answer]):
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, Optioned | Unbuilt]:
         """Build the methods; refuse wrong options."""
-        return build_all(campaign, scenario, cls.build)
+        return build_all(campaign, scenario, cls.entries(campaign, scenario), cls.build)

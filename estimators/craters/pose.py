@@ -31,6 +31,7 @@ from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, V
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 _PASSES = 4  # linearisations
 _CONVERGED_M = 0.1
@@ -49,8 +50,8 @@ class CraterDatabaseOptions(SpecModel):
     association: CraterAssociationOptions = Field(
         CraterAssociationOptions(), description="Uncertainty of its detections: for matches and lines of sight"
     )
-    height_sigma_m: float = Field(
-        30.0, gt=0, description="Standard deviation of the a priori shape's height under a crater"
+    height_sigma_m: float = length(
+        30.0, "Standard deviation of the a priori shape's height under a crater", body=0.0009, gt=0
     )
 
 

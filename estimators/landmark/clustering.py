@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 IndexArray = NDArray[np.intp]
 
@@ -21,10 +22,10 @@ _MIN_DISPERSION_POINTS = 4
 class ClusterOptions(SpecModel):
     """Sizes and thresholds of the clustering."""
 
-    seed_radius_m: float = Field(2.0, gt=0, description="Radius of a seed cluster about its centroid")
+    seed_radius_m: float = length(2.0, "Radius of a seed cluster about its centroid", px=1.6, gt=0)
     growth_sigma: float = Field(3.0, ge=0, description="Dispersion-weighted distance up to which a cluster grows")
     merge_sigma: float = Field(9.0, ge=0, description="Distance, weighted by both covariances, at which two compete")
-    sigma_floor_m: float = Field(0.1, gt=0, description="Added to each axis of a dispersion, as clusters may be planar")
+    sigma_floor_m: float = length(0.1, "Added to each axis of a dispersion, as clusters may be planar", px=0.08, gt=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

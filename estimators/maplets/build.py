@@ -16,6 +16,7 @@ from boresight.estimators.maplets.database import MapletDatabase
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 1
@@ -28,7 +29,7 @@ _EDGE_TOLERANCE = 1e-9
 class MapletOptions(SpecModel):
     """Options of the maplets of a shape."""
 
-    spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
+    spacing_m: float = length(2.4, "Between neighbouring heights", px=1.9, body=0.01, gt=0)
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
     seed: int | None = Field(None, ge=0, description="Seed of the first place; default: the farthest from the origin")
     separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, as a share of the width")

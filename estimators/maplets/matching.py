@@ -22,6 +22,7 @@ from boresight.estimators.maplets.visibility import Windows, body_mask, visible_
 from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 _LEAST_PIXELS = 60
 _LARGEST_SHIFT_PX = 1.5  # of the least-squares refinement, which is linearised about zero
@@ -39,7 +40,7 @@ class MatchingOptions(SpecModel):
     blur_px: float = Field(0.7, gt=0, le=10, description="Smoothing of both images before the refinement")
     dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level are unused")
     noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the images are correlated")
-    height_sigma_m: float = Field(0.2, ge=0, description="Standard deviation of the mean onboard height of a maplet")
+    height_sigma_m: float = length(0.2, "Standard deviation of the mean onboard height of a maplet", px=0.16, ge=0)
     systematic_px: float = Field(
         0.15, ge=0, description="Standard deviation of systematic errors of a window, each axis"
     )

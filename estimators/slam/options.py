@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 Gate = Literal["none", "individual", "one-point"]
 
@@ -76,14 +77,14 @@ class BundleOptions(OutlierOptions):
     steps: Literal["full", "motion-structure-full"] = Field(
         "motion-structure-full", description="Adjust motion only and structure only before the full adjustment, or not"
     )
-    gauge_sigma_m: float = Field(0.01, gt=0, description="Standard deviation of a gauge after a handover")
+    gauge_sigma_m: float = length(0.01, "Standard deviation of a gauge after a handover", px=0.024, gt=0)
     motion: Literal["given", "constant-gain"] = Field(
         "given",
         description="Predict the next position by the given displacement, or by forces and a filter of position and"
         " velocity with a constant gain",
     )
-    motion_position_sigma_m: float = Field(
-        1.0, gt=0, description="Standard deviation of an adjusted position, for the constant gain"
+    motion_position_sigma_m: float = length(
+        1.0, "Standard deviation of an adjusted position, for the constant gain", px=2.4, gt=0
     )
     motion_noise_m_s2: float | None = Field(
         None,
@@ -193,8 +194,8 @@ class LoopOptions(SmootherOptions):
     closure_pairs: int = Field(
         3, ge=1, le=1000, description="Least number of recognised landmarks that agree, for a loop closure"
     )
-    closure_tolerance_m: float = Field(
-        1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
+    closure_tolerance_m: float = length(
+        0.0001, "An adjustment of all frames ends when no step is longer", px=0.00024, gt=0
     )
     recognition: float = Field(0.999, gt=0, lt=1, description="Probability that a correct recognition passes the test")
 
@@ -203,8 +204,8 @@ class GtsamOptions(SolverOptions):
     """Options of ``gtsam-isam2``; tolerance and iterations are those of a new view's motion-only adjustment."""
 
     motion: bool = Field(True, description="Use predicted motions as measurements")
-    relinearize_m: float = Field(
-        0.01, gt=0, description="A variable is linearised anew where it has moved by more (relinearizeThreshold)"
+    relinearize_m: float = length(
+        0.01, "A variable is linearised anew where it has moved by more (relinearizeThreshold)", px=0.024, gt=0
     )
     rounds: int = Field(
         2, ge=1, le=100, description="Updates of the tree at each frame, including the one with the new factors"

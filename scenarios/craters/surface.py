@@ -196,7 +196,7 @@ def shape_digest(spec: ScenarioSpec, search_dirs: Sequence[Path] = ()) -> str:
 
 
 def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArray]:
-    """Refine a body to tiles of about 100 m on Loop's smooth surface through its vertices.
+    """Refine a body to tiles on Loop's smooth surface through its vertices, see `tile_rounds`.
 
     Returns
     -------
@@ -206,7 +206,7 @@ def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArra
     mesh = body.mesh
     edges = find_edges(mesh.faces)
     length = np.linalg.norm(np.diff(mesh.vertices_m[edges.ends], axis=1), axis=-1)
-    rounds = tile_rounds(float(np.median(length)))
+    rounds = tile_rounds(float(np.median(length)), spec.edge_m)
     depth_m = spec.max_diameter_m * spec.depth_ratio[1]
     # n rounds of averaging over neighbours spread a value over about sqrt(n) edges.
     smoothing = int(np.ceil((depth_m / float(np.median(length))) ** 2))

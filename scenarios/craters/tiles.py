@@ -27,7 +27,8 @@ from boresight.scenarios.spec.craters import CratersSpec
 # Within a tile, next to an edge of fewer pieces, edges of facets are up to half longer than the pieces.
 SHORTENED = 0.85
 
-_TILE_M = 100.0  # typical edge of a tile
+_TILE_M = 100.0  # typical edge of a tile, within
+_TILE_PIECES = (10.0, 100.0)  # so many edges of facets: of longer tiles the corners leave the ground of small craters
 # Measured peak memory of builds with 82 thousand to 1.3 million tiles and 0.7 to 10 million vertices.
 _TILE_BYTES, _VERTEX_BYTES = 800, 70
 
@@ -127,16 +128,17 @@ def facet_normals(found: SingleArray, corners: SingleArray, facets: IndexArray) 
                 found[k, x] = normal[x]
 
 
-def tile_rounds(edge_m: float) -> int:
-    """Return the number of 1-to-4 subdivisions that take facets with a typical edge length to tiles of about 100 m."""
-    return max(0, math.ceil(math.log2(edge_m / _TILE_M)))
+def tile_rounds(typical_m: float, edge_m: float) -> int:
+    """Return the number of 1-to-4 subdivisions that take facets with a typical edge to tiles for facets of an edge."""
+    least, most = _TILE_PIECES
+    return max(0, math.ceil(math.log2(typical_m / min(max(_TILE_M, least * edge_m), most * edge_m))))
 
 
 def expected_size(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
     """Estimate the numbers of tiles and facets of a cratered surface on a mesh."""
     length = np.linalg.norm(np.diff(mesh.vertices_m[find_edges(mesh.faces).ends], axis=1), axis=-1)
     typical_m = float(np.median(length))
-    rounds = tile_rounds(typical_m)
+    rounds = tile_rounds(typical_m, spec.edge_m)
     tiles = len(mesh.faces) * 4**rounds
     # A tile of n pieces along an edge has n^2 facets.
     return tiles, tiles * max(1, math.ceil(typical_m / 2**rounds / (SHORTENED * spec.edge_m))) ** 2

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 from pydantic import ValidationError
 
@@ -15,6 +15,7 @@ from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load.entry import ConfigEntry, describe, entry_of
 from boresight.scenarios.load.explain import explain
 from boresight.scenarios.load.find import exists, find, name_of, names_in, read
+from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written
 from boresight.scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
@@ -82,8 +83,11 @@ def load_scenario(
     base: ConfigEntry | Mapping[str, object] | None = None,
     levels: Sequence[ConfigEntry | Mapping[str, object]] = (),
     near: Path | None = None,
+    embedded: bool = False,
 ) -> LoadedScenario:
     """Read a scenario: defaults < what it extends < the file < ``base`` < ``levels`` < ``overrides``.
+
+    Lengths that are left out and follow from the camera or the body are filled in.
 
     Parameters
     ----------
@@ -97,6 +101,9 @@ def load_scenario(
         Overrides of the levels of a campaign's grid; keys may be dotted.
     near
         Base folder of a relative path.
+    embedded
+        Take built-in bodies, in truth and on board, in place of the shape files that they stand for, but for real
+        images.
 
     Raises
     ------
@@ -110,8 +117,16 @@ def load_scenario(
         settings(one if isinstance(one, ConfigEntry) else entry_of(one, "grid"), (ScenarioSpec,)) for one in levels
     ]
     layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
-    root = apply(file.root, layers, (ScenarioSpec,))
-    return LoadedScenario(validated(ScenarioSpec, _without_nulls(root), file.folders), path, file.folders)
+    root = _without_nulls(apply(file.root, layers, (ScenarioSpec,)))
+    embedded = embedded and "images" not in (root.section or {})
+    plain = cast("dict[str, Any]", root.plain())
+    lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, file.folders, embedded))
+    spec = validated(ScenarioSpec, merge(root, entry_of(lengths, root.place), (ScenarioSpec,)), file.folders)
+    if embedded:
+        believed = spec.onboard.body
+        onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
+        spec = spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard})
+    return LoadedScenario(spec, path, file.folders)
 
 
 def _without_nulls(root: ConfigEntry) -> ConfigEntry:

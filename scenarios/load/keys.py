@@ -18,6 +18,7 @@ from boresight.scenarios.load.explain import bounds_of, interval
 from boresight.scenarios.load.merge import Models
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.distribution import Law
+from boresight.scenarios.spec.length import rule_of
 from boresight.scenarios.spec.vectors import Law3
 
 # The ends of names, longest first, so that `_m_s2` is not taken for `_s2`.
@@ -162,6 +163,8 @@ def _either(told: list[str]) -> str:
 
 def _default(field: FieldInfo) -> str | None:
     """Return the default as YAML writes it; of a section only what differs from the defaults of its keys."""
+    if rule_of(field) is not None:
+        return "left out"
     value = field.get_default(call_default_factory=True)
     if value is PydanticUndefined:
         return None

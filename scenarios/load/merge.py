@@ -29,7 +29,7 @@ def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
     given
         Values of a file, ``--set`` or a campaign.
     """
-    model = _meant(models, given)
+    model = meant_model(models, given)
     if model is None:
         return dict(given)
     result = dict(given)
@@ -43,7 +43,7 @@ def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
     return result
 
 
-def _meant(models: Models, given: Mapping[str, Any]) -> type[SpecModel] | None:
+def meant_model(models: Models, given: Mapping[str, Any]) -> type[SpecModel] | None:
     """Return the model of a mapping; None if none or several fit."""
     fitting = [model for model in models if not given or set(given) & set(model.model_fields)]
     if "kind" in given:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.length import LEFT_OUT
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -28,6 +29,10 @@ def json_schema(kind: Literal["scenario", "campaign"]) -> dict[str, Any]:
     model = _MODELS[kind]
     whole = model.model_json_schema(by_alias=True)
     definitions: dict[str, Any] = whole.pop("$defs", {})
+    for definition in definitions.values():
+        for key in definition.get("properties", {}).values():
+            if LEFT_OUT in key:  # the length follows from the scenario: its default is no number
+                del key["default"]
     whole["properties"]["extends"] = _EXTENDS
     filled = {"name", *(key for key, field in model.model_fields.items() if isinstance(field.default, SpecModel))}
     whole["required"] = [key for key in whole.get("required", []) if key not in filled]

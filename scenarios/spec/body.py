@@ -7,6 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.length import length
 
 EMBEDDED_NAMES = (
     "contact-binary", "sphere", "apophis-sphere", "eros-like", "itokawa-like", "apophis-like", "bennu-like",
@@ -59,8 +60,8 @@ class RoughnessSpec(SpecModel):
 
     rms_m: float = Field(ge=0, description="RMS height of the whole field")
     hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
-    max_wavelength_m: float = Field(100.0, gt=0, description="Longest scale of the relief")
-    min_wavelength_m: float = Field(2.0, gt=0, description="Shortest scale of the relief")
+    max_wavelength_m: float = length(100.0, "Longest scale of the relief", body=0.2, gt=0)
+    min_wavelength_m: float = length(2.0, "Shortest scale of the relief", body=0.004, gt=0)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -73,7 +74,7 @@ class AlbedoSpec(SpecModel):
     """Spatial variation of the albedo: factor 1 + field, clipped to 0.2 to 2."""
 
     sigma: float = Field(ge=0, le=1, description="RMS of the relative variation")
-    wavelength_m: float = Field(40.0, gt=0, description="Longest scale of the variation")
+    wavelength_m: float = length(40.0, "Longest scale of the variation", body=0.08, gt=0)
 
 
 class RedrawnSpec(SpecModel):
@@ -102,8 +103,8 @@ class HeightErrorSpec(SpecModel):
     """Random height error: a fractal field along the normals, typical of stereo and shape-from-shading models."""
 
     rms_m: float = Field(ge=0, description="RMS of the error")
-    max_wavelength_m: float = Field(30.0, gt=0, description="Longest scale of the error")
-    min_wavelength_m: float = Field(5.0, gt=0, description="Shortest scale of the error")
+    max_wavelength_m: float = length(30.0, "Longest scale of the error", body=0.06, gt=0)
+    min_wavelength_m: float = length(5.0, "Shortest scale of the error", body=0.01, gt=0)
     hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
     seed: int = Field(0, ge=0, description="Seed of the error")
 

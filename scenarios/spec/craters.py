@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.body import RoughnessSpec, SizesSpec
 from boresight.scenarios.spec.distribution import Uniform
+from boresight.scenarios.spec.length import length
 
 LISTED_PX = 6.0
 """Diameter of the smallest listed crater by default: detectors find craters from 9 px on, and a match may be smaller by
@@ -19,8 +20,8 @@ class PlaneCratersSpec(SizesSpec):
     """Plane rims on the shape, uniform over its area; cumulative number N(>D) ~ D**-exponent."""
 
     count: int = Field(ge=1, le=100_000, description="Craters on the whole body")
-    min_diameter_m: float = Field(230.0, gt=0, description="Smallest diameter")
-    max_diameter_m: float = Field(5000.0, gt=0, description="Largest diameter")
+    min_diameter_m: float = length(230.0, "Smallest diameter", body=0.007, gt=0)
+    max_diameter_m: float = length(5000.0, "Largest diameter", body=0.15, gt=0)
     exponent: float = Field(1.8, gt=0, lt=10, description="Slope of the cumulative size distribution")
     seed: int = Field(0, ge=0, description="Seed of their places and sizes")
 
@@ -35,7 +36,9 @@ class DetectionErrorSpec(SpecModel):
     recall: float = Field(0.8, gt=0, le=1, description="Probability that a visible crater is detected")
     false_share: float = Field(0.05, ge=0, lt=1, description="Share of the detections that are no crater")
     least_radius_px: float = Field(6.0, ge=0, description="Radius of the smallest crater that is detected")
-    height_m: float = Field(20.0, ge=0, description="Standard deviation of a crater's height above the a priori shape")
+    height_m: float = length(
+        20.0, "Standard deviation of a crater's height above the a priori shape", body=0.0006, ge=0
+    )
 
 
 class RenderedLooksSpec(SpecModel):
@@ -60,8 +63,8 @@ class CraterPairsSpec(SpecModel):
     incidence_deg: Uniform = Field(
         Uniform(uniform=(25.0, 65.0)), description="Incidence angle at the place, first look"
     )
-    aim_sigma_m: float = Field(
-        1000.0, ge=0, description="Standard deviation of each coordinate of the point that a camera points at"
+    aim_sigma_m: float = length(
+        1000.0, "Standard deviation of each coordinate of the point that a camera points at", px=50, ge=0
     )
     craters: PlaneCratersSpec | None = Field(None, description="Plane rims, detected by geometry without any image")
     errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Errors of detections by geometry")
@@ -76,6 +79,15 @@ class CraterPairsSpec(SpecModel):
         return self
 
 
+class CraterReliefSpec(RoughnessSpec):
+    """Fractal relief on top of craters."""
+
+    rms_m: float = length(8.0, "RMS height of the whole field", body=0.00024, ge=0)
+    hurst: float = Field(0.9, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
+    max_wavelength_m: float = length(1200.0, "Longest scale of the relief", body=0.035, gt=0)
+    min_wavelength_m: float = length(40.0, "Shortest scale of the relief", body=0.0012, gt=0)
+
+
 class CratersSpec(SizesSpec):
     """Craters on a smoothed shape; their cumulative number follows N(>D) ~ D**-exponent, the same seed gives the same.
 
@@ -86,8 +98,8 @@ class CratersSpec(SizesSpec):
 
     seed: int = Field(0, ge=0, description="Seed of the population")
     count: int = Field(12_000, ge=1, le=100_000, description="Craters on the whole body")
-    min_diameter_m: float = Field(80.0, gt=0, description="Smallest diameter")
-    max_diameter_m: float = Field(5000.0, gt=0, description="Largest diameter")
+    min_diameter_m: float = length(80.0, "Smallest diameter", body=0.0024, gt=0)
+    max_diameter_m: float = length(5000.0, "Largest diameter", body=0.15, gt=0)
     exponent: float = Field(2.0, gt=0, lt=10, description="Slope of the cumulative size distribution")
     depth_ratio: tuple[float, float] = Field(
         (0.08, 0.2), description="Depth over diameter, rim to floor: of the most degraded and of the freshest"
@@ -98,11 +110,10 @@ class CratersSpec(SizesSpec):
         gt=0,
         description="Smallest diameter of which a rim is listed in the truth; left out: 6 px at the range of the views",
     )
-    edge_m: float = Field(10.0, gt=0, description="Longest edge of the facets where a camera looks, before the relief")
-    roughness: RoughnessSpec | None = Field(
-        RoughnessSpec(rms_m=8.0, hurst=0.9, max_wavelength_m=1200.0, min_wavelength_m=40.0),
-        description="Relief without craters, on top of them",
+    edge_m: float = length(
+        10.0, "Longest edge of the facets where a camera looks, before the relief", body=0.0003, gt=0
     )
+    roughness: CraterReliefSpec | None = Field(CraterReliefSpec(), description="Relief without craters, on top of them")
 
     @property
     def listed_from_m(self) -> float:

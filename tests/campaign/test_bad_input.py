@@ -102,7 +102,8 @@ FILES = {
         ["tiny.yaml:9: camera.fov_dg: unknown key; did you mean fov_deg?"],
     ),
     "a cratered world": (
-        CAMPAIGN, "body: {shape: world.obj}\ncraters: {}\n" + SCENE[SCENE.index("camera:"):], (),
+        CAMPAIGN,
+        "body: {shape: world.obj}\ncraters: {min_diameter_m: 80, edge_m: 10}\n" + SCENE[SCENE.index("camera:"):], (),
         ["scene.yaml: craters: a surface of ", "500 km across takes about", "take a smaller body"],
     ),
     "two estimators of one label": (CAMPAIGN.replace("- prior", "- prior\n  - prior"), SCENE, (), ["twice", "label"]),

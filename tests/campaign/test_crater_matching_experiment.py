@@ -36,10 +36,11 @@ from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.craters import RenderedLooksSpec
 
+_VOTE = "vote: {height_sigma_m: 30}"
 _CAMPAIGN = """name: tiny-matching
 experiment: crater-matching
 scenarios: [tiny-pairs.yaml]
-estimators: [vote, hybrid]
+estimators: [vote: {height_sigma_m: 30}, hybrid]
 trials: 6
 seed: 5
 """
@@ -249,12 +250,12 @@ def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_fi
         check_campaign(campaign, 1)
     for detector, said in (("crater-classic", "crater-classic has no image to look at"), ("coin", "'coin' is unknown")):
         entry = f"vote: {{detector: {detector}}}"
-        (tmp_path / "seen.yaml").write_text(_CAMPAIGN.replace("vote", entry).replace("tiny-matching", "seen"))
+        (tmp_path / "seen.yaml").write_text(_CAMPAIGN.replace(_VOTE, entry).replace("tiny-matching", "seen"))
         (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
         with pytest.raises(BoresightError, match=said):
             campaign = resolve(str(tmp_path / "seen.yaml"))
             check_campaign(campaign, 1)
-    (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace("vote", "coin").replace("tiny-matching", "other"))
+    (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace(_VOTE, "coin").replace("tiny-matching", "other"))
     (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
     with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):
         resolve(str(tmp_path / "other.yaml"))

@@ -17,8 +17,9 @@ title: Data bases
 experiment: landmark-database
 scenarios: [scene]
 estimators:
-  - landmark-database: {label: base, images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}
-  - landmark-database: {label: strict, images: 40, min_observations: 12, clusters: {seed_radius_m: 15}}
+  - landmark-database:
+      {label: base, images: 40, min_observations: 6, clusters: &wide {seed_radius_m: 15, sigma_floor_m: 0.1}}
+  - landmark-database: {label: strict, images: 40, min_observations: 12, clusters: *wide}
   - landmark-database: {label: hopeless, images: 40, min_observations: 40, clusters: {seed_radius_m: 1}}
 trials: 3
 seed: 100
@@ -95,7 +96,7 @@ def test_workers_give_the_same_rows(file, stored, tmp_path, monkeypatch):
 
 
 def test_another_method_is_refused(tmp_path, capsys):
-    bad = write_campaign(tmp_path, DATABASES.replace("landmark-database: {label: base,", "prior: {label: base,"), SCENE)
+    bad = write_campaign(tmp_path, DATABASES.replace("landmark-database:\n", "prior:\n"), SCENE)
     assert run(bad, tmp_path / "run") == 2
     assert "the only method is landmark-database" in capsys.readouterr().err
 

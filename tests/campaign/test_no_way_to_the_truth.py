@@ -224,7 +224,7 @@ def of_products(folder: Path) -> Path:
 scenarios: [scene]
 estimators:
   - prior
-  - whole-image: {database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
+  - whole-image: {database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15, sigma_floor_m: 0.1}}}
   - landmark-orb: {database: {images: 10}}
   - lmaps: {maplets: {spacing_m: 15, side: 15}}
 trials: 1

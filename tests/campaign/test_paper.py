@@ -35,7 +35,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
 
 PAPER = paper_called("rowell2015")
-BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}"
+BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15, sigma_floor_m: 0.1}}"
 HEAD = "scenarios: [scene]\nseed: 3\n"
 CAMPAIGNS = {
     "rowell2015-simulated": f"estimators: [prior, landmark-harris: {{database: {BASE}}}]\ntrials: 6\n",

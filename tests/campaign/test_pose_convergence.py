@@ -40,7 +40,7 @@ estimators:
       database: *base
 trials: 60
 seed: 11
-""".replace("BASE", "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}")
+""".replace("BASE", "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15, sigma_floor_m: 0.1}}")
 GAUSSIAN = SCENE + "pose_error: {position_cam_m: {normal: [50, 50, 50]}, attitude: {angle_deg: {normal: 2}}}\n"
 
 

@@ -199,9 +199,11 @@ def test_two_estimators_of_the_same_options_share_a_product(tmp_path):
     text = """\
 scenarios: [scene]
 estimators:
-  - landmark-harris: {label: plain, database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
   - landmark-harris:
-      {label: aligned, alignment: image, database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
+      label: plain
+      database: &base {images: 40, min_observations: 6, clusters: {seed_radius_m: 15, sigma_floor_m: 0.1}}
+  - landmark-harris:
+      {label: aligned, alignment: image, database: *base}
 trials: 2
 seed: 5
 """

@@ -19,7 +19,7 @@ from boresight.reports.published import Comparison, load_published
 from boresight.reports.schema.records import DERIVED
 from boresight.scenarios.load import load_campaign
 
-DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15}}
+DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15, "sigma_floor_m": 0.1}}
 PRIOR = "pose_error: {position_cam_m: {uniform: [[-50, 50], [-50, 50], [-5, 5]]}}\n"
 SEQUENCE = """\
 camera: {width_px: 1024, height_px: 1024, fov_deg: 30}
@@ -92,7 +92,7 @@ def small(entry: dict[str, Any]) -> dict[str, Any]:
     """Make the data base of an estimator small, and let craters be found by geometry."""
     ((method, options),) = entry.items()
     if method == "landmark-database":
-        return {method: DATABASE | options}
+        return {method: options | DATABASE}
     if method in ("landmark-harris", "pose-solver", "centroid"):
         return {method: {**options, "database": DATABASE}}
     if method == "lmaps":

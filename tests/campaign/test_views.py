@@ -11,7 +11,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.imaging.world import check_bodies, open_world, typical_range_m, views_in_words
+from boresight.campaign.imaging.preview import preview
+from boresight.campaign.imaging.world import check_bodies, open_world, typical_range_m
 from boresight.campaign.products.database_images import database_images
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.draw import prior_covariance
@@ -25,7 +26,7 @@ SMALL = ("camera.width_px=64", "camera.height_px=48")
 
 def shares(*overrides: str) -> tuple[float, float]:
     """Share of the side that faces the camera out of the frame, and of the rest in the dark, %."""
-    said = views_in_words(load_scenario("quickstart", (BALL, *overrides)))
+    said = preview(load_scenario("quickstart", (BALL, *overrides)))[0]
     return tuple(map(float, re.findall(r"(\d+) %", said)))
 
 
@@ -55,7 +56,7 @@ def test_a_coarse_shape_may_fill_the_frame(tmp_path, fov_deg):
     trimesh.creation.box((200.0, 200.0, 200.0)).export(tmp_path / "cube.obj")
     (tmp_path / "scene.yaml").write_text("extends: quickstart\nbody: {shape: cube.obj}\n")
     near = ("viewpoint={range_m: 1000}", f"camera={{fov_deg: {fov_deg}}}", "body.detail=null")
-    said = views_in_words(load_scenario(str(tmp_path / "scene.yaml"), near))
+    said = preview(load_scenario(str(tmp_path / "scene.yaml"), near))[0]
     assert re.search(r"(9\d|100) % is out of the frame", said)
 
 
@@ -69,11 +70,11 @@ def test_a_trajectory_is_looked_at_from_its_beginning_to_its_end(tmp_path):
         "extends: quickstart\nbody: {shape: sphere}\nviewpoint: {trajectory: {table: states.csv}}\n"
     )
     scenario = load_scenario(str(tmp_path / "scene.yaml"))
-    assert "60 % is out of the frame" in views_in_words(scenario)
+    assert "60 % is out of the frame" in preview(scenario)[0]
     table[:] = table.iloc[0].to_numpy()
     table.assign(time_s=np.arange(100.0), x_m=2000.0, y_m=0.0, z_m=0.0).to_csv(tmp_path / "states.csv", index=False)
     with pytest.raises(BoresightError, match="nothing of the body is in the frame"):
-        views_in_words(load_scenario(str(tmp_path / "scene.yaml")))
+        preview(load_scenario(str(tmp_path / "scene.yaml")))
 
 
 @pytest.fixture
@@ -193,7 +194,7 @@ def test_altitudes_are_above_the_surface_that_is_rendered(more):
         assert np.linalg.norm(view.T_cam_body.camera_position_m - hit) == pytest.approx(250.0, abs=0.01)
     radii_m = np.linalg.norm(world.body.mesh.vertices_m, axis=1)
     ends = dict.fromkeys(f"{250.0 + radius_m:.4g}" for radius_m in (radii_m.min(), radii_m.max()))
-    assert f"range {' to '.join(ends)} m" in views_in_words(scenario)
+    assert f"range {' to '.join(ends)} m" in preview(scenario)[0]
 
 
 def test_images_of_data_bases_are_from_the_median_altitude():

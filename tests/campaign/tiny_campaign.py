@@ -30,19 +30,19 @@ body:
     facets: 20000
     seed: 3
     boulders: {count: 250, min_diameter_m: 25, max_diameter_m: 80, height_ratio: 0.5}
-    roughness: {rms_m: 1.5, min_wavelength_m: 25}
+    roughness: {rms_m: 1.5, max_wavelength_m: 100, min_wavelength_m: 25}
 camera: {width_px: 128, height_px: 128, fov_deg: 18.3}
 viewpoint: {range_m: 2000}
 lighting: {phase_deg: {uniform: [0, 50]}}
 """
-DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15}}
+DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15, "sigma_floor_m": 0.1}}
 CAMPAIGN = f"""\
 title: A tiny campaign
 scenarios: [scene]
 estimators:
   - prior
   - landmark-harris:
-      database: {{images: 40, min_observations: 6, clusters: {{seed_radius_m: 15}}}}
+      database: {{images: 40, min_observations: 6, clusters: {{seed_radius_m: 15, sigma_floor_m: 0.1}}}}
 trials: {TRIALS}
 seed: 5
 """

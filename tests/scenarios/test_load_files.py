@@ -328,7 +328,7 @@ def test_one_key_of_a_default_section_can_be_set(here):
     spec = load_scenario("x.yaml", ["brdf.albedo=0.9", "pose_error.attitude.angle_deg.normal=1"]).spec
     assert spec.brdf == LambertSpec(albedo=0.9)
     assert spec.pose_error.attitude.angle_deg == Normal(normal=1)
-    assert spec.pose_error.position_cam_m.uniform[2] == (-5, 5)
+    assert spec.pose_error.position_cam_px.uniform[2] == (-4, 4)
 
 
 def test_another_form_of_a_distribution_replaces_it(here):

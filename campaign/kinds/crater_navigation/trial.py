@@ -115,6 +115,10 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
         return cls.method_class(name).version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
+    def options_model(cls, name: str) -> None:
+        """Return None: the length among the options is replaced by the error of the a priori shape."""
+
+    @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse missing sections, and craters of which most that a detector finds are not listed."""
         imaging = checked_orbit_section(scenario).imaging

@@ -20,6 +20,7 @@ from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.options import parse_options
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +58,10 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
         return METHOD_VERSION
 
     @classmethod
+    def options_model(cls, name: str) -> type[SpecModel]:
+        return DatabaseOptions
+
+    @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a scenario without views."""
         check_views(scenario)
@@ -65,7 +70,7 @@ class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabase
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, DatabaseOptions]:
         """Return the options of each way to make a data base; refuse wrong ones."""
         found = {}
-        for entry in campaign.spec.estimators:
+        for entry in cls.entries(campaign, scenario):
             with located(campaign, entry.label):
                 found[entry.label] = drafted(parse_options(DatabaseOptions, entry.options, entry.name), campaign.draft)
         return found

@@ -34,6 +34,7 @@ from boresight.scenarios.draw import Stream, degrade, draw_view, drawn_together,
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _MINIMUM = MarquardtOptions(parameters="minimal", tolerance=1e-12)
@@ -143,6 +144,10 @@ class PoseConvergence(Trials):
         return VERSION
 
     @classmethod
+    def options_model(cls, name: str) -> type[SpecModel]:
+        return PoseSolverOptions
+
+    @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a scenario without a viewpoint."""
         if scenario.spec.viewpoint is None:
@@ -156,7 +161,7 @@ class PoseConvergence(Trials):
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, PoseSolverOptions]:
         """Return the options of each solver; refuse wrong ones, and solvers of different data bases."""
         found = {}
-        for entry in campaign.spec.estimators:
+        for entry in cls.entries(campaign, scenario):
             with located(campaign, entry.label):
                 found[entry.label] = parse_options(PoseSolverOptions, entry.options, entry.name)
         first, *others = (options.database for options in found.values())

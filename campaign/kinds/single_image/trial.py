@@ -29,6 +29,7 @@ from boresight.scenarios.geometry import View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.onboard import onboard_camera
+from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import EstimatorSpec
 
 
@@ -77,6 +78,10 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         return estimator_class(name).version
 
     @classmethod
+    def options_model(cls, name: str) -> type[SpecModel] | None:
+        return getattr(estimator_class(name), "options_model", None)
+
+    @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a scenario without images."""
         check_views(scenario)
@@ -84,7 +89,7 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     @classmethod
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
         """Refuse wrong options; estimators need assets, and `open` builds them."""
-        check_options(campaign, scenario)
+        check_options(campaign, scenario, cls.entries(campaign, scenario))
         return {}
 
     @classmethod
@@ -93,7 +98,7 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     ) -> list[BuiltProduct | MissingProduct]:
         """Let every estimator ask for its products."""
         products: list[BuiltProduct | MissingProduct] = []
-        for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
+        for number, entry in product(range(campaign.spec.databases), cls.entries(campaign, scenario)):
             asked = assets.for_database(number)
             method = _method(entry, scenario, asked)
             products += asked.products_of(entry.label)
@@ -106,10 +111,12 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     ) -> Self:
         """Open the world and build the estimators."""
         assets = BuiltAssets(scenario, context.run / "products", None, campaign.variant, None, campaign.draft, number)
-        asked = {entry.label: assets.for_database(number) for entry in campaign.spec.estimators}
+        asked = {label: assets.for_database(number) for label in campaign.labels}
         return cls(
             scenario=scenario.spec.name,
-            methods={entry.label: _method(entry, scenario, asked[entry.label]) for entry in campaign.spec.estimators},
+            methods={
+                entry.label: _method(entry, scenario, asked[entry.label]) for entry in cls.entries(campaign, scenario)
+            },
             seed=campaign.seed,
             world=open_world(with_database_craters(scenario, number), campaign.variant),
             folder=context.image_folder(scenario.spec.name),

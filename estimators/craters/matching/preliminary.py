@@ -13,6 +13,7 @@ from boresight.estimators.craters.matching.transfer import LocatedCraters, locat
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 _BLOCK_SIZE = 64  # landmarks compared with all others at once, to bound the memory
 
@@ -21,8 +22,8 @@ class PreliminaryOptions(SpecModel):
     """Conditions on landmarks that may be the same, and on pairs of images worth matching."""
 
     gate_sigma: float = Field(3.5, gt=0.0, description="Largest distance of two landmarks, in sigmas")
-    height_sigma_m: float = Field(
-        30.0, gt=0.0, description="Standard deviation of the a priori shape's height under a crater"
+    height_sigma_m: float = length(
+        30.0, "Standard deviation of the a priori shape's height under a crater", body=0.0009, gt=0.0
     )
     size_ratio: float = Field(1.5, gt=1.0, description="Largest ratio of the radii of two landmarks, or its inverse")
     landmarks: int = Field(1, ge=1, description="Landmarks of an image pair that may be the same, at the least")

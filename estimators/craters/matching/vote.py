@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from boresight.estimators.craters.matching.association import (
@@ -20,6 +19,7 @@ from boresight.estimators.craters.matching.transfer import joint_covariance, loc
 from boresight.estimators.options import Configured
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import length
 
 _PASSES = 3  # linearisations
 _MIN_PAIRS_TO_CORRECT = 3  # fewer pairs do not determine the errors of the poses
@@ -29,7 +29,9 @@ class VoteOptions(SpecModel):
     """Options of the vote."""
 
     association: CraterAssociationOptions = CraterAssociationOptions()
-    height_sigma_m: float = Field(30.0, ge=0.0, description="Uncertainty of the a priori shape's height under a crater")
+    height_sigma_m: float = length(
+        30.0, "Uncertainty of the a priori shape's height under a crater", body=0.0009, ge=0.0
+    )
 
 
 class VoteMatcher(Configured[VoteOptions]):

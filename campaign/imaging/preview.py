@@ -1,0 +1,210 @@
+"""What the images of a scenario will show, in words, before anything is built: some views are drawn as in trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from boresight.campaign.imaging.world import longest_m, ranges_m
+from boresight.renderers.brdf import brdf_value
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.bodies import load_body
+from boresight.scenarios.craters.tiles import expected_bytes
+from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.load.lengths import without_detail
+from boresight.scenarios.spec.camera import DetectorSpec
+from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
+from boresight.scenarios.spec.world import ViewpointSpec
+
+_VIEWS, _POINTS = 40, 4000
+_FOUND_PX = 10.0  # diameter of a crater that a detector finds
+_NOISY = 50.0  # median signal to noise: at 37, landmarks were recognised in 1 of 50 images of bennu-pass
+_SATURATED = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sight:
+    """What is seen of a body in some views, as means over points that are uniform over its area.
+
+    Parameters
+    ----------
+    out, dark
+        Share of the projected area that faces the camera out of the frame, and of the rest unlit (NaN without a rest).
+    in_view
+        Share of the whole surface that is lit and in the frame.
+    distance_m
+        Median distance of that part from the camera, m.
+    radiance_factor, weight
+        (N,) I/F of the lit points in the frame, and their projected areas.
+    """
+
+    out: float
+    dark: float
+    in_view: float
+    distance_m: float
+    radiance_factor: FloatArray
+    weight: FloatArray
+
+
+def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
+    """Describe field of view, pixel, body, signal and craters in the images of a scenario, a line each.
+
+    The body is taken without its detail unless it is wanted: that may take a minute to make.
+
+    Raises
+    ------
+    BoresightError
+        If the sphere about the body is out of the frame in all views that are drawn.
+    """
+    spec, camera = scenario.spec, scenario.spec.camera.camera()
+    mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
+    sight = None if spec.viewpoint is None else _sight(scenario, spec.viewpoint, mesh)
+    lines = [_views_in_words(scenario, camera, mesh, sight)]
+    if sight is not None and spec.detector is not None and len(sight.weight):
+        lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
+    pairs = spec.crater_pairs
+    if spec.craters is not None and sight is not None:
+        lines.append(_craters_in_words(spec.craters, sight.in_view, sight.distance_m / camera.fx_px))
+    elif pairs is not None and (craters := pairs.craters or spec.craters) is not None:
+        m_per_px = pairs.range_m / camera.fx_px
+        area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+        framed_m2 = camera.width_px * camera.height_px * m_per_px**2
+        lines.append(_craters_in_words(craters, min(framed_m2 / area_m2, 0.5), m_per_px))
+    if spec.craters is not None:
+        tiles, vertices = expected_bytes(mesh, spec.craters)
+        lines.append(f"the cratered surface takes about {(tiles + vertices) / 1e9:.2g} GB of memory")
+    return lines
+
+
+def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh, sight: _Sight | None) -> str:
+    """Describe the field of view, a pixel, and the body in the images."""
+    size_m, ends = longest_m(scenario, mesh), np.array(ranges_m(scenario, mesh))
+    fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
+    told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values[[0, 2]])) for values in (
+        ends, ends / camera.fx_px, size_m / ends * camera.fx_px
+    )]  # fmt: skip
+    median = "" if " to " not in told[2] else f" ({size_m / ends[1] * camera.fx_px:.4g} at the median range)"
+    words = (
+        f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
+        f" body {told[2]} px long in {camera.width_px} x {camera.height_px}{median}"
+    )
+    if sight is None:
+        return words
+    lit = "" if np.isnan(sight.dark) else f" and {100.0 * sight.dark:.0f} % of the rest in the dark"
+    return f"{words}; of the side that faces the camera {100.0 * sight.out:.0f} % is out of the frame{lit}"
+
+
+def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight: FloatArray) -> str:
+    """Describe the signal of the lit surface in one frame, and say what to change where it is too low or too high.
+
+    Parameters
+    ----------
+    detector
+        The detector.
+    radiance_factor, weight
+        (N,) I/F of points of the surface, and their areas in the image.
+    """
+    order = np.argsort(radiance_factor)
+    shares = np.cumsum(weight[order]) / weight.sum()
+    middle, bright = (float(radiance_factor[order][np.searchsorted(shares, share)]) for share in (0.5, 0.99))
+    most_dn = 2**detector.bits - 1
+    most_e = min(detector.full_well_e, (most_dn - detector.offset_dn) * detector.gain_e_per_dn)
+    exposure_s = detector.exposure_s if isinstance(detector.exposure_s, float) else detector.exposure_s.median
+    white_e = detector.white_e_per_s * exposure_s
+    shot_e2 = middle * white_e + detector.dark_e_per_s * exposure_s if detector.shot_noise else 0.0
+    noise_e = np.sqrt(shot_e2 + detector.read_noise_e**2 + detector.gain_e_per_dn**2 / 12.0)
+    ratio = middle * white_e / noise_e
+    dn = min(middle * white_e, most_e) / detector.gain_e_per_dn + detector.offset_dn
+    saturated = float(weight[radiance_factor * white_e >= most_e].sum() / weight.sum())
+    words = (
+        f"lit surface: median {dn:.0f} DN of {most_dn}, signal to noise {ratio:.3g};"
+        f" median {middle * white_e / most_e:.2g} and brightest {bright * white_e / most_e:.2g} of saturation"
+    )
+    if saturated > _SATURATED:
+        return f"{words}: {100.0 * saturated:.0f} % is saturated, lower detector.exposure_s"
+    return f"{words}: too dark for most methods, raise detector.exposure_s" if ratio < _NOISY else words
+
+
+def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m_per_px: float) -> str:
+    """Describe the craters that are lit and in the frame, and say what to change where hardly any can be found."""
+    least_m, most_m = craters.min_diameter_m, craters.max_diameter_m
+    if least_m == most_m:
+        share = float(most_m >= _FOUND_PX * m_per_px)
+    else:
+        at, low, high = (
+            size_m**-craters.exponent for size_m in (np.clip(_FOUND_PX * m_per_px, least_m, most_m), least_m, most_m)
+        )
+        share = float((at - high) / (low - high))
+    found = craters.count * share * in_view
+    words = (
+        f"craters of {least_m:g} to {most_m:g} m are {least_m / m_per_px:.3g} to {most_m / m_per_px:.3g} px across;"
+        f" about {found:.2g} of {_FOUND_PX:g} px or more are lit and in an image"
+    )
+    return words if found >= 4.0 else f"{words}: too few for most methods, choose a shorter range or more craters"
+
+
+def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh) -> _Sight:
+    """Look at points that are spread over the surface in some views that are drawn as those of trials.
+
+    What one part of the body hides or shades of another is not taken into account, nor is relief smaller than a facet.
+
+    Raises
+    ------
+    BoresightError
+        If the sphere about the body is out of the frame in all of these views.
+    """
+    spec, camera, rng = scenario.spec, scenario.spec.camera.camera(), np.random.default_rng(0)
+    areas = np.cumsum(np.linalg.norm(mesh.area_vectors_m2, axis=1))
+    rows = np.searchsorted(areas, areas[-1] * (np.arange(_POINTS) + 0.5) / _POINTS)
+    weights = rng.dirichlet(np.ones(3), _POINTS)  # uniform over a triangle
+    places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
+    width, height = camera.width_px, camera.height_px
+    corners = camera.unproject(np.array([[0.0, 0.0], [0.0, height], [width, 0.0], [width, height]]))
+    axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+    field_rad, reach_m = np.arccos((corners @ axis).min()), np.linalg.norm(mesh.vertices_m, axis=1).max()
+    count, in_view = len(viewpoint.states or ()), False
+    seen = inside = dark = 0.0
+    lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
+    for trial in range(_VIEWS):
+        # Spread over a trajectory, whatever its order is.
+        state, draws = trial * count // _VIEWS, generator(0, Stream.TRUTH, trial)
+        drawn = drawn_together(spec, 0, trial)
+        view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
+        centre = view.T_cam_body.translation_m
+        range_m = float(np.linalg.norm(centre))
+        radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi
+        in_view |= bool(np.arccos(np.clip(axis @ centre / range_m, -1.0, 1.0)) <= field_rad + radius_rad)
+        towards = view.T_cam_body.camera_position_m - places
+        distances = np.linalg.norm(towards, axis=1)
+        projected = np.einsum("pi,pi->p", normals, towards) / distances**3
+        facing = projected > 0.0
+        framed = camera.contains(camera.project(view.T_cam_body.transform(places[facing])))
+        cos_i = normals[facing] @ view.sun_dir_body
+        seen += float(projected[facing].sum())
+        inside += float(projected[facing][framed].sum())
+        dark += float(projected[facing][framed & (cos_i <= 0.0)].sum())
+        lit = framed & (cos_i > 0.0)
+        cos_e = (projected * distances**2)[facing][lit]
+        phase_rad = np.arccos(np.clip(towards[facing][lit] @ view.sun_dir_body / distances[facing][lit], -1.0, 1.0))
+        brightness = drawn.lighting.brightness
+        factor = brightness if isinstance(brightness, float) else brightness.median
+        values = np.pi * factor * cos_i[lit] * brdf_value(spec.brdf, cos_i[lit], cos_e, phase_rad)
+        lit_points.append(np.stack([values, projected[facing][lit], distances[facing][lit]], axis=1))
+    if not in_view:
+        raise BoresightError(
+            f"{scenario.path}: viewpoint: nothing of the body is in the frame in {_VIEWS} views: check"
+            " camera.principal_point_px, and the attitudes of a trajectory"
+        )
+    found = np.concatenate(lit_points)
+    return _Sight(
+        1.0 - inside / seen,
+        dark / inside if inside else np.nan,
+        len(found) / (_VIEWS * _POINTS),
+        float(np.median(found[:, 2])) if len(found) else np.nan,
+        found[:, 0],
+        found[:, 1],
+    )

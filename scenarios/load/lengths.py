@@ -1,0 +1,111 @@
+"""Fill in lengths that are left out, from the scale of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load.merge import Models, Plain, field_models, meant_model
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.camera import CameraSpec
+from boresight.scenarios.spec.craters import CraterPairsSpec
+from boresight.scenarios.spec.length import Scale, rule_of
+
+Model = TypeVar("Model", bound=SpecModel)
+
+_ADDED_TO_SHAPE = ("detail", "height_error", "even_facets")
+
+
+def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale) -> Plain:
+    """Return the lengths that a plain mapping leaves out, in its own form: sections within sections.
+
+    Parameters
+    ----------
+    models
+        Candidate models of the mapping; its ``kind`` or its keys select one.
+    given
+        Values of a file or of a campaign.
+    scale
+        The scale of the scenario.
+    """
+    model = meant_model(models, given)
+    found: Plain = {}
+    for key, field in ({} if model is None else model.model_fields).items():
+        value = given.get(key)
+        if value is None and (rule := rule_of(field)) is not None:
+            found[key] = scale.length_m(rule)
+        elif isinstance(value, Mapping):
+            found[key] = lengths_left_out(field_models(models, key), value, scale)
+        elif key not in given and isinstance(field.default, SpecModel):
+            found[key] = lengths_left_out((type(field.default),), {}, scale)
+    return {key: value for key, value in found.items() if value is not None and value != {}}
+
+
+def with_lengths(given: Mapping[str, Any], lengths: Mapping[str, Any]) -> Plain:
+    """Return values with lengths put into their sections."""
+    sections = {key: value for key, value in lengths.items() if isinstance(value, Mapping)}
+    return {**given, **lengths, **{key: with_lengths(given.get(key) or {}, value) for key, value in sections.items()}}
+
+
+def dotted(lengths: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, float]]:
+    """Yield each length with its key, dotted."""
+    for key, value in lengths.items():
+        if isinstance(value, Mapping):
+            yield from dotted(value, f"{where}{key}.")
+        else:
+            yield f"{where}{key}", value
+
+
+def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> Scale:
+    """Return the scale of a scenario from its keys, before they are checked; unknown where one of them is wrong."""
+
+    def part(model: type[Model], value: object) -> Model:
+        return model.model_validate(value, context={"folders": folders})
+
+    def m_per_px() -> float | None:
+        try:
+            pairs = part(CraterPairsSpec, plain.get("crater_pairs"))  # the only ones with a length in pixels
+            return pairs.range_m / part(CameraSpec, plain.get("camera")).camera().fx_px
+        except (ValidationError, BoresightError):
+            return None
+
+    def body_m() -> float | None:
+        given = plain.get("body") or {}
+        try:
+            body = part(BodySpec, {key: given[key] for key in given if key not in _ADDED_TO_SHAPE})
+        except (ValidationError, TypeError):
+            return None
+        return body_length_m(body.embedded() if embedded else body, folders)
+
+    return Scale(m_per_px, body_m)
+
+
+def without_detail(body: BodySpec) -> BodySpec:
+    """Return a body as its shape file has it."""
+    return body.model_copy(update=dict.fromkeys(_ADDED_TO_SHAPE))
+
+
+def body_length_m(body: BodySpec, search_dirs: Sequence[Path]) -> float | None:
+    """Return the longest side of the box of a shape without its detail, m; None if it cannot be read."""
+    # Imported here: most scenarios are read without their shape, and data sets of shapes are read by this package.
+    from boresight.scenarios.bodies import body_digest
+
+    coarse = without_detail(body)
+    try:
+        return _measured_m(coarse, tuple(search_dirs), body_digest(coarse, search_dirs))
+    except BoresightError:
+        return None  # `validate` and a run say what is wrong with the shape
+
+
+@lru_cache(maxsize=8)
+def _measured_m(coarse: BodySpec, search_dirs: tuple[Path, ...], _digest: str) -> float:
+    from boresight.scenarios.bodies import load_body
+
+    return float(np.ptp(load_body(coarse, search_dirs).mesh.vertices_m, axis=0).max())
