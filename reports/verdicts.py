@@ -239,7 +239,8 @@ def claim_values(item: ComparedClaim) -> str:
     """Print our side of a claim: values in its order, how many are solved, or why it is not measured."""
     if item.claim.solves and item.ours and item.ours[0]:
         bound = "" if item.claim.within is None else f" to within {item.claim.within:g} {unit_of(item.claim.measure)}"
-        return f"{item.claim.solves} solves {counts(item.ours[0])}{bound}"
+        n_ok, n = item.ours[0].n_ok, item.ours[0].n
+        return f"{item.claim.solves} solves {counts(item.ours[0]) if n_ok else f'none of {n}'}{bound}"
     names = [term.label for term in item.claim.order]
     values = item.claim.unmeasured or ordered_values(item.ours, names)
     return f"{values}; {item.claim.unjudged}" if item.claim.unjudged else values

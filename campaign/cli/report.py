@@ -13,7 +13,7 @@ from boresight.campaign.runs.resolve import reload
 from boresight.campaign.store import RunFolder
 from boresight.reports.kinds import brief_grids
 from boresight.reports.pages.build import write_report
-from boresight.reports.run.outcomes import reason_lines
+from boresight.reports.run.outcomes import reason_lines, unsolved_lines
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 
@@ -34,7 +34,7 @@ def write(folder: RunFolder, worst: int, pdf: bool, source: str) -> Printed:
     missing: list[str] = []
     files = write_report(folder.path, extra=_trial_figures(folder, worst, missing), pdf=pdf)
     lines = [f"no figure of single trials: {why}" for why in missing]
-    lines += reason_lines(files.content.run)
+    lines += [*unsolved_lines(files.content.run), *reason_lines(files.content.run)]
     said = folder.table("said").drop_duplicates(["scenario", "trial", "estimator"])
     if len(said):
         counted = ", ".join(f"{name} in {n:,}" for name, n in said["estimator"].value_counts().items())

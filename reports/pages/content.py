@@ -19,6 +19,7 @@ from boresight.reports.published import Comparison, load_published
 from boresight.reports.run.clusters import image_set
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
+from boresight.reports.run.outcomes import unsolved_lines
 from boresight.reports.schema.grid import number
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import CONTROL, Record
@@ -42,6 +43,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     done, total = run.progress()
     if done < total:
         yield f"The run is not finished: {done} of {total} trials."
+    yield from unsolved_lines(run)
     yield (
         "Intervals are of 95 %: of medians and percentiles between order statistics, of means by the studentised"
         " bootstrap (2,000 resamples of whole trials or, for real images, of whole images, because the noise"

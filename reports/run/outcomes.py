@@ -47,6 +47,24 @@ def tally(failed: pd.DataFrame, keys: list[str]) -> list[tuple[str, ...]]:
     return list(counted.reset_index().astype(str).itertuples(index=False, name=None))
 
 
+def unsolved_lines(run: RunData) -> list[str]:
+    """Return a line for each method that solved no trial of a scenario, with its reasons counted."""
+    failed, _ = unsolved(run)
+    lines = []
+    for scenario, estimator in failed[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None):
+        rows = select(failed, scenario, estimator)
+        n = len(select(run.rows, scenario, estimator))
+        if len(rows) == n:
+            reasons = [f"{int(count):,} {_shortened(reason)}" for reason, count in tally(rows, ["reason"])]
+            more = "" if len(reasons) <= _MOST_LINES else f"; and {count_of(len(reasons) - _MOST_LINES, 'more reason')}"
+            lines.append(f"{estimator} solved 0 of {n:,} of {scenario}: {'; '.join(reasons[:_MOST_LINES])}{more}")
+    return lines
+
+
+def _shortened(reason: str) -> str:
+    return reason if len(reason) <= _MOST_CHARACTERS else f"{reason[: _MOST_CHARACTERS - 3]}..."
+
+
 def reason_lines(run: RunData) -> list[str]:
     """Return a few lines on why trials have no estimate, the most frequent reason first; [] where all have one."""
     failed, _ = unsolved(run)
@@ -55,8 +73,7 @@ def reason_lines(run: RunData) -> list[str]:
     reasons = tally(failed, ["estimator", "status", "reason"])
     lines = [f"no estimate in {len(failed):,} of {count_of(len(run.rows), 'trial')}, each estimator's counted:"]
     for estimator, status, reason, count in reasons[:_MOST_LINES]:
-        why = reason if len(reason) <= _MOST_CHARACTERS else f"{reason[: _MOST_CHARACTERS - 3]}..."
-        lines.append(f"  {int(count):,} {status}, {estimator}: {why}")
+        lines.append(f"  {int(count):,} {status}, {estimator}: {_shortened(reason)}")
     rest = reasons[_MOST_LINES:]
     if rest:
         trials = sum(int(one[-1]) for one in rest)

@@ -5,9 +5,9 @@ from stored_runs import RunBuilder
 from terminal_text import terminal_lines
 
 from boresight.reports.compare import compare_runs
-from boresight.reports.pages.content import read_content
+from boresight.reports.pages.content import notes, read_content
 from boresight.reports.run.data import read_run
-from boresight.reports.run.outcomes import reason_lines
+from boresight.reports.run.outcomes import reason_lines, unsolved_lines
 from boresight.reports.schema.grid import Grid, number, value_of
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import Record
@@ -177,3 +177,15 @@ def test_reasons_are_counted_for_the_console_the_most_frequent_first(builder):
     solved = RunBuilder(builder.folder.parent / "solved")
     solved.trial(0, ([10, 0, 0], 1), ([1, 0, 0], 1))
     assert reason_lines(read_run(solved.write())) == []
+
+
+def test_a_method_that_solved_nothing_is_said_with_its_reasons_in_report_and_console(builder):
+    for trial, reason in enumerate(("no landmarks in view",) * 3 + ("the image is black",)):
+        builder.trial(trial, ([10, 0, 0], 1), None, reason=reason)
+    run = read_run(builder.write())
+    (line,) = unsolved_lines(run)
+    assert line.startswith("landmark-harris solved 0 of 4 of ")
+    assert line.endswith(": 3 no landmarks in view; 1 the image is black")
+    assert line in list(notes(run, None))
+    builder.trial(4, ([10, 0, 0], 1), ([1, 0, 0], 1))
+    assert unsolved_lines(read_run(builder.write())) == []
