@@ -84,12 +84,13 @@ def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh
     """Describe the field of view, a pixel, and the body in the images."""
     size_m, ends = longest_m(scenario, mesh), np.array(ranges_m(scenario, mesh))
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
+    unit, unit_m = ("km", 1000.0) if ends[2] >= 1e5 else ("m", 1.0)
     told = [" to ".join(dict.fromkeys(f"{value:.4g}" for value in values[[0, 2]])) for values in (
-        ends, ends / camera.fx_px, size_m / ends * camera.fx_px
+        ends / unit_m, ends / camera.fx_px, size_m / ends * camera.fx_px
     )]  # fmt: skip
     median = "" if " to " not in told[2] else f" ({size_m / ends[1] * camera.fx_px:.4g} at the median range)"
     words = (
-        f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} m, a pixel {told[1]} m;"
+        f"field of view {fields[0]:.3g} x {fields[1]:.3g} deg; range {told[0]} {unit}, a pixel {told[1]} m;"
         f" body {told[2]} px long in {camera.width_px} x {camera.height_px}{median}"
     )
     if sight is None:

@@ -287,6 +287,14 @@ _RANGE_KEYS = {
 """Key that decides about the range, by the section of a scenario that has it."""
 
 
+def _inner_radius_m(mesh: TriangleMesh) -> float:
+    """Return the least distance of the surface from the body's origin, m."""
+    from trimesh.triangles import closest_point  # only where a range decides whether an orbit is possible
+
+    nearest = closest_point(mesh.corners_m, np.zeros((len(mesh.faces), 3)))
+    return float(np.linalg.norm(nearest, axis=1).min())
+
+
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
     """Refuse a range from which the body is a few pixels, or at which a view that has no state could be inside it."""
     spec, size_m = scenario.spec, longest_m(scenario, mesh)
@@ -298,9 +306,9 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
             f"{scenario.path}: {key}: at {range_m:g} m the body is {across_px:.2g} px long: choose a"
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
-    inner_m = float(np.linalg.norm(mesh.vertices_m, axis=1).min())
-    on_orbit = spec.orbit is not None or (spec.sequence is not None and spec.sequence.sphere_radius_m is None)
-    if on_orbit and shortest_m <= inner_m:
+    sequence = spec.sequence
+    about = sequence is not None and sequence.sphere_radius_m is None and sequence.trajectory is None
+    if (spec.orbit is not None or about) and shortest_m <= (inner_m := _inner_radius_m(mesh)):
         raise BoresightError(
             f"{scenario.path}: {key}: the camera comes to {shortest_m:g} m from the origin of the body, all of whose"
             f" surface is {inner_m:.6g} m or more from it: choose a longer range"

@@ -42,6 +42,10 @@ class LandmarkGround(Protocol):
         """(n,) whether points are not occluded, regardless of the field of view."""
         ...
 
+    def heights_m(self, positions_m: FloatArray) -> FloatArray:
+        """(n,) distances of positions (n, 3) from the ground towards the body's origin."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class SphereGround:
@@ -72,6 +76,10 @@ class SphereGround:
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
         """(n,) whether the camera is above the tangent plane of each point."""
         return faces_camera(points_m, normals, camera_position_m)
+
+    def heights_m(self, positions_m: FloatArray) -> FloatArray:
+        """(n,) distances of positions (n, 3) from the sphere."""
+        return np.asarray(np.linalg.norm(positions_m, axis=1) - self.radius_m, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +133,11 @@ class MeshGround:
         # Points that face away need no ray.
         seen[rows] = ~self._tree.hidden(points_m[rows], camera_position_m)
         return seen
+
+    def heights_m(self, positions_m: FloatArray) -> FloatArray:
+        """(n,) distances of positions (n, 3) from the facets below; from the origin where there is none."""
+        along, _ = self.first_met(positions_m, -positions_m)
+        return np.asarray(np.minimum(along, 1.0) * np.linalg.norm(positions_m, axis=1), dtype=np.float64)
 
     def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays hit the body; NaN for misses."""

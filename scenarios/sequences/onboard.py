@@ -20,6 +20,7 @@ _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
 # Lower bounds of the stated sigmas of exact data: infinite weights are numerically useless.
 _LEAST_NOISE_PX = 1e-2
 _LEAST_MOTION_ERROR = 1e-3
+_LEAST_MOTION = 1e-6  # of the distance to the body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,14 +132,16 @@ def predicted_moves(
     """Predict the displacement before each frame, (3,) in body axes, and the covariance of its error, (3, 3).
 
     The error has a random direction and the length lambda |displacement| in inertial space: lambda^2 |d|^2 / 3 on each
-    axis. The rotation of the body by its onboard attitude ``known``, (F, 3, 3), is added at the camera's true position;
-    a navigator would use the estimated one, a difference of the rotation per step times the position error.
+    axis; a displacement below 1e-6 of the distance to the body, of a camera that hovers, counts as so much, as nobody
+    knows that it rests. The rotation of the body by its onboard attitude ``known``, (F, 3, 3), is added at the camera's
+    true position; a navigator would use the estimated one, a difference of the rotation per step times the position
+    error.
     """
     moves = [(np.zeros(3), np.zeros((3, 3)))]
     frames = zip(trajectory.positions_m, known, strict=True)
     for (before, old), (after, new) in itertools.pairwise(frames):
         true = after - before
-        distance = float(np.linalg.norm(true))
+        distance = max(float(np.linalg.norm(true)), _LEAST_MOTION * float(np.linalg.norm(before)))
         moved = true + knowledge.motion_error * distance * draw_direction(_ALL_LATITUDES_RAD, rng)
         sigma_m = max(knowledge.motion_error, _LEAST_MOTION_ERROR) * distance / np.sqrt(3.0)
         # R_new c_new - R_old c_old = R_new (c_new - c_old) + (R_new - R_old) c_old in body axes.

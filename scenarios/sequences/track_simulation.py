@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
@@ -15,7 +14,6 @@ from boresight.scenarios.geometry import Pose, View
 from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.sequence import VisionSpec
 
-_PLACES = 16384  # of the ground, the nearest of which is at the camera's height
 _MOST_ROUNDS = 1000  # of draws to fill a frame
 
 
@@ -54,11 +52,16 @@ def simulate_tracks(
     simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
     changes = np.array([0.0, *(_change_deg(a.T_cam_body, b.T_cam_body) for a, b in itertools.pairwise(views))])
     if by_scale:
-        ground = cKDTree(visibility.ground.spread(_PLACES)[0])
-        heights, _ = ground.query(np.array([view.T_cam_body.camera_position_m for view in views]))
+        heights = visibility.ground.heights_m(np.array([view.T_cam_body.camera_position_m for view in views]))
         # A shift along the line of sight changes the view as one across it of the same share of the distance.
         changes[1:] = np.hypot(changes[1:], np.degrees(np.diff(np.log(heights))))
-    return simulate(vision, visibility, views, [vision.survival(change) for change in changes.tolist()], total, rng)
+    keeps = [vision.survival(change) for change in changes.tolist()]
+    if vision.field == "fixed" and (1.0 - min(keeps)) * vision.tracked_share > 1.0 - vision.tracked_share:
+        raise BoresightError(
+            f"sequence.vision.tracked_share {vision.tracked_share:g} cannot be kept up where {1.0 - min(keeps):.2g} of"
+            f" the tracks are lost from frame to frame: at most {1.0 / (2.0 - min(keeps)):.3g}, or take shorter steps"
+        )
+    return simulate(vision, visibility, views, keeps, total, rng)
 
 
 def _renewed_tracks(
@@ -72,8 +75,8 @@ def _renewed_tracks(
     """Simulate a renewed field: every track has a new landmark.
 
     A track that is visible in the next frame continues with probability ``k^(change / step)``, the change being the
-    angle at the body's origin between the two camera positions, and along given states with the change of the distance
-    to the nearest ground; one that is not visible ends. A visible place gets a new track with the probability that it
+    angle at the body's origin between the two camera positions, and along given states with the change of the height
+    above the ground; one that is not visible ends. A visible place gets a new track with the probability that it
     has none: 1 if it was not visible before, else 1 - k. With ``count: average`` the tracks of each frame are then a
     Poisson field of constant density over the visible surface.
     """

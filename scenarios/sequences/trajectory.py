@@ -24,7 +24,6 @@ AttitudeFunction = Callable[[FloatArray], FloatArray]
 
 _HOUR_S = 3600.0
 _TOLERANCE = 1e-12
-_LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
 
 R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
@@ -230,7 +229,7 @@ def _given_trajectory(flown: SequenceTrajectorySpec, motion: BodyMotionSpec) -> 
     if states.attitude is not None:
         rotations = Rotation.from_quat(states.attitude, scalar_first=True).as_matrix()
         poses = tuple(Pose(turn, -turn @ place) for turn, place in zip(rotations, in_body, strict=True))
-    elif states.velocity_m_s is not None and _has_planes(positions, velocities):
+    elif states.has_planes:
         ways = zip(positions, velocities, turns, strict=True)
         poses = tuple(_to_body_axes(nadir_pose(place, way), turn) for place, way, turn in ways)
     else:
@@ -245,13 +244,6 @@ def _given_trajectory(flown: SequenceTrajectorySpec, motion: BodyMotionSpec) -> 
             sun_dir = flown.rotation.matrices(np.array(states.time_s[:1]))[0] @ sun_dir
         suns = turns @ (sun_dir / np.linalg.norm(sun_dir))
     return CameraTrajectory(times, positions, velocities, turns, poses, suns, np.zeros(3), np.full(len(times), np.nan))
-
-
-def _has_planes(positions_m: FloatArray, velocities_m_s: FloatArray) -> bool:
-    """Return whether no velocity is vertical but for its last digits."""
-    across = np.linalg.norm(np.cross(positions_m, velocities_m_s), axis=1)
-    sizes = np.linalg.norm(positions_m, axis=1) * np.linalg.norm(velocities_m_s, axis=1)
-    return bool((across > _LEAST_HORIZONTAL * sizes).all())
 
 
 def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:

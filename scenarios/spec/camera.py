@@ -210,8 +210,8 @@ class DetectorSpec(DrawnModel):
 
     psf_sigma_px: float = Field(0.5, ge=0, le=20, description="Gaussian point spread function")
     exposure_s: PositiveScalar = Field(0.1, description="Exposure time, one or drawn")
-    white_e_per_s: float = Field(2.0e6, gt=0, description="Electrons a second from a radiance factor of 1")
-    dark_e_per_s: float = Field(10.0, ge=0, description="Dark current")
+    white_e_per_s: float = Field(2.0e6, gt=0, le=1e12, description="Electrons a second from a radiance factor of 1")
+    dark_e_per_s: float = Field(10.0, ge=0, le=1e12, description="Dark current")
     full_well_e: float = Field(100_000.0, gt=0, description="Electrons at which a pixel saturates")
     read_noise_e: float = Field(10.0, ge=0, description="RMS noise of a read-out")
     shot_noise: bool = Field(True, description="Poisson noise of signal and dark current")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
 import numpy as np
@@ -16,6 +17,11 @@ from boresight.scenarios.spec.tables import Table
 MOST_STATES = 20_000
 _LEAST_EXCESS = 1e-6  # of the eccentricity over 1, below which a hyperbola has no digits
 _NEWTON_STEPS = 60
+
+
+def is_zero(direction: Row3) -> bool:
+    """Return whether a vector is too short for a direction."""
+    return math.hypot(*direction) < 1e-100
 
 
 def _epochs(start_s: float, duration_s: float, step_s: float) -> FloatArray:
@@ -48,7 +54,7 @@ class FlybySpec(SpecModel):
 
     @model_validator(mode="after")
     def _is_a_hyperbola(self) -> Self:
-        if not any(self.normal):
+        if is_zero(self.normal):
             raise ValueError("normal is zero: give the direction of the plane's normal")
         if self._excess < _LEAST_EXCESS:
             raise ValueError(f"v_infinity_m_s {self.v_infinity_m_s:g} makes a parabola: raise it")
@@ -120,7 +126,7 @@ class DescentSpec(SpecModel):
 
     @model_validator(mode="after")
     def _leads_down(self) -> Self:
-        if not any(self.direction):
+        if is_zero(self.direction):
             raise ValueError("direction is zero: give the direction of the camera from the body's origin")
         if self.to_m >= self.from_m:
             raise ValueError(f"to_m {self.to_m:g} is not below from_m {self.from_m:g}")

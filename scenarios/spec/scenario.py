@@ -214,6 +214,7 @@ class ScenarioSpec(SpecModel):
         states = self.viewpoint.states
         idle = {"viewpoint.roll_deg", "viewpoint.off_pointing_deg"} if states and states.attitude else set[str]()
         idle |= {"lighting.phase_deg"} if states and states.sun_dir else set()
+        idle |= {"viewpoint.roll_deg"} if self.viewpoint.targets else set()  # drawn uniform there
         laws = {key: None if key in idle else self.law_of(key) for key in self.correlated.keys}
         constant = [key for key, law in laws.items() if law is None or law.support[0] == law.support[1]]
         if constant:

@@ -12,13 +12,15 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.base import SpecModel, is_none
 from boresight.scenarios.spec.camera import BodyKernelsSpec
 from boresight.scenarios.spec.distribution import Row3
-from boresight.scenarios.spec.flights import MOST_STATES, DescentSpec, FlybySpec, HoverSpec
+from boresight.scenarios.spec.flights import MOST_STATES, DescentSpec, FlybySpec, HoverSpec, is_zero
 from boresight.scenarios.spec.tables import REF_FRAME, Table, columns_of, read_table
 
 _DAY_S = 86400.0
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _SUN = ("sun_x", "sun_y", "sun_z")
-_INERTIAL = frozenset({"ECLIPJ2000", "EME2000", "GCRF", "ICRF", "J2000", "MCI", "TEME", "TOD"})
+# Beginnings of the names of inertial frames; ICRF2 and ICRF3 begin so too.
+_INERTIAL = ("B1950", "ECLIPJ2000", "EME2000", "GCRF", "ICRF", "J2000", "MCI", "MOD", "TEME", "TOD")
+_LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
 _UNITS = {"m": 1.0, "km": 1000.0}
 _VELOCITY = tuple(f"v{axis}_{unit}_s" for axis in "xyz" for unit in _UNITS)
 
@@ -29,7 +31,7 @@ class RotationSpec(SpecModel):
     pole_ra_deg: float = Field(description="Right ascension of the pole in the inertial frame")
     pole_dec_deg: float = Field(ge=-90, le=90, description="Declination of the pole")
     meridian_deg: float = Field(0.0, description="W: angle of the prime meridian at time 0")
-    rate_deg_day: float = Field(description="Rate of W; negative for a retrograde rotation")
+    rate_deg_day: float = Field(ge=-1e9, le=1e9, description="Rate of W; negative for a retrograde rotation")
 
     def matrices(self, time_s: FloatArray) -> FloatArray:
         """(n, 3, 3) rotations from inertial to body axes at times (n,): Rz(W) Rx(90 deg - dec) Rz(90 deg + ra)."""
@@ -72,10 +74,12 @@ class StatesSpec(SpecModel):
 
     @property
     def has_planes(self) -> bool:
-        """True if position and velocity span a plane at every epoch."""
+        """True if position and velocity span a plane at every epoch, not by their last digits alone."""
         if self.velocity_m_s is None:
             return False
-        return bool(np.cross(self.position_m, self.velocity_m_s).any(axis=1).all())
+        across = np.linalg.norm(np.cross(self.position_m, self.velocity_m_s), axis=1)
+        sizes = np.linalg.norm(self.position_m, axis=1) * np.linalg.norm(self.velocity_m_s, axis=1)
+        return bool((across > _LEAST_HORIZONTAL * sizes).all())
 
 
 class SpiceTrajectorySpec(BodyKernelsSpec):
@@ -150,9 +154,12 @@ class FlownSpec(SpecModel):
 
     def _states_of(self, table: Table) -> StatesSpec:
         """Turn the columns of a table into states in body axes."""
-        inertial = _INERTIAL.intersection(map(str, table.get(REF_FRAME, ())))
+        frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
+        inertial = frame is not None and frame.upper().startswith(_INERTIAL)
         if inertial and self.rotation is None:
-            raise ValueError(f"its states are in {min(inertial)}, inertial axes: give the body's rotation")
+            raise ValueError(f"its states are in {frame}, inertial axes: give the body's rotation")
+        if frame is not None and not inertial and self.rotation is not None:
+            raise ValueError(f"its states are in {frame}, taken as body axes: rotation has no part, leave it out")
         times = columns_of(table, ("time_s",))[:, 0]
         if not 1 <= len(times) <= MOST_STATES:
             raise ValueError(f"{len(times)} states are not within [1, {MOST_STATES}]")
@@ -165,7 +172,9 @@ class FlownSpec(SpecModel):
         to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
         position = _metres(table, "", "_{}")
         # One column of a group calls for all of it.
-        velocity = _metres(table, "v", "_{}_s") if any(name in table for name in _VELOCITY) else None
+        # Those of a message in rotating axes are relative to them.
+        has_velocity = any(name in table for name in _VELOCITY) and (frame is None or inertial)
+        velocity = _metres(table, "v", "_{}_s") if has_velocity else None
         quaternions = columns_of(table, _QUATERNION) if any(name in table for name in _QUATERNION) else None
         sun = columns_of(table, _SUN) if any(name in table for name in _SUN) else None
         if not np.linalg.norm(position, axis=1).all():
@@ -223,7 +232,7 @@ class SequenceTrajectorySpec(FlownSpec):
             raise ValueError("a sequence needs two states at least")
         if self.sun_dir is not None and self.states.sun_dir is not None:
             raise ValueError("sun_dir has no part where the states have the Sun: leave it out")
-        if self.sun_dir is not None and not any(self.sun_dir):
+        if self.sun_dir is not None and is_zero(self.sun_dir):
             raise ValueError("sun_dir is zero: give the direction to the Sun")
         return self
 

@@ -69,6 +69,8 @@ def test_the_report_draws_them(run):
 def test_a_hover_has_axes_of_its_camera():
     at, right = np.array([0.0, 0.0, 500.0]), np.array([0.6, 0.8, 0.0])
     np.testing.assert_allclose(track_axes(at, np.zeros(3), right), [[0, 0, 1], right, [-0.8, 0.6, 0]], atol=1e-12)
+    rounding = np.array([2e-13, -1e-13, 3e-13])
+    np.testing.assert_array_equal(track_axes(at, rounding, right), track_axes(at, np.zeros(3), right))
     fall = track_axes(at, np.array([1e-9, 0, -5.0]), right)
     np.testing.assert_allclose(fall[1], right, atol=1e-12)
     np.testing.assert_allclose(track_axes(at, np.array([0.0, -3, 1]), right)[1], [0, -1, 0], atol=1e-12)

@@ -58,7 +58,7 @@ def test_normal_laws_are_jointly_normal_with_their_covariance():
 
 
 @pytest.mark.parametrize(
-    ("measure", "cosine"), [("solid-angle", stats.uniform(0.5, 0.5).cdf), ("angle", None)], ids=lambda one: str(one)
+    ("measure", "cosine"), [("solid-angle", stats.uniform(0.5, 0.5).cdf), ("angle", None)], ids=["solid-angle", "angle"]
 )
 def test_each_key_keeps_its_own_law(measure, cosine):
     keys = ("viewpoint.range_m", "lighting.phase_deg")

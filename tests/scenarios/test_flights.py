@@ -195,17 +195,21 @@ def test_a_message_has_seconds_metres_and_its_segments_in_one(tmp_path):
     states = states_of(tmp_path, MESSAGE)
     np.testing.assert_allclose(states.time_s, [0.0, 600.0, 1200.25], atol=1e-9)
     np.testing.assert_allclose(states.position_m, [[1e4, -2e3, 500], [10600, -2100, 530], [11200, -2200, 560]])
-    np.testing.assert_allclose(states.velocity_m_s, np.tile([1.0, -0.2, 0.05], (3, 1)))
+    assert states.velocity_m_s is None, "velocities in rotating axes are relative to these"
     assert states.attitude is None
     assert set(read_table(str(tmp_path / "way.oem"), ())["ref_frame"]) == {"DIDYMOS_FIXED"}
 
 
 def test_a_message_in_inertial_axes_needs_the_rotation(tmp_path):
-    inertial = MESSAGE.replace("DIDYMOS_FIXED", "EME2000")
-    with pytest.raises(BoresightError, match=r"way\.oem cannot be used: its states are in EME2000, inertial axes"):
-        states_of(tmp_path, inertial)
+    for frame in ("icrf3", "B1950", "EME2000"):
+        inertial = MESSAGE.replace("DIDYMOS_FIXED", frame)
+        with pytest.raises(BoresightError, match=rf"way\.oem cannot be used: its states are in {frame}, inertial axes"):
+            states_of(tmp_path, inertial)
+    with pytest.raises(BoresightError, match="in DIDYMOS_FIXED, taken as body axes: rotation has no part"):
+        states_of(tmp_path, MESSAGE, ", rotation: {pole_ra_deg: 0, pole_dec_deg: 90, rate_deg_day: 0}")
     turned = states_of(tmp_path, inertial, ", rotation: {pole_ra_deg: 0, pole_dec_deg: 90, rate_deg_day: 0}")
     np.testing.assert_allclose(turned.position_m[0], [-2e3, -1e4, 500], atol=1e-9)
+    np.testing.assert_allclose(turned.velocity_m_s, np.tile([-0.2, -1.0, 0.05], (3, 1)), atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import spiceypy
+import trimesh
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from tiny_mission import KERNELS, START_ET, SUN_FROM_BODY_KM, make_mission
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
 from boresight.scenarios.load import canonical_json, digest, load_scenario
-from boresight.scenarios.sequences import SphereGround, draw_sequence, nominal_trajectory
+from boresight.scenarios.sequences import MeshGround, SphereGround, draw_sequence, nominal_trajectory
 from boresight.scenarios.sequences.track_simulation import simulate_tracks
 from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -158,6 +159,32 @@ def test_tracks_are_lost_as_the_ground_comes_nearer(section_of):
         (share, n), (whole, _) = shares
         assert whole == 1.0
         assert share == pytest.approx(keep, abs=5.0 * np.sqrt(keep * (1.0 - keep) / n) + 0.005), f"of {n}"
+
+
+def test_tracks_are_lost_by_the_true_height_above_a_large_body():
+    """The height is that of the ground below, however large the body; a mesh is met by the ray to the origin."""
+    at = np.array([[0.0, 0.0, 8440.0], [5000.0, 10.0, -20.0]])
+    assert SphereGround(8400.0).heights_m(at)[0] == pytest.approx(40.0)
+    box = trimesh.creation.box((8000.0, 6000.0, 2 * 8400.0))
+    ground = MeshGround(TriangleMesh(box.vertices, box.faces))
+    np.testing.assert_allclose(ground.heights_m(at), [40.0, 1000.0], rtol=1e-3)
+
+
+def test_a_field_that_cannot_be_kept_up_near_the_ground_is_refused(section_of):
+    section = section_of(f"trajectory: {{{DESCENT}}}", "vision: {field: fixed, tracked_share: 0.9}")
+    views = nominal_trajectory(section, GROUND).views(CAMERA)
+    with pytest.raises(BoresightError, match=r"tracked_share 0\.9 cannot be kept up where 0\.\d+ of .* shorter steps"):
+        simulate_tracks(section.vision, Visibility(GROUND), views, 100, np.random.default_rng(1), by_scale=True)
+
+
+def test_a_camera_that_rests_is_not_known_to_rest(section_of):
+    """Methods invert the covariance of the motion; a nanometre of rounding is no information either."""
+    for more in ("", f", {ROTATION}"):
+        section = section_of(f"trajectory: {{{HOVER}{more}}}", UNKNOWING)
+        draw = draw_sequence(section, CAMERA, GROUND, 1, 0)
+        for frame in draw[1].frames[1:]:
+            sigmas = np.sqrt(np.diag(frame.motion_covariance_m2))
+            np.testing.assert_allclose(sigmas, 0.3 * 1e-6 * np.linalg.norm([790, 100, 50]) / np.sqrt(3.0))
 
 
 def test_a_hover_over_a_spinning_body_is_at_rest_in_the_axes_that_it_is_given_in(section_of):

@@ -31,6 +31,7 @@ REVOLUTIONS = (1, 2)
 _FULL_TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
 _LEAST_HORIZONTAL = 1e-6  # of a motion, below which its horizontal part has no direction
+_LEAST_MOTION = 1e-9  # of the distance, below which a motion is rounding
 
 
 def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
@@ -138,11 +139,12 @@ def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
 def track_axes(position_m: FloatArray, motion: FloatArray, right: FloatArray) -> FloatArray:
     """(3, 3) rows: radial, along the horizontal motion, and across both.
 
-    Without a horizontal motion, of a camera that hovers or descends, along is the horizontal part of ``right``, the
-    camera's x axis; or of any other axis if that is vertical.
+    Without a horizontal motion (less than 1e-9 of the distance is rounding), of a camera that hovers or descends, along
+    is the horizontal part of ``right``, the camera's x axis; or of any other axis if that is vertical.
     """
     radial = position_m / np.linalg.norm(position_m)
-    for along in (motion, right, *np.eye(3)):
+    least = _LEAST_MOTION * np.linalg.norm(position_m)
+    for along in (*([motion] if np.linalg.norm(motion) > least else []), right, *np.eye(3)):
         cross = np.cross(radial, along)
         if np.linalg.norm(cross) > _LEAST_HORIZONTAL * np.linalg.norm(along):
             break
