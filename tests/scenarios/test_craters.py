@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
 from small_craters import BODY, craters_spec, small_ground
 
 from boresight.renderers.mitsuba3 import choose_variant
@@ -23,7 +24,7 @@ from boresight.scenarios.craters import Craters, Tiling, build_surfaces, cratere
 from boresight.scenarios.craters.kernels import add_octave, profile_height
 from boresight.scenarios.craters.relief import REACH, Profiles, crater_relief
 from boresight.scenarios.craters.rims import find_rims
-from boresight.scenarios.craters.surface import smooth_tiles
+from boresight.scenarios.craters.surface import lower_envelope, smooth_tiles
 from boresight.scenarios.craters.tiles import check_size, expected_size
 from boresight.scenarios.craters.truth import CraterTruth
 from boresight.scenarios.errors import BoresightError
@@ -214,6 +215,15 @@ def test_one_crater_has_its_depth_and_its_crest_where_rays_meet_it(tiling: Tilin
     assert not rims.cut.any()
 
 
+def test_depth_is_along_the_axis_where_relief_is_aslant(tiling: Tiling) -> None:
+    points, up = tiling.places()
+    aslant = Rotation.from_rotvec([0.0, 30.0, 0.0], degrees=True).apply(up)
+    z_m = points[:, 2] + crater_relief(craters_spec(), one_crater(40.0), tiling, points, aslant) * aslant[:, 2]
+    off_axis_m = np.linalg.norm(points - [0.0, 0.0, 250.0], axis=1)
+    crest_m = z_m[np.abs(off_axis_m - 40.0) < 1.0].mean()
+    assert crest_m - z_m[np.argmin(off_axis_m)] == pytest.approx(0.15 * 80.0, rel=0.03)
+
+
 def test_younger_craters_cut_older_ones(tiling: Tiling) -> None:
     points, up = tiling.places()
     old, young = one_crater(40.0, degradation=0.9), one_crater(20.0, degradation=0.1)
@@ -235,14 +245,29 @@ def test_younger_craters_cut_older_ones(tiling: Tiling) -> None:
     assert heights[ring].mean() - heights[middle] > 0.7 * 0.15 * 40.0
 
 
+def check_below_every_facet(tiling: Tiling, vertices_m: np.ndarray, under: TriangleMesh) -> None:
+    for tile in range(0, len(tiling.mesh.faces), 37):
+        fine = np.asarray(vertices_m, dtype=float)[np.unique(tiling.facets(np.array([tile])))]
+        assert ((fine - under.corners_m[tile, 0]) @ under.normals[tile]).min() > 0.0
+
+
 def test_the_coarse_body_lies_below_every_facet() -> None:
     ground = small_ground()
-    tiling, normals = ground.tiling, ground.under.normals
-    for tile in range(0, len(tiling.mesh.faces), 37):
-        fine = np.asarray(ground.vertices_m, dtype=float)[np.unique(tiling.facets(np.array([tile])))]
-        assert ((fine - ground.under.corners_m[tile, 0]) @ normals[tile]).min() > 0.0
+    tiling = ground.tiling
+    check_below_every_facet(tiling, ground.vertices_m, ground.under)
     assert is_closed(ground.under.faces)
     assert ground.under.volume_m3 > 0.9 * tiling.mesh.volume_m3
+    # A ground 7.5 m lower, and directions of the relief 45 deg off the normals.
+    aslant = replace(tiling, up=Rotation.from_rotvec([0.0, 45.0, 0.0], degrees=True).apply(tiling.up))
+    lower = (0.97 * tiling.places()[0]).astype(np.float32)
+    check_below_every_facet(aslant, lower, TriangleMesh(lower_envelope(aslant, lower), tiling.mesh.faces))
+
+
+def test_planes_of_rims_face_outward() -> None:
+    rims = small_ground().rims
+    outward = rims.centre_m / np.linalg.norm(rims.centre_m, axis=1, keepdims=True)
+    assert len(rims) > 10
+    assert (np.einsum("ni,ni->n", rims.normal_body, outward) > 0.8).all()
 
 
 def test_surface_is_the_same_each_time_and_another_for_another_seed() -> None:

@@ -11,6 +11,7 @@ import pytest
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion, pixel_from_opencv, pixel_to_opencv
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.camera import CameraSpec, DistortionSpec
 
 # As the kernels state them, per mm**2 of the focal plane, with focal lengths in mm.
 AMICA = Camera(1024, 1024, 120.8 / 0.012, 120.8 / 0.012, 512.0, 512.0, RadialDistortion(-2.8e-5 * 120.8**2))
@@ -144,3 +145,12 @@ def test_a_scenario_names_the_distortion(tmp_path):
     assert load_scenario(str(file)).spec.camera.camera().distortion == RadialDistortion(-0.4)
     with pytest.raises(BoresightError, match=r"camera.*folds the image over.*not to mm or pixels"):
         load_scenario(str(file), ("camera.distortion.k1=-40",))
+
+
+def test_the_corner_farthest_from_the_principal_point_must_not_fold():
+    # 1 + k1 r^2 with k1 = -0.12 folds at r = sqrt(1 / 0.36) = 1.67: the corners of a middle are at 1.41 focal lengths.
+    lens, size = DistortionSpec(k1=-0.12), {"width_px": 200, "height_px": 200, "focal_px": (100.0, 100.0)}
+    assert CameraSpec(**size, distortion=lens).camera().distortion == RadialDistortion(-0.12)
+    for place in ((20.0, 100.0), (180.0, 100.0), (100.0, 20.0), (100.0, 180.0)):
+        with pytest.raises(ValueError, match="folds the image over"):
+            CameraSpec(**size, distortion=lens, principal_point_px=place)

@@ -21,6 +21,7 @@ from boresight.scenarios.geometry import (
     pixel_to_opencv,
 )
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.spec.camera import CameraSpec
 
 CAMERA = Camera(640, 480, 700.0, 710.0, 318.0, 243.0)
 
@@ -39,6 +40,13 @@ def test_projection_agrees_with_opencv():
     expected, _ = cv2.projectPoints(points, cv2.Rodrigues(pose.rotation)[0], pose.translation_m, matrix, None)
     ours = CAMERA.project(pose.transform(points))
     np.testing.assert_allclose(ours, pixel_from_opencv(expected[:, 0]), atol=1e-9)
+
+
+def test_a_field_of_view_is_that_across_the_width():
+    camera = CameraSpec(width_px=640, height_px=480, fov_deg=30.0).camera()
+    across_deg, down_deg, *_, aspect = cv2.calibrationMatrixValues(camera.matrix, (640, 480), 1.0, 1.0)
+    assert (across_deg, aspect) == pytest.approx((30.0, 1.0))
+    assert down_deg < across_deg
 
 
 def test_unproject_inverts_project():

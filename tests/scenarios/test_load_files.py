@@ -440,6 +440,8 @@ def test_overrides_of_a_campaign_and_of_its_scenarios(here, tmp_path):
     )
     assert fault("quickstart", base=loaded.overrides) == "c.yaml:8: viewpoint.range_m: -5 is not above 0"
     assert fault("quickstart", base=loaded.spec.overrides) == "set: viewpoint.range_m: -5 is not above 0"
+    twice = {"camera": {"fov_deg": 40}, "camera.fov_deg": 50}  # the later line wins, as on the command line
+    assert load_scenario("quickstart", base=twice).spec.camera.fov_deg == 50
 
 
 def test_a_campaign_extends_another(here, tmp_path):

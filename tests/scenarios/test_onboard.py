@@ -96,5 +96,12 @@ def test_heights_are_wrong_by_their_rms_along_the_normals():
     moved = np.linalg.norm(wrong.vertices_m, axis=1) - np.linalg.norm(mesh.vertices_m, axis=1)
     assert moved.std() == pytest.approx(2.0, rel=0.05)
     assert np.linalg.norm(wrong.vertices_m - mesh.vertices_m, axis=1).std() > 0.0
+    # Waves that are too short for the mesh are left out, and the others have the whole RMS.
+    coarse = with_height_error(
+        mesh, HeightErrorSpec(rms_m=2.0, max_wavelength_m=200.0, min_wavelength_m=0.5, hurst=0.1)
+    )
+    assert np.linalg.norm(coarse.vertices_m - mesh.vertices_m, axis=1).std() > 0.0
+    moved = np.linalg.norm(coarse.vertices_m, axis=1) - np.linalg.norm(mesh.vertices_m, axis=1)
+    assert moved.std() == pytest.approx(2.0, rel=0.05)
     again = with_height_error(mesh, HeightErrorSpec(rms_m=2.0, max_wavelength_m=200.0, min_wavelength_m=50.0))
     np.testing.assert_array_equal(again.vertices_m, wrong.vertices_m)

@@ -147,6 +147,16 @@ def test_icq_welds_seams_that_do_not_coincide(tmp_path):
     assert mesh.volume == pytest.approx(4.0 / 3.0 * np.pi, rel=0.1)
 
 
+def test_icq_quadrilaterals_are_cut_along_the_shorter_diagonal(tmp_path):
+    shape = read(tmp_path, "ball.tab", icq_text(8, jitter=0.01))
+    lengths = []
+    for one, other in shape.faces.reshape(-1, 2, 3):
+        cut, rest = np.intersect1d(one, other), np.setxor1d(one, other)
+        lengths.append([np.linalg.norm(np.subtract(*shape.vertices[ends])) for ends in (cut, rest)])
+    cut, rest = np.array(lengths).T
+    assert (cut <= rest).all()
+
+
 BROKEN = {
     "missing column": ("a.obj", OBJ.replace("v 0 1 0", "v 0 1"), r"a\.obj:2: 'v 0 1' is not a vertex"),
     "word": ("a.obj", OBJ.replace("v 0 1 0", "v 0 x 0"), r"a\.obj:2: "),

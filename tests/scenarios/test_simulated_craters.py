@@ -92,3 +92,38 @@ def test_craters_in_view_face_the_camera_and_the_sun(ground) -> None:
     assert (np.einsum("ni,ni->n", towards, craters.normal_body[rows]) > 0.5).all()
     incidence = np.degrees(np.arccos(craters.normal_body[rows] @ view.sun_dir_body))
     assert ((incidence > 20.0) & (incidence < 75.0)).all()
+    # No rim leaves the frame: 60 points of each circle, about axes that are no part of the simulation.
+    turns = np.linspace(0.0, 2.0 * np.pi, 60)
+    for centre, normal, radius in zip(
+        craters.centre_body_m[rows], craters.normal_body[rows], craters.radius_m[rows], strict=True
+    ):
+        axes = np.linalg.svd(normal[None])[2][1:]
+        rim = centre + radius * (np.cos(turns)[:, None] * axes[0] + np.sin(turns)[:, None] * axes[1])
+        assert CAMERA.contains(CAMERA.project(view.T_cam_body.transform(rim))).all()
+
+
+def test_errors_grow_with_the_radius_and_do_not_prefer_the_long_axis(ground) -> None:
+    rng = np.random.default_rng(6)
+    craters, view = population(ground, 4, 4000), _view()
+    visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
+    sure = {"recall": 1.0 - 1e-12, "false_share": 0.0, "height_m": 0.0}
+    exact = DetectionErrors(centre_px=0.0, centre_radii=0.0, axes_ratio=1e-12, **sure)
+    truth = detect_simulated(craters, visible, view, exact, rng)
+    place = {int(crater): k for k, crater in enumerate(truth.crater)}
+    errors = DetectionErrors(centre_px=0.3, centre_radii=0.05, axes_ratio=0.3, **sure)
+    scaled, long, short = [], [], []
+    for _ in range(30):
+        found = detect_simulated(craters, visible, view, errors, rng)
+        true = truth.ellipses[[place[int(crater)] for crater in found.crater]]
+        sigma = np.sqrt(0.3**2 + (0.05 * true.radius_px) ** 2)
+        scaled.append((found.ellipses.centre_px - true.centre_px) / sigma[:, None])
+        # Half the width of the found ellipse along the true axes, from its angle to each.
+        off = found.ellipses.angle_rad - true.angle_rad
+        a, b = found.ellipses.semi_axes_px.T
+        assert (a >= b).all()
+        long.append(np.log(np.hypot(a * np.cos(off), b * np.sin(off)) / true.semi_axes_px[:, 0]))
+        short.append(np.log(np.hypot(a * np.sin(off), b * np.cos(off)) / true.semi_axes_px[:, 1]))
+    assert np.concatenate(scaled).std() == pytest.approx(1.0, rel=0.05)
+    for ratios in (np.concatenate(long), np.concatenate(short)):
+        assert abs(ratios.mean()) < 4 * 0.3 / np.sqrt(len(ratios))
+        assert ratios.std() == pytest.approx(0.3, rel=0.05)
