@@ -9,7 +9,7 @@ import pytest
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
-from boresight.scenarios.spec.brdf import LambertSpec
+from boresight.scenarios.spec.brdf import LambertSpec, LommelSeeligerSpec
 
 CAMERA = Camera.from_fov(160, 140, np.radians(20.0))
 BLUR_PX = 1.5
@@ -95,6 +95,22 @@ def test_a_turn_moves_the_albedo(llvm, ball):
     _, found = coarse.render_with_derivatives(view_at(pose))
     for axis, expected in enumerate(differences(lambda p: fine.render(view_at(p)), pose)):
         assert relative_error(found[axis], expected) < 0.1, axis
+
+
+def test_emission_and_phase_follow_the_camera(llvm, ball):
+    """A turn changes nothing of a sphere, whatever its law; shifts are as differences where it fills the frame."""
+    law = LommelSeeligerSpec(kind="lommel-seeliger", w=0.3, b=0.3, c=0.4)
+    renderer, near = MitsubaRenderer(ball, law, 4, shading="smooth", variant=llvm), Camera.from_fov(40, 32, 0.05)
+
+    def view(pose: Pose) -> View:
+        return View(near, pose, pose.rotation.T @ SUN_CAM)
+
+    pose = pose_at(40.0, 30.0, 2000.0)
+    _, found = renderer.render_with_derivatives(view(pose))
+    for axis, expected in enumerate(differences(lambda p: renderer.render(view(p)), pose)[3:], start=3):
+        assert relative_error(found[axis], expected) < 0.05, axis
+    for turn in found[:3]:
+        assert np.abs(blurred(turn)).max() < 0.1 * np.abs(blurred(found[3])).max() * RADIUS_M
 
 
 def test_facets_and_cast_shadows_are_as_differences_but_where_shadows_wander(llvm, rock):
