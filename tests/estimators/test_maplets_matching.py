@@ -4,12 +4,29 @@ import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
+from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
 from boresight.estimators.landmark.pose.problem import PoseProblem
-from boresight.estimators.maplets.displacement import correlate_window, make_pair, refine_window, shift_covariance
-from boresight.scenarios.geometry import Camera, look_at
+from boresight.estimators.maplets.database import MapletDatabase
+from boresight.estimators.maplets.displacement import (
+    Displacement,
+    correlate_window,
+    make_pair,
+    refine_window,
+    shift_covariance,
+)
+from boresight.estimators.maplets.matching import (
+    MapletMatches,
+    MapletRendering,
+    MatchingOptions,
+    _collect,
+    _reach_px,
+)
+from boresight.estimators.maplets.recognizer import MapletFit, surface_covariances
+from boresight.estimators.maplets.visibility import visible_windows
+from boresight.scenarios.geometry import Camera, Pose, look_at
 
 SIDE = 64
 WINDOW = (slice(16, 48), slice(14, 50))
@@ -109,6 +126,104 @@ def test_the_covariance_is_that_of_the_scatter(method):
     scatter = np.cov(np.array([f.shift_px for f in found]).T)
     expected = area * np.mean([f.covariance_px2 for f in found], axis=0)
     np.testing.assert_allclose(np.sqrt(np.diag(scatter) / np.diag(expected)), 1.0, atol=0.25)
+
+
+def test_the_covariance_does_not_depend_on_the_exposure():
+    image = picture(8, 2.0)
+    noisy = shifted(image, 0.1, 0.2) + np.random.default_rng(3).normal(0.0, 0.03, image.shape)
+    found, brighter = refined(noisy, image), refined(3.0 * noisy, image)
+    np.testing.assert_allclose(brighter.shift_px, found.shift_px, atol=1e-4)
+    np.testing.assert_allclose(brighter.covariance_px2, found.covariance_px2, rtol=1e-3)
+
+
+def test_pixels_beside_a_shadow_of_either_image_are_unused():
+    lit, spotted = np.full((9, 12), 0.5, dtype=np.float32), np.full((9, 12), 0.5, dtype=np.float32)
+    spotted[4, 6] = 0.05
+    expected = np.ones((9, 12), dtype=bool)
+    expected[3:6, 5:8] = False
+    for pair in ((spotted, lit), (lit, spotted)):
+        np.testing.assert_array_equal(make_pair(*pair, np.ones((9, 12), dtype=bool), 0.7, 0.12).usable, expected)
+
+
+def plates(centres_m, turns=None):
+    """Flat maplets of 9 x 9 heights 5 m apart, with a bump of 2 m in their middle."""
+    axes = np.repeat(np.eye(3)[None], len(centres_m), axis=0) if turns is None else turns.as_matrix()
+    heights = np.zeros((len(centres_m), 9, 9))
+    heights[:, 4, 4] = 2.0
+    return MapletDatabase(np.array(centres_m, dtype=float), axes, heights, 5.0)
+
+
+def seen_from_above(database, x_m=0.0):
+    """What is rendered from 2 km above, the camera at ``x_m``."""
+    pose = Pose(np.diag([1.0, -1.0, -1.0]), np.array([-x_m, 0.0, 2000.0]))
+    vertices = database.nodes_m.reshape(-1, 3)
+    windows = visible_windows(database, CAMERA, pose, vertices, (4, 32))
+    whole = np.ones((512, 512), dtype=bool)
+    return MapletRendering(database, CAMERA, pose, whole.astype(np.float32), whole, windows)
+
+
+def test_a_maplet_behind_another_is_hidden_and_windows_end_with_the_image():
+    near, far, beside = [0.0, 0.0, 0.0], [0.0, 0.0, -100.0], [200.0, 0.0, -100.0]
+    np.testing.assert_array_equal(seen_from_above(plates([far, beside])).windows.maplet, [0, 1])
+    np.testing.assert_array_equal(seen_from_above(plates([near, far, beside])).windows.maplet, [0, 2])
+    # 317 m to the side the anchor is 4 px from the edge, and the window would begin 12 px outside.
+    edge = seen_from_above(plates([near]), 317.0).windows
+    assert edge.uv_px[0, 0] == pytest.approx(4.0, abs=2.0)
+    assert edge.first[0, 0] == 0
+    assert edge.last[0, 0] > 10
+
+
+def test_an_anchor_is_the_middle_of_the_heights():
+    database = plates([[10.0, 20.0, 30.0]], Rotation.random(1, rng=np.random.default_rng(1)))
+    np.testing.assert_allclose(database.anchors_m, database.nodes_m[:, 4, 4])
+
+
+def test_a_wrong_height_moves_an_anchor_along_the_normal():
+    """Differences of projections, of maplets that are tilted by some 20 deg."""
+    rng = np.random.default_rng(2)
+    turns = Rotation.from_rotvec(0.35 * rng.normal(size=(6, 3)))
+    seen = seen_from_above(plates(np.c_[80.0 * rng.normal(size=(6, 2)), np.zeros(6)], turns))
+    options = MatchingOptions(height_sigma_m=1.5, systematic_px=0.1)
+
+    def exact(index, window):
+        return Displacement(np.zeros(2), 0.04 * np.eye(2), 1.0)
+
+    found = _collect(seen, seen.on_body, exact, options)
+    assert len(found) == 6
+    for row, maplet in enumerate(found.maplet):
+        up = seen.database.anchors_m[maplet] + np.outer([1e-3, -1e-3], seen.database.axes[maplet, 2])
+        moved = np.subtract(*CAMERA.project(seen.T_cam_body.transform(up))) / 2e-3
+        expected = 1.5**2 * np.outer(moved, moved) + (0.1**2 + 0.04) * np.eye(2)
+        np.testing.assert_allclose(found.covariances_px2[row], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_the_search_reaches_three_deviations_of_the_anchors():
+    """Of 4000 drawn positions of the camera that is uncertain along x; a pixel more is for the fit of the peak."""
+    seen = seen_from_above(plates([[60.0 * k, 40.0, 0.0] for k in range(-2, 3)]))
+    sigmas = np.array([1e-9, 1e-9, 1e-9, 10.0, 1e-6, 1e-6])
+    steps = sigmas * np.random.default_rng(3).normal(size=(4000, 6))
+    points = seen.T_cam_body.transform(seen.anchors_m)
+    drawn = CAMERA.project(points + steps[:, None, 3:])
+    reach = _reach_px(seen, np.diag(sigmas**2), MatchingOptions(search_sigma=3.0))
+    np.testing.assert_allclose(reach, 3.0 * drawn.std(axis=0) + 1.5, atol=1.0)
+
+
+def test_the_covariance_of_a_place_on_the_body_is_that_of_rays_that_meet_its_plane():
+    """Rays through 40,000 drawn pixels, met with planes of drawn heights; the image's covariance is scaled by 2."""
+    rng = np.random.default_rng(4)
+    turns = Rotation.from_rotvec([[0.4, -0.3, 0.2], [0.0, 0.5, 0.0]])
+    seen = seen_from_above(plates([[50.0, -60.0, 0.0], [-90.0, 30.0, 10.0]], turns))
+    pixels = np.array([[[0.09, 0.03], [0.03, 0.04]], [[0.04, 0.0], [0.0, 0.16]]])
+    matches = MapletMatches(np.arange(2), seen.windows.uv_px, pixels, np.ones(2), np.eye(2), 0.3)
+    fit = MapletFit(matches, Posterior(seen.T_cam_body, np.eye(6), np.eye(6), np.zeros(2), 2.0))
+    position = seen.T_cam_body.camera_position_m
+    for row, found in enumerate(surface_covariances(fit, seen.database, CAMERA)):
+        anchor, normal = seen.database.anchors_m[row], seen.database.axes[row, 2]
+        uv = rng.multivariate_normal(seen.windows.uv_px[row], 2.0 * pixels[row], 40_000)
+        rays = CAMERA.unproject(uv) @ seen.T_cam_body.rotation
+        along = (anchor - position) @ normal / (rays @ normal)
+        points = position + along[:, None] * rays + 0.3 * rng.normal(size=(40_000, 1)) * normal
+        np.testing.assert_allclose(found, np.cov(points.T), atol=0.03 * np.trace(found))
 
 
 def test_shift_covariance_of_a_known_peak():
