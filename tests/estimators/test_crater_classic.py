@@ -7,7 +7,7 @@ from crater_scenes import CAMERA, Bowl, frame_of, image_of
 
 from boresight.estimators.craters.detection.classic import CraterClassic
 from boresight.estimators.craters.detection.edges import canny, gradient_of
-from boresight.estimators.craters.detection.preparation import prepare_image
+from boresight.estimators.craters.detection.preparation import PreparedImage, prepare_image
 from boresight.scenarios.geometry import Camera
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)
@@ -41,3 +41,30 @@ def test_edges_lie_where_a_blurred_step_is_steepest():
     picture = prepare_image(frame_of(image, 0.0, 1.0), camera, 20.0)
     edges = canny(picture, 3, 0.1, 0.5)
     assert np.abs(np.median(edges.uv_px[:, 0]) - 41.3) < 0.15
+
+
+def test_noise_alone_has_next_to_no_edges():
+    """The length of a gradient of white noise follows Rayleigh's law: exp(-3.5^2 / 2) of it is above 3.5 deviations."""
+    even = np.random.default_rng(1).normal(0.0, 0.2, (120, 160)).astype(np.float32)
+    ground, noise = np.ones(even.shape, dtype=bool), np.full(even.shape, 0.2, dtype=np.float32)
+    picture = PreparedImage(even, even, noise, ground, np.array([1.0, 0.0]))
+    for kernel in (3, 9):
+        assert canny(picture, kernel, 0.15, 0.5).mask.mean() < 3.0 * np.exp(-0.5 * 3.5**2)
+
+
+def test_even_ground_is_even_beside_the_sky():
+    image = np.zeros((120, 200), dtype=np.float32)
+    image[:, :110] = 100.0 + np.random.default_rng(2).normal(0.0, 2.0, (120, 110))
+    picture = prepare_image(frame_of(image, 0.0, 1.0), Camera.from_fov(200, 120, 0.01), 20.0)
+    edge = picture.ground & (np.arange(200) > 85)
+    assert edge.any()
+    assert abs(picture.even[edge].mean()) < 0.2
+
+
+def test_the_crest_is_outside_the_steepest_rim_by_its_scale():
+    frame = frame_of(image_of([Bowl(256.0, 200.0, 30.0)], AZIMUTH, INCIDENCE), AZIMUTH, INCIDENCE)
+    plain, wide = (
+        CraterClassic.from_options({"crest_scale": scale}).detect(frame, CAMERA).ellipses for scale in (1.0, 1.2)
+    )
+    np.testing.assert_allclose(wide.semi_axes_px, 1.2 * plain.semi_axes_px)
+    np.testing.assert_allclose(wide.centre_px, plain.centre_px)

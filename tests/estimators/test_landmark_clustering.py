@@ -109,6 +109,12 @@ def cross(centre, half, copies=10):
     return np.tile(arms + centre, (copies, 1))
 
 
+def test_a_dispersion_is_numpys_covariance_and_the_floor():
+    points = np.random.default_rng(1).normal(size=(5, 3)) * [1.0, 2.0, 3.0]
+    found = PointCluster.of(points, np.array([4, 0, 2, 1]), 0.3).covariance_m2
+    np.testing.assert_allclose(found, np.cov(points[[0, 1, 2, 4]].T) + 0.09 * np.eye(3))
+
+
 @pytest.mark.parametrize(("gap", "merges"), [(1.0, True), (1.9, True), (2.1, False), (3.5, False)])
 def test_the_trace_criterion_decides_between_merging_and_pruning(gap, merges):
     # Two equal crosses of half-width 1 have trace 1 each; merged, the trace is 1 + (gap / 2)^2: equal at gap = 2.

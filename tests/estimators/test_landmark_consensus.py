@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.stack import PoseStack
-from boresight.estimators.landmark.robust.estimator import ConsensusOptions
+from boresight.estimators.landmark.robust.estimator import ConsensusOptions, _prior_after_alignment
 from boresight.estimators.landmark.robust.mixture import Mixture, MixtureOptions
 from boresight.estimators.landmark.robust.search import (
     SearchOptions,
@@ -22,6 +22,7 @@ from boresight.estimators.landmark.robust.search import (
 from boresight.estimators.options import parse_options
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, look_at
+from boresight.scenarios.observation import Frame
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)
@@ -69,6 +70,45 @@ def test_the_gradient_is_that_of_the_posterior():
     expected = approx_fprime(np.zeros(6), posterior, 1e-3) / units
     found = mixture.evaluate(one(prior.mean), 0.8).gradient[0]
     np.testing.assert_allclose(found * units, expected * units, atol=0.02 * np.abs(expected * units).max())
+
+
+def test_covariances_are_scaled_as_if_they_were_larger():
+    mixture, corners, prior = scene(1)
+    given = (corners, np.pi * 142.0**2, CAMERA, prior)
+    covariances = np.random.default_rng(1).uniform(0.1, 0.4, len(mixture.points_m))[:, None, None] * np.eye(3)
+    scaled = Mixture(mixture.points_m, covariances, *given, SEEN.model_copy(update={"covariance_scale": 2.5}))
+    larger = Mixture(mixture.points_m, 2.5 * covariances, *given, SEEN)
+    found, expected = (one_.evaluate(one(prior.mean), 0.3) for one_ in (scaled, larger))
+    np.testing.assert_allclose(found.log_posterior, expected.log_posterior)
+    np.testing.assert_allclose(found.hessian, expected.hessian)
+
+
+def test_corners_that_mean_nothing_leave_the_prior():
+    """The best hypotheses do not turn; minimal sets are drawn to a prior that is sure, wherever they begin."""
+    mixture, corners, prior = scene(1)
+    mixture.odds_px2 = 1e-12
+    best = best_hypotheses(mixture, prior.mean, PRIOR_SIGMAS[0], corners, CAMERA, SearchOptions())
+    np.testing.assert_allclose(best.rotations, np.broadcast_to(prior.mean.rotation, best.rotations.shape))
+    sure = PosePrior(prior.mean, 1e6 * prior.information)
+    start = prior.mean.perturbed(np.zeros(3), np.array([1.0, -1.0, 2.0]))
+    search = SearchOptions(hypotheses="minimal-sets", draws=500)
+    sets = sampled_hypotheses(mixture, sure, start, corners, CAMERA, search, np.random.default_rng(1))
+    assert len(sets) > 0
+    np.testing.assert_allclose(sure.errors(sets), 0.0, atol=0.05)
+
+
+def test_an_alignment_is_known_across_the_line_of_sight_alone():
+    """Means of two numbers of which one is three times as uncertain: nine tenths of the way to the other."""
+    camera = Camera.from_fov(512, 512, np.radians(18.3))
+    sigma_m = 3.6 * camera.pixel_angle_rad * float(np.linalg.norm(TRUE.translation_m))
+    covariance = np.diag([0.01, 0.01, 0.01, 3.0 * sigma_m, 3.0 * sigma_m, 40.0]) ** 2
+    frame = Frame(np.zeros((512, 512), dtype=np.float32), np.array([0.0, 0.0, -1.0]), TRUE, covariance)
+    found = _prior_after_alignment(
+        frame, TRUE.perturbed(np.zeros(3), np.array([10.0, -20.0, 3.0])), camera, ConsensusOptions()
+    )
+    np.testing.assert_allclose(found.mean.translation_m - TRUE.translation_m, [9.0, -18.0, 0.0], atol=0.02)
+    sigmas = np.sqrt(np.diag(np.linalg.inv(found.information)))
+    np.testing.assert_allclose(sigmas, [0.01, 0.01, 0.01, *np.sqrt([0.9, 0.9]) * sigma_m, 40.0], rtol=0.01)
 
 
 def test_each_climb_raises_the_posterior():

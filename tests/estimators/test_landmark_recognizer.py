@@ -9,6 +9,7 @@ from boresight.estimators.dense.whole_image import WholeImageRecognizer
 from boresight.estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
+from boresight.estimators.landmark.robust.estimator import ConsensusOptions
 from boresight.estimators.landmark.signal import extract_signal
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.mitsuba3 import MitsubaRenderer
@@ -300,6 +301,9 @@ def test_a_solution_that_disagrees_with_the_light_fails_if_asked(world, name):
         return estimate(built, world.frame(1)[1])
 
     reported = limited()
+    if reported.bound is not None:  # errors of neighbours are correlated
+        np.testing.assert_allclose(reported.covariance, ConsensusOptions().covariance_scale * reported.bound)
+    assert (reported.bound is not None) == (name == "landmark-ransac")
     residual = reported.diagnostics["centroid_residual_px"]
     assert 0.0 < residual < 10.0
     assert limited(consistency_max_px=1.01 * residual).status == "ok"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from orbit_worlds import CAMERA, orbit_world
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from boresight.estimators.orbit.arc import BatchState, DataArc
 from boresight.estimators.orbit.batch_filter import BatchFilter
@@ -72,6 +73,46 @@ def test_derivatives_are_central_differences(clean):
         step[:, axis] = 0.01
         ahead, behind = (predicted(replace(start, points=start.points + s))[0] for s in (step, -step))
         np.testing.assert_allclose(here.sightings.by_point[..., axis], (ahead - behind) / 0.02, atol=1e-5)
+
+
+def test_points_on_the_rays_of_sightings_leave_no_residuals(clean):
+    data = replace(clean[1], knowledge=replace(clean[1].knowledge, focal_sigma=0.01))
+    arc, solution = _arc(data)
+    x = 0.5 * np.random.default_rng(0).normal(size=arc.layout.size)
+    assert abs(arc.layout.focal(x)) > 1e-4
+    rays, first = arc.rays(x, solution.tilts), arc.measured.begin[:-1]
+    points = rays.origins_m[first] + 2500.0 * rays.directions[first]
+    unknowns = Unknowns(x, solution.tilts[: len(arc.measured.times_s)], points)
+    residuals = arc.model.sightings(unknowns, arc.model.propagate(x)).residuals
+    np.testing.assert_allclose(residuals[first], 0.0, atol=1e-6)
+
+
+def test_a_twist_about_the_boresight_is_in_the_deviation_of_pixels(clean):
+    known = replace(clean[1].knowledge, attitude_sigma_rad=0.002)
+    measured = _arc(replace(clean[1], knowledge=known))[0].measured
+    twist = Rotation.from_rotvec([0.0, 0.0, 0.002])
+    moved = CAMERA.project(twist.apply(CAMERA.unproject(measured.uv_px))) - measured.uv_px
+    added = measured.sigma_px**2 - known.noise_px**2
+    np.testing.assert_allclose(added, np.mean(moved**2, axis=1), rtol=1e-3)
+
+
+def test_a_landmark_of_twice_the_deviation_has_a_quarter_of_the_information(clean):
+    data = clean[1]
+    wide = replace(data, landmarks=replace(data.landmarks, sigma_m=2.0 * data.landmarks.sigma_m))
+    one, other = (_arc(some, OrbitOptions(landmarks="prior"))[0].prior().information for some in (data, wide))
+    np.testing.assert_allclose(one, 4.0 * other)
+
+
+def test_means_of_unmodelled_accelerations_correlate_as_their_integrals(clean):
+    """Means of exp(-|s - t|) over two intervals, by 400 midpoints of each."""
+    known = replace(clean[1].knowledge, noise_m_s2=1e-10, noise_time_s=86_400.0)
+    layout = ParameterLayout.of(replace(clean[1], knowledge=known), OrbitOptions(piece_share=0.5))
+    assert layout.pieces == 5
+    times = (np.arange(5 * 400) + 0.5) * 0.5 / 400
+    expected = np.exp(-abs(times[:, None] - times)).reshape(5, 400, 5, 400).mean(axis=(1, 3))
+    pushes = layout.part("pushes")
+    found = np.linalg.inv(layout.information[pushes, pushes])
+    np.testing.assert_allclose(found, np.kron(expected, np.eye(3)), atol=1e-5)
 
 
 def test_a_tilted_axis_is_the_same_as_data_that_are_turned_by_hand(solved):
@@ -262,6 +303,8 @@ def test_rays_through_two_places_are_told_apart():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     found = consistent_rays(origins, directions, np.array([0, 9]), np.full(9, 2e-3), 3)
     assert found.tolist() == [*which.tolist(), -1]
+    directions[3] *= -1.0  # a ray that leaves its place behind does not see it
+    assert consistent_rays(origins, directions, np.array([0, 9]), np.full(9, 2e-3), 3)[3] == -1
 
 
 def test_nonsense_is_refused_or_fails_with_a_reason(clean):

@@ -181,6 +181,13 @@ def blob_image(sign=1.0, side=256):
     return (0.5 + 0.4 * sign * bumps).astype(np.float32)
 
 
+def test_the_mixed_derivative_weighs_nine_tenths():
+    """Of u v, a box filter of side 9 has four lobes of 9 pixels two pixels off both axes: 4 x 9 x 2 x 2 = 144."""
+    v, u = np.mgrid[-20:21, -20:21].astype(np.float32)
+    found = determinant(u * v, 9)
+    np.testing.assert_allclose(found[15:26, 15:26], -((0.9 * 144.0) ** 2) / 9.0**4, rtol=1e-4)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["bright", "dark"])
 def test_position_and_scale_of_gaussian_blobs_are_recovered(sign):
     """The nominal scale is a fixed part of the true one.
