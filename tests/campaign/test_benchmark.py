@@ -6,11 +6,12 @@ from contextlib import chdir, redirect_stdout
 from io import StringIO
 
 import numpy as np
+import pandas as pd
 import pytest
 from tiny_campaign import write_campaign
 
 from boresight.campaign.cli import main
-from boresight.campaign.runs.benchmark import WHOLE_TRIAL
+from boresight.campaign.runs.benchmark import WHOLE_TRIAL, _whole
 from boresight.scenarios.cache import default_cache
 
 
@@ -43,6 +44,13 @@ def test_every_stage_is_timed(times):
     assert parts < 1.5 * stages["", WHOLE_TRIAL]["median_s"]
     assert "24 trials take" in said
     assert found["trials"] == 30
+
+
+def test_the_first_block_of_each_scenario_is_not_counted():
+    """It compiles and opens what the others find ready."""
+    seconds = {"one": [100.0, 1.0, 3.0, 2.0], "other": [50.0, 8.0]}
+    blocks = pd.DataFrame([{"scenario": name, "seconds": s} for name, some in seconds.items() for s in some])
+    assert {time.scenario: time.median_s for time in _whole(blocks, 1.0)} == {"one": 2.0, "other": 8.0}
 
 
 def test_nothing_is_left_behind(times):

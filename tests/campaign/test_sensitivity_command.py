@@ -10,8 +10,9 @@ from tiny_campaign import CAMPAIGN, write_campaign
 
 from boresight.campaign.cli import main
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.runs.sensitivity import make_design
+from boresight.campaign.runs.sensitivity import _setting, make_design
 from boresight.reports.compare.global_sensitivity import VariedKey
+from boresight.scenarios.load import load_scenario
 
 
 def sensitivity(file, out, *arguments):
@@ -94,3 +95,11 @@ def test_a_scenario_of_a_grid_is_varied_where_it_stands(tmp_path):
     assert [specs[f"key-1-{end}"].camera.fov_deg for end in ("low", "high")] == [10.0, 20.0]
     assert specs["base"].camera == resolved.scenario("scene-1000").spec.camera
     assert design.campaign.spec.grid is None
+
+
+def test_one_bound_of_a_law_is_set_and_the_other_stays():
+    law = "lighting.phase_deg={uniform: [10, 60]}"
+    spec = load_scenario("quickstart", [law]).spec
+    for end, value, bounds in (("min", 20.0, (20.0, 60.0)), ("max", 45.0, (10.0, 45.0))):
+        change = _setting(spec, VariedKey(f"lighting.phase_deg.{end}", 0.0, 90.0), value)
+        assert load_scenario("quickstart", [law, change]).spec.lighting.phase_deg.uniform == bounds
