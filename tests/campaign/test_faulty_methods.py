@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -236,6 +238,16 @@ def test_a_method_may_give_up():
     records = WORK.run(work, lambda answer: None, _never)
     assert records["rows"] == [{"range_m": 5.0, "status": "failed", "reason": r"too\x1b[2J dark", "n_landmarks": 0}]
     assert "tracebacks" not in records
+
+
+def test_a_method_that_changes_the_folder_leaves_the_process_where_it_was(tmp_path):
+    def work():
+        os.chdir(tmp_path)
+        raise RuntimeError("and fails there")
+
+    before = Path.cwd()
+    WORK.run(work, lambda answer: None, _never)
+    assert Path.cwd() == before != tmp_path
 
 
 def test_a_fault_of_scoring_is_not_the_methods():
