@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -208,6 +209,14 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert np.all(np.diff(curve.found_share) >= 0.0)
     half = one.detections.sort_values("confidence", ascending=False).head(7)
     assert curve.listed_false_share[6] == pytest.approx((half["crater"] < 0).mean())
+
+
+def test_rejected_detections_are_scored_and_are_not_kept() -> None:
+    rims = Ellipses(np.array([[50.0, 50.0], [20.0, 30.0]]), np.full((2, 2), 9.0), np.zeros(2))
+    nothing = np.zeros(0, dtype=np.int64)
+    truth = SimpleNamespace(ellipses=Ellipses.none(), crater=nothing, detectable=nothing, clean=nothing)
+    records = crater_detection._scored(CraterDetections.above(0.5, rims, np.array([0.8, 0.3])), truth)
+    assert [(one["u_px"], one["confidence"], one["kept"]) for one in records] == [(50.0, 0.8, True), (20.0, 0.3, False)]
 
 
 def test_report_shows_images_curves_and_the_papers_claim(done: Path) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from orbit_worlds import orbit_world
 
 from boresight.campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
@@ -138,6 +139,19 @@ def test_a_black_and_a_saturated_image_have_no_craters_and_a_reason(tmp_path, sh
     found, reason = CraterNavigation.from_options({}).detect(frame, taken.task)
     assert len(found.ellipses) == 0
     assert message in reason
+
+
+def test_exposures_have_the_sun_of_their_attitude_and_the_shape_is_where_its_model_is(tmp_path):
+    world, stages = _world(imaging={"epochs": 2}), StageFiles(tmp_path)
+    taken = NavigationTrial.take(world, _trials(tmp_path, world).sights, 5, 0, stages)
+    searched = taken.search(CraterNavigation.from_options({"matcher": "vote"}), taken.task, stages)
+    sun = np.array(world.spec.light.sun_dir) / np.linalg.norm(world.spec.light.sun_dir)
+    assert len(searched) == 2
+    for image, planned in zip(searched, taken.plan, strict=True):
+        np.testing.assert_allclose(image.exposure.sun_dir_cam, planned.actual_R_cam_inertial @ sun, atol=1e-9)
+    mesh = taken.task.shape.ground.mesh
+    middle = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False).center_mass
+    assert np.linalg.norm(middle - SHIFT_M) < 0.1 * np.linalg.norm(SHIFT_M)
 
 
 def test_no_craters_at_all_fail_with_a_reason(tmp_path):

@@ -47,6 +47,8 @@ def test_images_of_a_ball_share_ground_and_light_as_their_directions_say(ball):
     # The far side shares a rim at most, and lies in the dark of the others; Suns are 6, 20 and 5 deg apart.
     np.testing.assert_array_equal(found.overlapping, [2, 2, 2, 1, 1])
     np.testing.assert_array_equal(found.similar, [1, 1, 0, 1, 1])
+    # What one of two images from the same place shows in the light, the other shows in the dark.
+    np.testing.assert_array_equal(coverage([_view(0, 100), _view(0, -100)], ball).overlapping, [0, 0])
 
 
 def test_images_that_miss_the_body_or_are_none_have_nothing_in_common(ball):

@@ -50,8 +50,9 @@ def test_landmarks_are_where_the_first_line_of_sight_meets_the_sphere(seen):
     assert one.truth.points_m[:, 2].min() > 0.0
 
 
-def test_tracks_are_seen_where_their_landmarks_are(seen):
-    tracks, one, _ = seen
+@pytest.mark.parametrize("start", [0, 1])
+def test_tracks_are_seen_where_their_landmarks_are(seen, start):
+    tracks, one = seen[0], seen[1 + start]
     for frame, pose, wrong in zip(one.sequence.frames, one.truth.poses, one.truth.wrong, strict=True):
         place = tracks.images.camera.project(pose.transform(one.truth.points_m[frame.tracks]))
         assert (np.linalg.norm(place - frame.uv_px, axis=1) > 3.0).tolist() == wrong.tolist()

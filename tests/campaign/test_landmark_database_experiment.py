@@ -3,6 +3,7 @@
 import pytest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
+from boresight.campaign.kinds.landmark_database.trial import at_trial
 from boresight.campaign.products import landmark_database, product_key
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
@@ -65,6 +66,11 @@ def test_clusters_become_fewer_at_each_stage(stored):
 
 def test_trials_are_independent(stored):
     assert numbers(stored).loc["base", "candidates"].nunique() == 3
+
+
+def test_the_seeds_of_the_options_and_of_the_campaign_and_the_trial_all_count():
+    seeds = [at_trial(DatabaseOptions(seed=own), *of).seed for own, *of in ((0, 0, 0), (5, 0, 0), (0, 9, 0), (0, 0, 1))]
+    assert len(set(seeds)) == 4
 
 
 def test_a_data_base_that_does_not_come_out_is_a_failure_with_a_reason(stored):

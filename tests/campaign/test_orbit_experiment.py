@@ -62,9 +62,22 @@ def test_errors_are_those_of_a_shift_that_is_known(drawn):
     assert summary["epoch_nees"] == pytest.approx(49.0 / 4.0 / 6.0)
     assert summary["arc_nees"] == pytest.approx(49.0 / 4.0 / 3.0)
     assert summary["residual_rms_px"] == pytest.approx(0.5)
+    known = data.knowledge.field.harmonics.gm_m3_s2
+    exact = orbit_summary(OrbitEstimate("ok", orbit, diagnostics={"gm_ratio": 5.0 / known}), orbit, truth, data)
+    assert exact["gm_error"] == pytest.approx(0.0, abs=1e-12)
+    assert summary["gm_error"] == pytest.approx(known / 5.0 - 1.0, abs=1e-12)
     lines = orbit_errors(orbit, truth, data)
     for line in lines:
         assert np.hypot(np.hypot(line["radial_m"], line["along_m"]), line["cross_m"]) == pytest.approx(7.0)
+    # The same error a step of a tenth of a second ahead of the spacecraft is along its motion, above it is radial.
+    ahead = replace(orbit, positions_m=truth.states[:, :3] + 0.1 * truth.states[:, 3:])
+    above = replace(orbit, positions_m=1.001 * truth.states[:, :3])
+    for early, high, state in zip(
+        *(orbit_errors(one, truth, data) for one in (ahead, above)), truth.states, strict=True
+    ):
+        assert early["along_m"] == pytest.approx(0.1 * np.linalg.norm(state[3:]), rel=0.05)
+        assert abs(early["cross_m"]) < 1e-9
+        assert high["radial_m"] == pytest.approx(1e-3 * np.linalg.norm(state[:3]))
     end = data.pictures.times_s[-1] / 86_400.0
     assert [line["predicted"] for line in lines] == [line["time_days"] > end + 1e-3 for line in lines]
 
@@ -76,6 +89,12 @@ def test_a_number_that_was_split_may_stand_for_two_craters(drawn):
         n for n in orbit.numbers if len(np.unique(truth.crater[(data.pictures.landmark == n) & ~truth.wrong])) == 2
     )
     rows = (data.pictures.landmark == number) & ~truth.wrong
+    # Two sightings of one crater and one of another: the number stands for the first, and the second is wrong.
+    same, other = (np.flatnonzero(rows & (truth.crater == crater)) for crater in np.unique(truth.crater[rows]))
+    few, many = sorted((same, other), key=len)
+    if len(few) < len(many):
+        assert wrong_sightings(orbit, truth, data)[few].all()
+        assert not wrong_sightings(orbit, truth, data)[many].any()
     assert wrong_sightings(orbit, truth, data)[rows].any()
     split = replace(orbit, numbers=np.r_[orbit.numbers, number])
     counts = np.unique(truth.crater[data.pictures.landmark == number], return_counts=True)[1]

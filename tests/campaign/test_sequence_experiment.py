@@ -104,6 +104,14 @@ def test_new_landmarks_are_left_out_of_the_settled_error(drawn):
     total = sum(len(frame.tracks) for frame in sequence.frames)
     new = len(truth.points_m)
     assert told["landmark_rmse_m"] == pytest.approx(8.0 * np.sqrt(new / total))
+    # A landmark that was seen once is left out of the final error, with whatever error it has.
+    tracks, counts = np.unique(np.concatenate([seen.tracks for seen in sequence.frames]), return_counts=True)
+    once = tracks[counts == 1]
+    wild = [
+        replace(frame, points_m=frame.points_m + 8.0 * np.isin(frame.tracks, once)[:, None]) for frame in good.frames
+    ]
+    assert len(once) > 0
+    assert final_landmark_rmse(SequenceEstimate("ok", wild), sequence, truth) == 0.0
 
 
 def test_dead_reckoning_is_consistent_and_walks_at_random(drawn):

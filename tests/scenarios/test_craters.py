@@ -240,6 +240,16 @@ def test_younger_craters_cut_older_ones(tiling: Tiling) -> None:
     # Circles of radii 40 and 20 m, the second one's middle on the first: it takes 2 x 2 asin(20 / 80) of the rim.
     assert rims.cut[0].mean() == pytest.approx(4.0 * np.arcsin(0.25) / (2.0 * np.pi), abs=2.0 / 72.0)
     assert not rims.cut[1].any()
+    # Of what was there before, nothing is left in the inner half of a younger crater but a slope.
+    offset_m = points - place
+    inner = np.linalg.norm(offset_m, axis=1) < 10.0
+    axes = np.linalg.svd(young.axis_body)[2]
+    x, y, height = ((vertices[inner] - place) @ axes.T).T[[1, 2, 0]]
+    profile = Profiles.of(np.array([0.1]), np.array([0.15]), craters_spec().rim_ratio, craters_spec().depth_ratio[1])
+    own = 40.0 * profile.heights(np.linalg.norm(offset_m[inner], axis=1) / 20.0)[0]
+    rest = np.sign(axes[0] @ young.axis_body[0]) * height - own
+    slope = np.stack([np.ones_like(x), x, y], axis=1)
+    assert abs(rest - slope @ np.linalg.lstsq(slope, rest, rcond=None)[0]).max() < 0.2
     middle = np.argmin(np.linalg.norm(points - place, axis=1))
     ring = np.abs(np.linalg.norm(points - place, axis=1) - 20.0) < 2.0
     assert heights[ring].mean() - heights[middle] > 0.7 * 0.15 * 40.0
