@@ -12,6 +12,7 @@ from tiny_campaign import CAMPAIGN, RESULTS, SMALL, assert_same_results, compute
 
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.products.assets import BuiltAssets
 from boresight.campaign.products.databases import (
     SEED_STEP,
     with_database_craters,
@@ -130,6 +131,11 @@ def test_the_knowledge_of_a_data_base_is_its_own(cache, tmp_path):
     assert shapes[0].shape == shapes[1].shape
     assert not np.allclose(shapes[0], shapes[1])
     assert with_database_knowledge(scenario, 0) is scenario
+    for number, shape in ((0, shapes[0]), (2, shapes[1])):
+        assets = BuiltAssets(scenario, tmp_path, 1, "", database=number)
+        assert not assets.depends_on_database
+        np.testing.assert_array_equal(assets.shape().vertices_m, shape)
+        assert assets.depends_on_database
 
 
 def test_a_world_of_craters_is_the_data_bases_own():

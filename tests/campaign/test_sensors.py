@@ -53,6 +53,11 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
         trial_image = trials.world.source.trial_image(5, 3)
         frame = observe(trials.world, trial_image, trials.seed, 3).frame
         seen.append((trial_image.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
+        # The Sun is seen from the true attitude, which the prior misses: the angles to the true camera axes say so.
+        true, sun = trial_image.view.T_cam_body, trial_image.view.sun_dir_body
+        axes_body = true.inverse().rotate(np.eye(3))
+        assert np.degrees(frame.prior_T_cam_body.angle_to(true)) > 0.1
+        np.testing.assert_allclose(frame.sun_dir_cam, axes_body @ sun, atol=1e-12)
         assert (frame.altimeter is None) == (sensors == "")
     for without, with_it in zip(*seen, strict=True):
         np.testing.assert_array_equal(without, with_it)
