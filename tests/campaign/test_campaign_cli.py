@@ -25,6 +25,7 @@ from undrawn import undrawn
 
 from boresight.campaign.cli import main, progress
 from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.imaging.world import trial_limit
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products.database_images import map_images
@@ -355,6 +356,7 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
         "pose_error: {position_cam_m: {uniform: [[0, 0], [0, 0], [0, 0]]}, attitude: {angle_deg: {uniform: [0, 0]}}}\n"
     )
     file = write_campaign(tmp_path, "scenarios: [scene]\nestimators: [prior]\ntrials: 6\nseed: 1\n", scene)
+    assert trial_limit(load_scenario(str(tmp_path / "scene.yaml"))) == 6
     compute(file, tmp_path / "run", 6)
     folder = RunFolder(tmp_path / "run")
     assert folder.table("rows")["image"].tolist() == ["0.png", "1.png", "2.png"] * 2

@@ -63,6 +63,13 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
         np.testing.assert_array_equal(without, with_it)
 
 
+def test_an_estimator_is_told_the_camera_that_is_believed(tmp_path):
+    trials = experiment(tmp_path, "onboard: {focal_error: 0.01}\n")
+    trial_image = trials.world.source.trial_image(5, 0)
+    told = observe(trials.world, trial_image, trials.seed, 0).camera
+    assert told.fx_px == pytest.approx(1.01 * trial_image.view.camera.fx_px)
+
+
 def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
     trials = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
     trial_image = trials.world.source.trial_image(5, 0)
