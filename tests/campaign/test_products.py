@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_campaign import DATABASE, RESULTS, SCENE, assert_same_results, compute, files, write_campaign
 
 from boresight.campaign.kinds.single_image import KIND as KIND_OF_TRIALS
 from boresight.campaign.products import BuiltAssets, landmark_database, product_key
+from boresight.campaign.products.crater_database import _searched
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.threads import use_threads
+from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.maplets.build import MapletOptions, build_maplets
@@ -24,7 +28,7 @@ from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import View, look_at
+from boresight.scenarios.geometry import Camera, View, look_at
 from boresight.scenarios.load import LoadedScenario, load_scenario
 from boresight.scenarios.onboard import onboard_spec
 
@@ -268,3 +272,18 @@ def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
         images.append(lends.mesh_renderer(lends.shape()).render(view))
     np.testing.assert_allclose(images[1], 2.0 * images[0], rtol=1e-5)
     assert images[0].any()
+
+
+def test_a_detector_is_told_the_sun_in_camera_axes():
+    class Finder:
+        def detect(self, frame, camera):
+            self.frame = frame
+            return CraterDetections.none()
+
+    view = View(
+        Camera.from_fov(32, 24, 0.2), look_at(np.array([900.0, -1500.0, 700.0]), 0.4), np.array([0.6, 0.0, 0.8])
+    )
+    finder = Finder()
+    _searched(3, SimpleNamespace(view=view, pixels=np.zeros((24, 32), dtype=np.float32)), finder, 5)
+    turn = Rotation.from_matrix(view.T_cam_body.rotation)
+    np.testing.assert_allclose(finder.frame.sun_dir_cam, turn.apply([0.6, 0.0, 0.8]), atol=1e-12)

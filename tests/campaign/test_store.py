@@ -57,6 +57,16 @@ def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     assert list(rows.columns) == [c.name for c in columns_of("rows", "single-image")]
 
 
+def test_a_block_that_is_redone_keeps_no_table_that_it_no_longer_has(tmp_path):
+    folder, block, rows = RunFolder(tmp_path), Block("a", 0, 2, 0), [record(0), record(1)]
+    seconds = [{"trial": 0, "scenario": "a", "estimator": "prior", "stage": "image", "seconds": 1.0}]
+    folder.write_block(block, {"rows": rows, "timings": seconds}, "single-image")
+    assert len(folder.table("timings")) == 1
+    folder.write_block(block, {"rows": rows, "timings": []}, "single-image")
+    assert len(folder.table("timings")) == 0
+    assert folder.state(block, 1) is BlockState.WHOLE
+
+
 def test_a_trial_is_found_in_the_one_file_that_holds_it(tmp_path):
     folder, methods = RunFolder(tmp_path), ("prior", "other")
     for block in blocks(["a", "a-0000001"], 35, 10):

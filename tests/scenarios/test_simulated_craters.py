@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, population
+from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.craters.pairs import observed_frame
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
@@ -14,6 +16,8 @@ from boresight.scenarios.craters.simulated import (
     sample_plane_craters,
 )
 from boresight.scenarios.geometry import Pose, View, look_at
+from boresight.scenarios.spec.vectors import Normal3
+from boresight.scenarios.spec.world import PoseErrorSpec
 
 
 @pytest.fixture(scope="module")
@@ -127,3 +131,11 @@ def test_errors_grow_with_the_radius_and_do_not_prefer_the_long_axis(ground) -> 
     for ratios in (np.concatenate(long), np.concatenate(short)):
         assert abs(ratios.mean()) < 4 * 0.3 / np.sqrt(len(ratios))
         assert ratios.std() == pytest.approx(0.3, rel=0.05)
+
+
+def test_the_sun_of_an_observed_frame_is_in_the_axes_of_the_true_camera() -> None:
+    view, error = _view(), PoseErrorSpec(position_cam_m=Normal3(normal=(10.0, 10.0, 10.0)))
+    frame = observed_frame(view, np.zeros((2, 2), dtype=np.float32), error, np.random.default_rng(1), 5.0)
+    turn = Rotation.from_matrix(view.T_cam_body.rotation)
+    np.testing.assert_allclose(frame.sun_dir_cam, turn.apply(view.sun_dir_body.copy()), atol=1e-12)
+    assert not np.allclose(frame.prior_T_cam_body.rotation, view.T_cam_body.rotation)
