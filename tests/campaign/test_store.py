@@ -57,6 +57,19 @@ def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     assert list(rows.columns) == [c.name for c in columns_of("rows", "single-image")]
 
 
+def test_details_are_written_first_then_checksums_and_rows_last(tmp_path, monkeypatch):
+    written, write = [], RunFolder._write
+
+    def noted(self, name, content):
+        written.append(name.partition("/")[0])
+        write(self, name, content)
+
+    monkeypatch.setattr(RunFolder, "_write", noted)
+    seconds = [{"trial": 0, "scenario": "a", "estimator": "prior", "stage": "image", "seconds": 1.0}]
+    RunFolder(tmp_path).write_block(Block("a", 0, 1, 0), {"rows": [record(0)], "timings": seconds}, "single-image")
+    assert written == ["timings", "checksums", "rows"]
+
+
 def test_a_block_that_is_redone_keeps_no_table_that_it_no_longer_has(tmp_path):
     folder, block, rows = RunFolder(tmp_path), Block("a", 0, 2, 0), [record(0), record(1)]
     seconds = [{"trial": 0, "scenario": "a", "estimator": "prior", "stage": "image", "seconds": 1.0}]
