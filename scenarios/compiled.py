@@ -20,8 +20,6 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from boresight.scenarios.cache import default_cache
 
-_KEY_LENGTH = 16
-
 _Kernel = TypeVar("_Kernel", bound=Callable[..., object])
 
 
@@ -35,8 +33,7 @@ def compiler(folder: Path) -> tuple[Callable[[_Kernel], _Kernel], Callable[[_Ker
     several processes one compiles, and the others wait and read. If the cache cannot be written, each process compiles.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(chosen) if chosen else default_cache().root / "kernels"
-    place = root / _kept_key(folder, root)
+    place = (Path(chosen) if chosen else default_cache().root / "kernels") / source_key(folder)
 
     def decorate(function: _Kernel, inner: bool) -> _Kernel:
         # Numba reads both when a function is decorated; other users of Numba keep theirs.
@@ -77,20 +74,6 @@ def _one_at_a_time(dispatcher: numba.core.dispatcher.Dispatcher, lock: Path, inn
     return compile_alone
 
 
-def _kept_key(folder: Path, root: Path) -> str:
-    """Return the `source_key`; to parse all sources takes each process 0.15 s, so that keys are kept in files."""
-    texts = b"\0".join(path.read_bytes() for path in (Path(__file__), *sorted(folder.glob("*.py"))))
-    file = root / f"{hashlib.sha256(texts).hexdigest()}.key"
-    with contextlib.suppress(OSError):
-        if len(key := file.read_text()) == _KEY_LENGTH:  # another process may be writing it
-            return key
-    key = source_key(folder)
-    with contextlib.suppress(OSError):
-        root.mkdir(parents=True, exist_ok=True)
-        file.write_text(key)
-    return key
-
-
 def source_key(folder: Path) -> str:
     """Return a digest of what the machine code of a folder's kernels depends on: the syntax of its sources.
 
@@ -98,7 +81,7 @@ def source_key(folder: Path) -> str:
     compile again after any change of the file of a kernel, and would not see one of a kernel that it calls.
     """
     trees = (_compilable(ast.parse(path.read_bytes())) for path in sorted(folder.glob("*.py")))
-    return hashlib.sha256("\0".join(map(ast.dump, trees)).encode()).hexdigest()[:_KEY_LENGTH]
+    return hashlib.sha256("\0".join(map(ast.dump, trees)).encode()).hexdigest()[:16]
 
 
 def _compilable(module: ast.Module) -> ast.Module:
