@@ -62,3 +62,9 @@ class Configured(Generic[Model]):
     def from_options(cls, options: Mapping[str, object]) -> Self:
         """Build from a campaign's options; raise BoresightError on a wrong one."""
         return cls(cast("Model", parse_options(cls.options_model, options, cls.name)))
+
+
+def model_of(method: type) -> type[SpecModel] | None:
+    """Return the model of a method's options; None if its class has none, or something else of that name."""
+    model = getattr(method, "options_model", None)
+    return model if isinstance(model, type) and issubclass(model, SpecModel) else None

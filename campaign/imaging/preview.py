@@ -11,13 +11,14 @@ from boresight.renderers.brdf import brdf_value
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters.tiles import expected_bytes
-from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator
+from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, prior_covariance
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import without_detail
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
+from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _VIEWS, _POINTS = 40, 4000
@@ -64,6 +65,8 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
     mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
     sight = None if spec.viewpoint is None else _sight(scenario, spec.viewpoint, mesh)
     lines = [_views_in_words(scenario, camera, mesh, sight)]
+    if spec.viewpoint is not None:
+        lines.append(_prior_in_words(spec, camera, float(ranges_m(scenario, mesh)[1])))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     pairs = spec.crater_pairs
@@ -96,7 +99,23 @@ def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh
     if sight is None:
         return words
     lit = "" if np.isnan(sight.dark) else f" and {100.0 * sight.dark:.0f} % of the rest in the dark"
-    return f"{words}; of the side that faces the camera {100.0 * sight.out:.0f} % is out of the frame{lit}"
+    return f"{words}; of the side that faces the camera {100.0 * sight.out:.0f} % is out of the frame on average{lit}"
+
+
+def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
+    """Describe the errors of priors at a range in the image, and the standard deviations that estimators are told."""
+    pose, velocity_m_s = look_at(np.array([range_m, 0.0, 0.0])), np.array([0.0, 1.0, 0.0])
+    told = []
+    for law in (spec.pose_error, spec.believed_pose_error):
+        variances = np.diag(prior_covariance(law, pose, camera, velocity_m_s))
+        turn_deg = np.degrees(np.sqrt(variances[:3].mean()))
+        across_px = np.sqrt(variances[3:5].mean()) / range_m * camera.fx_px
+        told.append(
+            f"{across_px:.3g} px in the place of the body, {np.sqrt(variances[5]):.4g} m along the line of sight,"
+            f" {turn_deg:.3g} deg of the attitude about each axis"
+        )
+    believed = "the same" if told[0] == told[1] else told[1]
+    return f"errors of the prior (RMS): {told[0]}; estimators are told {believed}"
 
 
 def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight: FloatArray) -> str:

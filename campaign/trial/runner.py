@@ -12,6 +12,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trials, add_records
 from boresight.campaign.trial.methods import Unbuilt, build_all, require_built
 from boresight.campaign.trial.work import Work
+from boresight.estimators.options import model_of
 from boresight.scenarios.errors import BoresightError, MachineError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel
@@ -147,7 +148,7 @@ class MethodRunner(TrialRunner[Optioned, Drawn, Answer]):
     @classmethod
     def options_model(cls, name: str) -> type[SpecModel] | None:
         """Return the model of the options of a method, if it has one."""
-        return getattr(cls.method_class(name), "options_model", None)
+        return model_of(cls.method_class(name))
 
     @classmethod
     def build(cls, entry: EstimatorSpec) -> Optioned:

@@ -58,7 +58,7 @@ class OnboardSpec(SpecModel):
         None,
         exclude_if=is_none,
         description="Distribution of the prior's error that the spacecraft believes in: its covariance is given to"
-        " estimators, while errors are drawn from the scenario's pose_error",
+        " estimators, while errors are drawn from the scenario's pose_error; its attitude, if left out, is that one's",
     )
 
 
@@ -191,6 +191,16 @@ class ScenarioSpec(SpecModel):
     def _kind(self) -> str:
         """Name of the one given section of those that exclude each other."""
         return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
+
+    @model_validator(mode="after")
+    def _belief_has_the_attitude_of_the_draw(self) -> Self:
+        believed, true = self.onboard.pose_error, self.pose_error
+        if believed is None or "attitude" in believed.model_fields_set or true.pose_cam_deg_m is not None:
+            return self
+        if believed.pose_cam_deg_m is not None or believed.attitude == true.attitude:
+            return self
+        believed = believed.model_copy(update={"attitude": true.attitude})
+        return self.model_copy(update={"onboard": self.onboard.model_copy(update={"pose_error": believed})})
 
     @model_validator(mode="after")
     def _states_bring_their_own(self) -> Self:

@@ -147,7 +147,7 @@ def test_the_preview_of_a_lambert_sphere_is_as_bright_as_its_formula():
     """At full phase I/F is albedo x cos i, and the median of the disk is at cos^2 i = 1/2."""
     given = ("body={shape: sphere}", "viewpoint.range_m=1e5", "camera.fov_deg=1", "lighting.phase_deg=0")
     detector = "detector={white_e_per_s: 1.0e+5, exposure_s: 1, gain_e_per_dn: 1, offset_dn: 0, bits: 16}"
-    median = float(preview(load_scenario("quickstart", (*given, detector)))[1].split("median ")[1].split()[0])
+    median = float(preview(load_scenario("quickstart", (*given, detector)))[2].split("median ")[1].split()[0])
     assert median == pytest.approx(1e5 * 0.3 * np.sqrt(0.5), rel=0.01)
 
 

@@ -83,9 +83,10 @@ def test_help_imports_no_heavy_library():
     assert loaded_by(["--help"]) == set()
 
 
-def test_reading_files_imports_only_the_library_of_their_models():
-    shown = ("rowell2015-simulated", "knowledge-design", "itokawa-2km-lambert")
-    assert loaded_by(["list"], *(["show", name] for name in shown)) == {"pydantic"}
+def test_a_list_imports_only_the_library_of_its_models_and_show_no_renderer():
+    assert loaded_by(["list"]) == {"pydantic"}
+    shown = (["show", name] for name in ("rowell2015-simulated", "knowledge-design", "itokawa-2km-lambert"))
+    assert not loaded_by(*shown) & {"matplotlib", "mitsuba", "astropy"}
 
 
 def test_status_imports_only_what_reads_a_run(tiny_run):

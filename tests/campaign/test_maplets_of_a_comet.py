@@ -13,7 +13,7 @@ from boresight.scenarios.spec.body import BodySpec
 TIMES = 10.0
 CAMPAIGN = """\
 scenarios: [scene]
-estimators: [prior, lmaps: {maplets: {spacing_m: 30, side: 25}}]
+estimators: [prior, lmaps: {maplets: {spacing_m: 30, side: 25}, matching: {height_sigma_m: 0.2}}]
 trials: 2
 seed: 5
 """
@@ -23,7 +23,8 @@ def ten_times_larger(scene: str) -> str:
     """Make all lengths of the scene ten times longer, its shape, in kilometres, included."""
     larger = {
         "min_diameter_m: 25, max_diameter_m: 80": "min_diameter_m: 250, max_diameter_m: 800",
-        "rms_m: 1.5, min_wavelength_m: 25": "rms_m: 15, min_wavelength_m: 250, max_wavelength_m: 1000",
+        "rms_m: 1.5, max_wavelength_m: 100": "rms_m: 15, max_wavelength_m: 1000",
+        "min_wavelength_m: 25}": "min_wavelength_m: 250}",
         "range_m: 2000": "range_m: 20000",
         "body:\n": "body:\n  shape: comet.obj\n  unit: km\n",
     }

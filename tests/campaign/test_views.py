@@ -77,6 +77,22 @@ def test_a_trajectory_is_looked_at_from_its_beginning_to_its_end(tmp_path):
         preview(load_scenario(str(tmp_path / "scene.yaml")))
 
 
+def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():
+    """At 2 km a pixel is 1.258 m; an attitude that a belief leaves out is that of the draw."""
+    law = (
+        "pose_error.position_cam_m={normal: [12.58, 12.58, 30]}", "pose_error.attitude={angle_deg: {normal: 0.3}}",
+        "onboard.pose_error={position_cam_m: {normal: [2.516, 2.516, 4]}}",
+    )  # fmt: skip
+    scenario = load_scenario("quickstart", law)
+    assert preview(scenario)[1] == (
+        "errors of the prior (RMS): 10 px in the place of the body, 30 m along the line of sight, 0.173 deg of the"
+        " attitude about each axis; estimators are told 2 px in the place of the body, 4 m along the line of sight,"
+        " 0.173 deg of the attitude about each axis"
+    )
+    assert scenario.spec.onboard.pose_error.attitude == scenario.spec.pose_error.attitude
+    assert preview(load_scenario("quickstart", law[:2]))[1].endswith("; estimators are told the same")
+
+
 @pytest.fixture
 def flown(tmp_path):
     """Scenario of a trajectory in kilometres, the last state inside the body if ``low``."""

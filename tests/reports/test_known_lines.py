@@ -113,7 +113,7 @@ def test_a_grid_keeps_the_line_in_fewer_columns():
 def test_numbers_beyond_all_bounds_are_told_like_others(builder):
     """A stored run may hold what no camera meets: its report is read all the same."""
     builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
-    huge = {"pose_error": {"position_cam_m": {"normal": [1e300] * 3}}, "onboard": {"sun_error_deg": {"normal": 1e300}}}
+    huge = {"pose_error": {"position_cam_m": {"normal": [1e30] * 3}}, "onboard": {"sun_error_deg": {"normal": 1e30}}}
     run = read_run(builder.write(scenarios={SCENARIO: IDEAL | huge}))
     assert "Imperfect or no knowledge of: Sun, pose." in short_line(run)
 

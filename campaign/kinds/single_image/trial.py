@@ -23,6 +23,7 @@ from boresight.campaign.trial.methods import Unbuilt, check_options, try_build, 
 from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
 from boresight.campaign.trial.runner import TrialRunner
 from boresight.estimators.contract import Estimate, Estimator, Table
+from boresight.estimators.options import model_of
 from boresight.estimators.registry import estimator_class
 from boresight.scenarios.draw import estimator_generator
 from boresight.scenarios.geometry import View
@@ -79,7 +80,7 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
 
     @classmethod
     def options_model(cls, name: str) -> type[SpecModel] | None:
-        return getattr(estimator_class(name), "options_model", None)
+        return model_of(estimator_class(name))
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
