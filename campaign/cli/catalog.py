@@ -34,7 +34,7 @@ from boresight.scenarios.load.entry import shortened
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
-    ("missions", ("osiris-rex-*",)),
+    ("missions", ("osiris-rex-*", "dawn-*")),
     ("real data", ("*-real", "*-navcam67p")),
     ("sensitivity", ("*-sensitivity*", "knowledge-*", "photometric-*")),
     ("the papers", tuple(f"{paper}-*" for paper in PAPERS)),

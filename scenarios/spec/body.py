@@ -21,6 +21,7 @@ STAND_INS = {
     "eros022540.tab": "eros-like",
     "apophis_lightcurve.obj": "apophis-like",
     "bennu_radar.obj": "bennu-like",
+    "images/dawn_fc_vesta/vesta_5002.ply": "vesta-like",
 }
 """Built-in bodies that ``--embedded`` takes in place of shape files."""
 

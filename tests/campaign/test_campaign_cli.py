@@ -64,6 +64,7 @@ def test_list_has_a_line_of_each_campaign_under_its_heading(capsys, monkeypatch,
     under = {
         "quickstart": ("start here", "60", "-"),
         "osiris-rex-bennu": ("missions", "50", "data"),
+        "dawn-vesta-approach": ("missions", "50", "data"),
         "rowell2015-simulated": ("the papers", "6000", "data"),
         "delpech2015-images-textures": ("the papers", "6 x 10", "-"),
         "trade-slam": ("compare", "100 x 2", "-"),
