@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from boresight.reports.run.data import TRIAL_KEY, RunData
 
+_DATA_BASE = "data base "
+
 
 @dataclass(frozen=True, slots=True)
 class Pool:
@@ -66,7 +68,7 @@ def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
         keys = [name for name in TRIAL_KEY if name in table]
         numbers = run.database_of_trial.groupby(level=keys).max()
         number = numbers.reindex(pd.MultiIndex.from_frame(table[keys])).to_numpy(dtype=np.float64)
-        named = np.char.add("data base ", np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
+        named = np.char.add(_DATA_BASE, np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
         return np.where(np.isnan(number), trials, named)
     units: NDArray[np.str_] = trials
     images = run.image_of_trial
@@ -78,6 +80,17 @@ def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
         seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
         units = np.where(seen == "", units, seen)
     return units
+
+
+def units_of(clusters: NDArray[np.generic]) -> int:
+    """Return how many of some rows, labelled by `clusters_of`, count as independent where all of them agree.
+
+    That they agree says nothing of their correlation. The noise realisations of one image, or the starts on one set of
+    images, are nearly copies and count as one; the trials of one data base are of other views, and count each.
+    """
+    labels = np.asarray(clusters).astype(str)
+    of_data_bases = np.char.startswith(labels, _DATA_BASE)
+    return int(of_data_bases.sum()) + len(np.unique(labels[~of_data_bases]))
 
 
 def pools(run: RunData) -> tuple[Pool, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.reports.run.clusters import units_of
 from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import unit_of
 from boresight.reports.statistics.intervals import Interval, has_quantile, interval_of_sums, quantile_interval, wilson
@@ -130,11 +131,13 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
 def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
     """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider.
 
-    Where none or all are marked, the correlation within clusters is unknown: trials are taken as independent.
+    Where none or all are marked, the correlation within clusters is unknown: the number is that of `units_of`.
     """
     if not len(marked):
         return Measured(None)
-    alone = Measured(float(marked.mean()), *wilson(int(marked.sum()), len(marked)))
+    share, alike = float(marked.mean()), clusters is not None and len(np.unique(marked)) == 1
+    n = units_of(clusters) if clusters is not None and alike else len(marked)
+    alone = Measured(share, *wilson(round(share * n), n))
     return widened(alone, marked.astype(np.float64), clusters, (0.0, 1.0))
 
 

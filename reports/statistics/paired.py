@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.reports.run.clusters import clusters_of
+from boresight.reports.run.clusters import clusters_of, units_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, record_column, record_grid, text_column
@@ -153,13 +153,16 @@ def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) 
 
     R. Ibragimov and U. Mueller, t-statistic based correlation and heterogeneity robust inference, Journal of Business &
     Economic Statistics 28, 2010: Student's t over the clusters holds its level of 5 % however their variances differ.
-    Its p is at least that of the sign test of as many independent trials: few clusters may be alike by chance.
+    Its p is at least that of the sign test of as many independent trials, and of those of `units_of` where all agree:
+    few clusters may be alike by chance.
     """
     decided = difference != 0.0
     if not decided.any():
         return Measured(None), Measured(None), 0
     better, own = difference[decided] < 0.0, clusters[decided]
-    chance = _sign_chance(int(better.sum()), len(better))
+    alike = len(np.unique(better)) == 1
+    n = units_of(own) if alike else len(better)
+    chance = _sign_chance(n * int(better[0]) if alike else int(better.sum()), n)
     shares = pd.Series(better.astype(float)).groupby(own).mean().to_numpy()
     if len(shares) > 1 and shares.std() > 0.0:
         from scipy.stats import ttest_1samp
@@ -180,6 +183,9 @@ def rate_difference(
     interval is that of these if it is wider.
     """
     n, alone, other = len(mine), int((mine & ~theirs).sum()), int((~mine & theirs).sum())
+    if clusters is not None and n in (alone, other, n - alone - other):  # all trials agree
+        units = units_of(clusters)
+        n, alone, other = units, units * (alone == n), units * (other == n)
     more = n + 2.0
     centre = (alone - other) / more
     half = float(_NORMAL_95 * np.sqrt(alone + other + 1.0 - (alone - other) ** 2 / more) / more)

@@ -216,7 +216,7 @@ def test_the_difference_of_failure_rates_holds_the_truth():
 
 def test_failures_of_few_data_bases_differ_by_the_intervals_of_these():
     """Ten trials with each of five data bases, of which one fails throughout; the other sample never fails."""
-    clusters = np.repeat(np.arange(5), 10)
+    clusters = np.repeat([f"data base {number}" for number in range(5)], 10)
     rates = independent_contrast((("a",), ("b",)), failures(10, 50, clusters), failures(0, 50, clusters)).failures
     alone = independent_contrast((("a",), ("b",)), failures(10, 50), failures(0, 50)).failures
     half = t.ppf(0.975, 4) * np.std([1, 0, 0, 0, 0], ddof=1) / np.sqrt(5)  # 0.555, and the share is 0.2

@@ -2,6 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from boresight.reports.statistics.intervals import content_rng
 from boresight.reports.statistics.measured import (
@@ -18,6 +19,7 @@ from boresight.reports.statistics.measured import (
     measure_share,
     share_of,
 )
+from boresight.reports.statistics.paired import rate_difference, sign_test
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
 
@@ -106,9 +108,22 @@ def test_a_share_of_few_clusters_stays_a_share():
 def test_a_share_of_trials_is_bounded_by_trials_where_all_of_every_cluster_succeed():
     """Nothing tells then how alike trials of a data base are; 100 of 100 is Wilson's [96.3, 100] in all tables."""
     data_base = np.arange(100) % 5
-    assert share_of(np.ones(100, dtype=bool), data_base).low == pytest.approx(0.963, abs=0.001)
+    named = np.array([f"data base {number}" for number in data_base])
+    assert share_of(np.ones(100, dtype=bool), named).low == pytest.approx(0.963, abs=0.001)
     alike, apart = share_of(data_base < 1, np.arange(100)), share_of(data_base < 1, data_base)
     assert apart.low < alike.low < alike.value == apart.value == 0.2 < alike.high < apart.high
+
+
+def test_noise_realisations_that_agree_are_as_many_as_their_images():
+    """Three images, two realisations each, all alike: three yes of three, not six of six."""
+    image, yes, no = np.repeat(["a.png", "b.png", "c.png"], 2), np.ones(6, dtype=bool), np.zeros(6, dtype=bool)
+    found = share_of(yes, image)
+    assert (found.low, found.high) == (binomtest(3, 3).proportion_ci(method="wilson").low, 1.0)
+    share, chance, _ = sign_test(np.full(6, -1.0), image)
+    assert chance.value == binomtest(3, 3).pvalue == 0.25
+    assert share.low == found.low
+    assert rate_difference(yes, no, image) == rate_difference(yes[:3], no[:3])
+    assert rate_difference(no, no, image) == rate_difference(no[:3], no[:3])
 
 
 def test_a_record_counts_the_values_that_there_are():

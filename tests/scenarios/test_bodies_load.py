@@ -111,7 +111,9 @@ def test_a_stand_in_has_the_silhouettes_of_the_real_body(shape, pixel_m):
     """Mean intersection over union in 200 random views; the contact binary has 0.79 with Itokawa."""
     real = BodySpec(shape=shape, unit="km")
     rng, rotations = np.random.default_rng(1), Rotation.random(200, random_state=2).as_matrix()
-    pairs = zip(*(silhouettes(load_body(one).mesh, rotations, rng, pixel_m) for one in (real, real.embedded())), strict=True)
+    pairs = zip(
+        *(silhouettes(load_body(one).mesh, rotations, rng, pixel_m) for one in (real, real.embedded())), strict=True
+    )
     overlap = np.array([(a & b).sum() / (a | b).sum() for a, b in pairs])
     print(f"{real.embedded().shape}: {overlap.mean():.3f}, at least {overlap.min():.3f}")  # noqa: T201  a number to be read
     assert overlap.mean() > 0.9
