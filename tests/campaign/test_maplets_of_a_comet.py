@@ -25,7 +25,7 @@ def ten_times_larger(scene: str) -> str:
         "min_diameter_m: 25, max_diameter_m: 80": "min_diameter_m: 250, max_diameter_m: 800",
         "rms_m: 1.5, max_wavelength_m: 100": "rms_m: 15, max_wavelength_m: 1000",
         "min_wavelength_m: 25}": "min_wavelength_m: 250}",
-        "range_m: 2000": "range_m: 20000",
+        "range_m: 2000}": "range_m: 20000}\npose_error: {position_cam_m: {uniform: [[-50, 50], [-50, 50], [-5, 5]]}}",
         "body:\n": "body:\n  shape: comet.obj\n  unit: km\n",
     }
     for old, new in larger.items():

@@ -34,7 +34,6 @@ body:
 camera: {width_px: 128, height_px: 128, fov_deg: 18.3}
 viewpoint: {range_m: 2000}
 lighting: {phase_deg: {uniform: [0, 50]}}
-pose_error: {position_cam_m: {uniform: [[-50, 50], [-50, 50], [-5, 5]]}}
 """
 DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15, "sigma_floor_m": 0.1}}
 CAMPAIGN = f"""\
