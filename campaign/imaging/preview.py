@@ -1,4 +1,4 @@
-"""What the images of a scenario will show, in words, before anything is built: some views are drawn as in trials."""
+"""Preview of the images of a scenario in words, before anything is built, from some views drawn as in trials."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SATURATED = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sight:
-    """What is seen of a body in some views, as means over points that are uniform over its area.
+    """Visible part of a body in some views, as means over points that are uniform over its area.
 
     Parameters
     ----------

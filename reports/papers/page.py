@@ -88,7 +88,7 @@ class PaperLine:
 
     @property
     def has_value(self) -> bool:
-        """Whether all of our numbers have a value; that none of n trials succeeds is one."""
+        """Whether all of our numbers have a value; 0 of n trials counts as one."""
         return bool(self.ours) and all(
             record is not None and (record.value is not None or 0 == record.n_ok < record.n) for record in self.ours
         )

@@ -52,7 +52,7 @@ def rule_of(field: FieldInfo) -> dict[str, float] | None:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """What the lengths of a scenario are measured by; called when a length needs it, None if it is not known.
+    """Pixel and body of a scenario, by which its lengths are measured; called when a length needs them.
 
     Parameters
     ----------
