@@ -160,14 +160,16 @@ def _student(n_clusters: int) -> float:
 
 
 def interval_of_sums(
-    numbers: FloatArray, codes: NDArray[np.integer], of_sums: OfSums, positive: bool = False
+    numbers: FloatArray, clusters: NDArray[np.generic], of_sums: OfSums, positive: bool = False
 ) -> Interval:
-    """Bound a function of sums over clusters.
+    """Bound a function of sums over clusters at the 95 % level.
 
     Parameters
     ----------
-    numbers, codes
-        (n, k) finite numbers and their cluster numbers 0..C-1.
+    numbers
+        (n, k) finite numbers; n may be 0.
+    clusters
+        (n,) label of the unit that is independent of all others.
     of_sums
         Takes sums (B, k) to (B,); twice the sums give the same.
     positive
@@ -178,7 +180,8 @@ def interval_of_sums(
     low, high
         None below two clusters, and of something positive where they would be further apart than ``_WIDEST``.
     """
-    n_clusters = int(codes.max()) + 1
+    codes = np.unique(clusters, return_inverse=True)[1]
+    n_clusters = int(codes.max(initial=-1)) + 1
     if n_clusters < 2:
         return _NONE
     sums = np.zeros((n_clusters, numbers.shape[1]))

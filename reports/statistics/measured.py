@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from boresight.reports.run.clusters import units_of
 from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import unit_of
-from boresight.reports.statistics.intervals import Interval, has_quantile, interval_of_sums, quantile_interval, wilson
+from boresight.reports.statistics.intervals import has_quantile, interval_of_sums, quantile_interval, wilson
 from boresight.scenarios.arrays import FloatArray
 
 WORST = 1e150
@@ -168,13 +168,10 @@ def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.gene
     alike = n_clusters == len(whole) and bool((whole == 1.0).all())
     if alike or share in (0.0, 1.0):
         return Measured(100.0 * share, *(100.0 * end for end in wilson(round(share * n_clusters), n_clusters)))
-    low, high = cluster_interval(np.column_stack([part, whole]), clusters, _percent)
-    return Measured(100.0 * share, *(None if end is None else min(max(end, 0.0), 100.0) for end in (low, high)))
-
-
-def _percent(sums: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(100.0 * sums[:, 0] / sums[:, 1])
+        counts = np.column_stack([part, whole])
+        ends = interval_of_sums(counts, clusters, lambda sums: 100.0 * sums[:, 0] / sums[:, 1])
+    return Measured(100.0 * share, *(None if end is None else min(max(end, 0.0), 100.0) for end in ends))
 
 
 def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Measured:
@@ -189,42 +186,13 @@ def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Meas
     if len(np.unique(clusters)) < LEAST_SPREAD:
         return Measured(deviation)
     centred = values - values.mean()
-    interval = cluster_interval(
+    interval = interval_of_sums(
         np.stack([np.ones_like(centred), centred, centred**2], axis=1),
         clusters,
         lambda sums: np.sqrt(np.maximum(sums[:, 2] - sums[:, 1] ** 2 / sums[:, 0], 0.0) / (sums[:, 0] - 1.0)),
         positive=deviation > 0.0,
     )
     return Measured(deviation, *interval)
-
-
-def cluster_interval(
-    numbers: FloatArray,
-    clusters: NDArray[np.generic],
-    of_sums: Callable[[FloatArray], FloatArray],
-    positive: bool = False,
-) -> Interval:
-    """Bound a function of sums at the 95 % level, see `reports.statistics.intervals.interval_of_sums`.
-
-    Parameters
-    ----------
-    numbers
-        (n, k) finite numbers.
-    clusters
-        (n,) label of the unit that is independent of all others.
-    of_sums
-        Takes sums (B, k) to (B,); twice the sums give the same.
-    positive
-        Whether it can only be above 0.
-
-    Returns
-    -------
-    low, high
-        None below two clusters.
-    """
-    if not len(numbers):
-        return None, None
-    return interval_of_sums(numbers, np.unique(clusters, return_inverse=True)[1], of_sums, positive)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,11 +215,7 @@ class Sample:
         )  # fmt: skip
 
     def records(
-        self,
-        name: str,
-        values: pd.Series | FloatArray,
-        clusters: NDArray[np.generic],
-        statistics: Sequence[Statistic],
+        self, name: str, values: pd.Series | FloatArray, clusters: NDArray[np.generic], statistics: Sequence[Statistic]
     ) -> list[Record]:
         """Evaluate statistics over the finite ones of ``values`` (k,) in clusters (k,)."""
         numbers = np.asarray(values, dtype=np.float64)

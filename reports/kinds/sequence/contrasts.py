@@ -18,7 +18,8 @@ from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios
 from boresight.reports.run.data import RunData, select
 from boresight.reports.schema.records import RATIO, REDUCTION, Record
-from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, Sample, cluster_interval
+from boresight.reports.statistics.intervals import interval_of_sums
+from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, Sample
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST, sign_test
 from boresight.scenarios.arrays import FloatArray
 
@@ -62,7 +63,7 @@ class _PairedErrors:
         if len(self.errors) < 2:
             return Measured(None)
         numbers = np.column_stack([self.errors, np.ones(len(self.errors))])
-        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]))
+        interval = interval_of_sums(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]))
         return Measured(float(of_means(self.errors.mean(axis=0))), *interval)
 
 
