@@ -21,7 +21,7 @@ from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.images import write_image
 from boresight.campaign.trial.kind import Record
 from boresight.reports.pages.build import LEAD
-from boresight.reports.pages.document import CasePage, write_case
+from boresight.reports.pages.document import CasePage, write_document
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
 from boresight.reports.schema.labels import as_title
@@ -111,16 +111,18 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
     )
     named = ["--scenario", case.scenario, "--estimator", case.estimator, "--trial", str(case.trial)]
     page = CasePage(
+        product="boresight inspect",
         title=str(case),
         facts=[(name, value) for name, value in facts if value],
         notes=drawn.notes,
         grids=list(_grids(again)),
+        figures=list(drawn.figures),
         command=shlex.join(["boresight", "inspect", str(folder.path), *named]),
         traceback=again.traceback,
         said=again.said,
         credits=drawn.credits,
     )
-    path = write_case(page, drawn.figures, place, pdf)
+    path = write_document(page, place, "index.html", kinds=("png", "pdf") if pdf else ("png",))
     return Inspected(case, again.row, comparison, path)
 
 

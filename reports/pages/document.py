@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -78,8 +78,10 @@ class Document:
         return "\n\n".join(part for part in (*parts, *self.credits) if part) + "\n"
 
 
-def write_document(document: Document, folder: Path, page: str, markdown: str = "") -> Path:
-    """Write the figures (PNG and PDF), the page and, if it is named, the Markdown into a folder; return the page.
+def write_document(
+    document: Document, folder: Path, page: str, markdown: str = "", kinds: Sequence[str] = ("png", "pdf")
+) -> Path:
+    """Write the figures, the page and, if it is named, the Markdown into a folder; return the page.
 
     Raises
     ------
@@ -87,11 +89,12 @@ def write_document(document: Document, folder: Path, page: str, markdown: str = 
         If the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = [(one, save_figure(one.figure, folder / one.stem)[0].read_bytes()) for one in document.drawn()]
+    drawn = [(one, save_figure(one.figure, folder / one.stem, kinds)[0].read_bytes()) for one in document.drawn()]
     if markdown:
         (folder / markdown).write_text(document.markdown(), encoding="utf-8")
-    text = fill_template("document.html", document=document, figures=embed_figures(drawn), js=template_text("page.js"))
-    (folder / page).write_text(text, encoding="utf-8")
+    template = "case.html" if isinstance(document, CasePage) else "document.html"
+    text = fill_template(template, document=document, figures=embed_figures(drawn), js=template_text("page.js"))
+    write_text(folder / page, text)
     return folder / page
 
 
@@ -99,53 +102,23 @@ def _bullets(lines: Iterable[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CasePage:
-    """Content of the page of an inspected case.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CasePage(Document):
+    """Content of the page of an inspected case; its figures are before its tables.
 
     Parameters
     ----------
-    title
-        Its heading.
-    facts
-        Names and values above everything else.
     notes
         Sentences above the figures.
-    grids
-        Tables below them.
-    command
-        Command line that makes the page again.
     traceback
         Traceback of an estimator that raised; '' otherwise.
     said
         Stream to the text that the method wrote to it.
-    credits
-        Credit lines of real images.
     """
 
-    title: str
-    facts: Sequence[tuple[str, str]]
     notes: Sequence[str]
-    grids: Sequence[Grid]
-    command: str
-    traceback: str = ""
-    said: Mapping[str, str] = field(default_factory=dict)
-    credits: Sequence[str] = ()
-
-
-def write_case(page: CasePage, figures: Iterable[NamedFigure], folder: Path, pdf: bool) -> Path:
-    """Write the figures of a case, as PDF too if asked, and its page into ``folder``; return the page's path.
-
-    Raises
-    ------
-    BoresightError
-        If the page cannot be written.
-    """
-    kinds = ("png", "pdf") if pdf else ("png",)
-    drawn = [(figure, save_figure(figure.figure, folder / figure.stem, kinds)[0].read_bytes()) for figure in figures]
-    path = folder / "index.html"
-    write_text(path, fill_template("case.html", case=page, figures=embed_figures(drawn)))
-    return path
+    traceback: str
+    said: Mapping[str, str]
 
 
 def fill_template(template: str, **values: object) -> str:
