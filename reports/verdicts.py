@@ -14,7 +14,7 @@ from typing import Literal, TypeVar
 
 from boresight.reports.published import Comparison, PublishedClaim, PublishedValue, Term
 from boresight.reports.schema.common import POSE_COLUMNS
-from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, row_grid, value_of, value_of_ended
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Key, Record, by_key
 from boresight.reports.schema.tables import measure_label, unit_of
@@ -97,23 +97,23 @@ def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[C
             if claim.scenario not in ("", scenario):
                 continue
             terms = (Term(estimator=claim.solves),) if claim.solves else claim.order
-            ours = tuple(known.get(_key_of(claim, term, scenario)) for term in terms)
+            keys = (
+                Key(
+                    term.scenario or scenario,
+                    term.estimator or claim.estimator,
+                    term.stage or claim.stage,
+                    term.against or claim.against,
+                    term.measure or claim.measure,
+                    term.statistic or claim.compared_statistic,
+                )
+                for term in terms
+            )
+            ours = tuple(map(known.get, keys))
             due = solved_verdict(ours[0], claim.share) if claim.solves else order_verdict(ours)
             if due != "not measured" and (claim.unjudged or not comparison.verdicts):
                 due = "context"
             found.append(ComparedClaim(scenario, claim, ours, due))
     return tuple(found)
-
-
-def _key_of(claim: PublishedClaim, term: Term, scenario: str) -> Key:
-    return Key(
-        term.scenario or scenario,
-        term.estimator or claim.estimator,
-        term.stage or claim.stage,
-        term.against or claim.against,
-        term.measure or claim.measure,
-        term.statistic or claim.compared_statistic,
-    )
 
 
 def on_embedded_body(item: Compared) -> Compared:
@@ -177,44 +177,40 @@ def value_verdict(ours: Record | None, published: PublishedValue, own: bool = Tr
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     """Tabulate published values and ours; None if the campaign is compared with nothing."""
-    if not compared:
-        return None
-    heads = (
-        "quantity", "stage", "statistic", "paper", "ours [95 %]", "ok", "tolerance", "verdict", "place in the paper",
-    )  # fmt: skip
-    rows = tuple(_compared_cells(compared))
-    return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
+    rows = list(_compared_rows(compared))
+    text = ("quantity", "stage", "statistic", "verdict", "place in the paper")
+    return row_grid("Beside the published values", rows, text, VERDICT_RULE) if rows else None
 
 
 def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     """Tabulate the same in few columns, without times; None if the campaign is compared with nothing."""
     rows = []
-    for item, cells in zip(compared, _compared_cells(compared), strict=True):
+    for item, row in zip(compared, _compared_rows(compared), strict=True):
         if item.published.measure != "seconds":
-            quantity, stage, statistic, paper, ours, _, _, verdict, _ = cells
-            rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
-    heads = ("quantity", "paper", "ours [95 %]", "verdict")
+            what = ", ".join(row[head] for head in ("quantity", "stage", "statistic"))
+            rows.append({"quantity": what} | {head: row[head] for head in ("paper", "ours [95 %]", "verdict")})
     # Words of the paper may wrap, or a terminal has no room for the verdicts.
-    text = {0, 3} | ({1} if any('"' in row[1] for row in rows) else set())
-    return Grid("Beside the published values", heads, tuple(rows), frozenset(text)) if rows else None
+    text = ("quantity", "verdict", *(["paper"] if any('"' in row["paper"] for row in rows) else []))
+    return row_grid("Beside the published values", rows, text) if rows else None
 
 
-def _compared_cells(compared: Sequence[ComparedValue]) -> Iterator[tuple[str, ...]]:
+def _compared_rows(compared: Sequence[ComparedValue]) -> Iterator[dict[str, str]]:
     several = len({(one.scenario, one.estimator) for one in compared}) > 1
     for one in compared:
         published, ours = one.published, one.ours
         judged = one.verdict != "context" and published.tolerance is not None
-        yield (
-            f"{one.scenario}, {one.estimator}: " * several + measure_label(published.measure),
-            stage_label(published.stage, timed=published.measure == "seconds"),
-            published.statistic,
-            published.quoted,
-            (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
-            counts(ours),
-            f"± {published.tolerance:g}" if judged else NO_VALUE,
-            verdict_of(one.verdict, (ours,)),
-            published.place,
-        )
+        printed = value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of
+        yield {
+            "quantity": f"{one.scenario}, {one.estimator}: " * several + measure_label(published.measure),
+            "stage": stage_label(published.stage, timed=published.measure == "seconds"),
+            "statistic": published.statistic,
+            "paper": published.quoted,
+            "ours [95 %]": printed(ours, interval=True),
+            "ok": counts(ours),
+            "tolerance": f"± {published.tolerance:g}" if judged else NO_VALUE,
+            "verdict": verdict_of(one.verdict, (ours,)),
+            "place in the paper": published.place,
+        }
 
 
 def verdict_of(verdict: Verdict, ours: Sequence[Record | None]) -> str:

@@ -16,9 +16,9 @@ from boresight.campaign.runs.until import CONTROLS, STATISTICS
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.compare.global_sensitivity import sensitivity_grid
-from boresight.reports.compare.metrics import choose_metric
+from boresight.reports.compare.trials import choose_metric
+from boresight.reports.pages.comparison import write_sensitivity
 from boresight.reports.pages.rich_tables import rich_parts
-from boresight.reports.pages.sensitivity import write_sensitivity
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.tables import kind_schema

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.metrics import Metric, choose_metric, metric_values, trial_numbers
+from boresight.reports.compare.trials import choose_metric, metric_values, trial_numbers
 from boresight.reports.run.data import RunData
+from boresight.reports.schema.column import Measure
 from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.errors import BoresightError
 
@@ -140,7 +141,7 @@ def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
         return faults, MISSED_OR_WRONG
     if metric is None and not trial_numbers(run):
         return pd.Series(np.nan, index=run.rows.index), "nothing: no trial has a number"
-    chosen: Metric = choose_metric(metric, [run])
+    chosen: Measure = choose_metric(metric, [run])
     return metric_values(run, chosen), chosen.name
 
 

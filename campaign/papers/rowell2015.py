@@ -30,13 +30,19 @@ from boresight.campaign.threads import workers
 from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.landmark.clustering import PointCluster
 from boresight.estimators.landmark.database import LandmarkDatabase
-from boresight.reports.figures.landmark_database import ClusterView, SurfaceView, draw_clusters, draw_triangulation
-from boresight.reports.figures.landmarks import draw_centroid_offsets, draw_count_comparison
+from boresight.reports.figures.landmarks import (
+    ClusterView,
+    SurfaceView,
+    draw_centroid_offsets,
+    draw_clusters,
+    draw_count_comparison,
+    draw_triangulation,
+)
 from boresight.reports.figures.pose import draw_method_errors
-from boresight.reports.figures.recognition import draw_alignment_panels, draw_fit_panels
+from boresight.reports.figures.recognition import draw_fit_panels
 from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid
 from boresight.reports.kinds.single_image.figures import centroid_offsets, landmark_figures, pose_figure
-from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from boresight.reports.published import load_published
 from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid
@@ -118,7 +124,7 @@ def _figure_3(run: FinishedRun) -> Iterator[NamedFigure]:
         raise BoresightError(f"{run.folder.path}: the trial of figure 3 has no alignment")
     yield NamedFigure(
         "",
-        draw_alignment_panels(fit, what, credits_),
+        draw_fit_panels(fit, what, credits_, aligned=True),
         f"Data base and body fitted by the brightness centroid, {what}: (a) the prior pose, with the 6-sigma search"
         " ellipses and both centroids; (b) the mesh rendered for the first iteration; (c) after the alignment. The"
         f" trial of median prior error among those of a phase angle above {_SIGNIFICANT_PHASE_DEG:g} deg.",

@@ -21,8 +21,8 @@ from boresight.reports.compare.global_sensitivity import (
     same_results,
     sobol_shares,
 )
-from boresight.reports.compare.metrics import Metric
 from boresight.reports.run.data import RunData
+from boresight.reports.schema.column import Measure
 from boresight.reports.statistics.measured import Statistic
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
@@ -177,7 +177,7 @@ def _setting(spec: ScenarioSpec, one: VariedKey, value: float) -> str:
 
 
 def analyse(
-    run: RunData, design: Design, metric: Metric, statistic: Statistic, labels: Sequence[str]
+    run: RunData, design: Design, metric: Measure, statistic: Statistic, labels: Sequence[str]
 ) -> list[Sensitivity]:
     """Work out what the varied keys do to every estimator.
 

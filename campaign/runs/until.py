@@ -27,11 +27,12 @@ from boresight.campaign.runs.execute import Listener, run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named
-from boresight.reports.compare.metrics import Metric, metric_values
+from boresight.reports.compare.trials import metric_values
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, read_run
+from boresight.reports.schema.column import Measure
 from boresight.reports.schema.records import CONTROL
-from boresight.reports.schema.tables import kind_schema
+from boresight.reports.schema.tables import kind_schema, measure_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
 from boresight.scenarios.errors import BoresightError
 
@@ -65,7 +66,7 @@ class Until:
     """
 
     written: str
-    metric: Metric
+    metric: Measure
     statistic: Statistic
     width: float
     relative: bool
@@ -95,7 +96,9 @@ def parse_until(text: str, experiment: str) -> Until:
     if width <= 0.0:
         raise BoresightError(f"--until: a width of {width:g} is never reached: give one above 0")
     relative = bool(found["percent"])
-    return Until(text.strip(), Metric(metric), STATISTICS[statistic], width / 100.0 if relative else width, relative)
+    return Until(
+        text.strip(), measure_of(metric), STATISTICS[statistic], width / 100.0 if relative else width, relative
+    )
 
 
 def looks(most: int, block: int) -> list[int]:

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.compare.tables import differing_level, subject_consistencies
 from boresight.reports.compare.trials import CONDITIONS, ESTIMATOR, run_names
-from boresight.reports.figures.comparison import (
-    CoverageCurve,
-    SubjectSummary,
-    draw_binned_errors,
-    draw_coverage,
-    draw_summaries,
-)
+from boresight.reports.figures.comparison import SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
 from boresight.reports.figures.pose import draw_cumulative_errors
 from boresight.reports.figures.style import Points
 from boresight.reports.run.data import TRIAL_KEY
+from boresight.reports.schema.column import Measure
 from boresight.reports.schema.common import BORESIGHT, LATERAL
 from boresight.reports.schema.kinds.craters import DETECTION, MATCHING
 from boresight.reports.schema.labels import as_title
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import normalised_label
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure, percent, share_of
 from boresight.scenarios.arrays import FloatArray
@@ -50,6 +45,10 @@ _LABELS: Mapping[str, str] = {
     RADIAL: "radial, m",
     TRANSVERSE: "transverse, m",
 }
+Tables = Mapping[str, pd.DataFrame]
+"""Label of each subject to its rows: conditions, errors, ``failed`` and ``cluster``."""
+Chosen = tuple[tuple[str, ...], tuple[str, ...]]
+"""Columns of the errors that have values, and of the conditions that differ between rows."""
 OWN_BINS = "n_landmarks"
 _BIN_TRIALS = 20
 _MOST_BINS = 8
@@ -69,9 +68,7 @@ def _figures(found: RunComparison) -> Iterator[NamedFigure]:
     yield from consistency_figures(found)
     for group, subjects in found.groups.items():
         yield cumulative_figure(found, group, subjects)
-        split = _tables_by_condition(found, subjects)
-        if split is not None and split.conditions:
-            yield conditions_figure(found, group, split)
+        yield from conditions_figure(found, group, subjects)
 
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
@@ -81,17 +78,12 @@ def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
         of_subject = {subject.names: errors for subject, errors in claims if errors.name == kind}
         for group, subjects in found.groups.items():
             own = {label: of_subject[one.names] for label, one in subjects.items() if one.names in of_subject}
-            drawn = []
-            for label, errors in own.items():
-                ratios, degrees = (errors.table[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
-                style, independent = found.styles[subjects[label].names], errors.table["cluster"].nunique()
-                squares = ratios * degrees / errors.expected
-                drawn.append(CoverageCurve(f"{label} (n = {len(ratios)})", style, squares, degrees, independent))
+            styles = {label: found.styles[subjects[label].names] for label in own}
             title = _title(found, normalised_label(kind), group)
-            if drawn:
+            if own:
                 yield NamedFigure(
                     file_stem("consistency", kind, *filter(None, [group])),
-                    draw_coverage(drawn, title, found.credits),
+                    draw_coverage(own, styles, title, found.credits),
                     f"{title}: share of the trials whose normalised squared error lies within the quantile given on the"
                     " abscissa of the chi-square distribution. On the diagonal the covariance is true, below it too"
                     " small. Grey: 95 % band at each abscissa for true covariances and the smallest number of"
@@ -119,17 +111,6 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     )  # fmt: skip
 
 
-def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) -> ConditionTables | None:
-    """Choose frames of sequences, else trials; None where no estimator has an error or a sequence no frames."""
-    tables = {label: found.of(one) for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
-    if not tables:
-        return None
-    if all(run.table("epochs").empty for run in found.runs):
-        return trials_by_condition(tables, found.metric)
-    framed = {label: _frames(found, table) for label, table in tables.items()}
-    return frames_by_condition(framed) if all(len(table) for table in framed.values()) else None
-
-
 def _frames(found: RunComparison, trials: pd.DataFrame) -> pd.DataFrame:
     """Gather the frames of trials; frames of the same ``cluster`` are not independent."""
     parts = []
@@ -140,27 +121,35 @@ def _frames(found: RunComparison, trials: pd.DataFrame) -> pd.DataFrame:
     return prepare_frames(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 
-def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
-    """Draw errors against conditions."""
-    frames = "frame" in next(iter(split.tables.values()))
-    metric = Metric("position_error_m") if frames else found.metric
+def conditions_figure(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> Iterator[NamedFigure]:
+    """Draw errors of frames of sequences, else of trials, against conditions; nothing without errors or frames."""
+    tables = {label: found.of(one) for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
+    frames = any(len(run.table("epochs")) for run in found.runs)
+    metric = measure_of("position_error_m") if frames else found.metric
+    if frames:
+        tables = {label: _frames(found, table) for label, table in tables.items()}
+    if not tables or not all(map(len, tables.values())):
+        return
+    errors, conditions = frames_by_condition(tables) if frames else trials_by_condition(tables, metric)
+    if not conditions:
+        return
     labels = {**_LABELS, "value": metric.axis, "prior": f"{_LABELS['prior']}, {metric.unit}"}
     panels = {
-        (labels[error], labels[condition]): dict(binned_errors(split, error, condition))
-        for error in split.errors
-        for condition in split.conditions
+        (labels[error], labels[condition]): dict(binned_errors(tables, error, condition))
+        for error in errors
+        for condition in conditions
     }
     over = "the solved trials"
     if frames:
         over = "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
     title = _title(found, "Errors by conditions", group)
-    styles = {label: found.styles[found.groups[group][label].names] for label in split.tables}
-    return NamedFigure(
+    styles = {label: found.styles[subjects[label].names] for label in tables}
+    yield NamedFigure(
         file_stem("conditions", *filter(None, [group])),
         draw_binned_errors(panels, styles, title, found.credits),
         f"{title}: medians over {over} in bins of equal numbers, with 95 % intervals. Success: share of all trials of a"
         " bin.",
-        f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
+        f"Binned errors of {', '.join(tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
     )
 
 
@@ -176,7 +165,7 @@ def summary_figure(found: RunComparison) -> NamedFigure:
             found.label(one.names),
             found.styles[one.names].colour,
             one.solved,
-            one.counted if found.metric.is_error else one.solved,
+            one.counted if found.metric.error else one.solved,
             None if one.estimator == CONTROL else one.success,
             bases[one.names][1] if one.names in bases else None,
         )
@@ -200,30 +189,13 @@ def _title(found: RunComparison, what: str, group: str) -> str:
     return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ConditionTables:
-    """Rows with errors and with the conditions that they are drawn against.
-
-    Parameters
-    ----------
-    tables
-        Label of each subject to its rows: conditions, errors, ``failed`` and ``cluster``.
-    errors, conditions
-        Columns of the errors that have values, and of the conditions that differ between trials.
-    """
-
-    tables: Mapping[str, pd.DataFrame]
-    errors: tuple[str, ...]
-    conditions: tuple[str, ...]
-
-
-def trials_by_condition(tables: Mapping[str, pd.DataFrame], metric: Metric) -> ConditionTables:
+def trials_by_condition(tables: Tables, metric: Measure) -> Chosen:
     """Choose errors and conditions of the trials of single images."""
     components = (LATERAL, BORESIGHT, ATTITUDE)
     errors = components if metric.name in components else ("value", *components)
     # The shares of craters found or matched are computed from their number, so it is not one of their conditions.
     given = [name for name in CONDITIONS if name != OWN_BINS or metric.name not in (*DETECTION, *MATCHING)]
-    return _condition_tables(tables, errors, (*given, "prior"))
+    return _chosen(tables, errors, (*given, "prior"))
 
 
 def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
@@ -239,19 +211,17 @@ def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def frames_by_condition(tables: Mapping[str, pd.DataFrame]) -> ConditionTables:
+def frames_by_condition(tables: Tables) -> Chosen:
     """Choose errors and conditions of the frames of sequences; success is a property of whole sequences."""
     along = "anomaly_deg" if any(table["anomaly_deg"].notna().any() for table in tables.values()) else "time_s"
-    return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), (along, "distance_m", "n_landmarks"))
+    return _chosen(tables, ("value", RADIAL, TRANSVERSE), (along, "distance_m", "n_landmarks"))
 
 
-def _condition_tables(
-    tables: Mapping[str, pd.DataFrame], errors: Sequence[str], conditions: Sequence[str]
-) -> ConditionTables:
+def _chosen(tables: Tables, errors: Sequence[str], conditions: Sequence[str]) -> Chosen:
     whole = pd.concat(tables.values())
     known = [name for name in errors if whole[name].notna().any()]
     success = [SUCCESS] if whole["failed"].any() else []
-    return ConditionTables(tables, (*known, *success), tuple(name for name in conditions if _varies(whole[name])))
+    return (*known, *success), tuple(name for name in conditions if _varies(whole[name]))
 
 
 def _varies(values: pd.Series) -> bool:
@@ -259,13 +229,13 @@ def _varies(values: pd.Series) -> bool:
     return len(known) > 0 and float(np.ptp(known)) > 1e-6 * max(float(np.abs(known).max()), 1e-12)
 
 
-def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
+def binned_errors(tables: Tables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
     """Yield medians of an error, or success rates, in bins of a condition, for each subject whose condition varies.
 
     The abscissa of a bin is the median of its condition. Bins of fewer than five independent trials are left out. All
     subjects have the same bins, except for the number of landmarks, which may differ widely between estimators.
     """
-    varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
+    varying = {label: table for label, table in tables.items() if _varies(table[condition])}
     for label, table in varying.items():
         edges = _bin_edges([table] if condition == OWN_BINS else list(varying.values()), condition)
         known = table[table[condition].notna() & (table[error].notna() if error != SUCCESS else True)]

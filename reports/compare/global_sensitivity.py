@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 from SALib.analyze import sobol
 
-from boresight.reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from boresight.reports.compare.trials import metric_values, nothing_to_find, prior_values
 from boresight.reports.run.data import RunData
-from boresight.reports.schema.grid import NO_VALUE, Grid
+from boresight.reports.schema.column import Measure
+from boresight.reports.schema.grid import NO_VALUE, Grid, row_grid
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng
 from boresight.reports.statistics.measured import WORST, Measured, Statistic, bounded
@@ -71,7 +72,7 @@ class Sensitivity:
     unmoved: tuple[str, ...]
 
 
-def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
+def outcome_of(run: RunData, metric: Measure, statistic: Statistic, scenario: str, estimator: str) -> float:
     """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
 
     A failure counts with the error of its prior. Without priors, medians and percentiles count it as worse than any
@@ -81,7 +82,7 @@ def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str
     values, prior = metric_values(run, metric)[own], prior_values(run, metric)
     if prior is not None:
         values = values.fillna(prior[own])
-    elif statistic.quantile is not None and metric.is_error:
+    elif statistic.quantile is not None and metric.error:
         values = values.fillna(WORST)
     known = values.dropna().to_numpy(dtype=np.float64)
     return bounded(statistic.of(known)) if len(known) else float("nan")
@@ -136,28 +137,21 @@ def salib_problem(varied: Sequence[VariedKey]) -> dict[str, object]:
     return {"num_vars": len(varied), "names": [v.key for v in varied], "bounds": [[v.low, v.high] for v in varied]}
 
 
-def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[VariedKey], metric: Metric, statistic: str) -> Grid:
+def sensitivity_grid(
+    found: Sequence[Sensitivity], varied: Sequence[VariedKey], metric: Measure, statistic: str
+) -> Grid:
     """Tabulate the indices of every estimator and key."""
     names = list(dict.fromkeys(name for one in found for name in one.shares))
-    unit = f", {metric.unit}" if metric.unit else ""
-    heads = (
-        "estimator",
-        "key",
-        "from",
-        "to",
-        f"base{unit}",
-        f"at from{unit}",
-        f"at to{unit}",
-        *(f"{name} [95 %]" for name in names),
-        "",
-    )
-    rows = []
+    unit, rows = f", {metric.unit}" if metric.unit else "", []
     for one in found:
         for i, key in enumerate(varied):
-            shares = (interval(one.shares[name][i]) if name in one.shares else NO_VALUE for name in names)
-            alone = (interval(Measured(x)) for x in (one.base, *one.alone[key.key]))
-            remark = "changes no result" if key.key in one.unmoved else ""
-            rows.append((one.estimator, key.key, f"{key.low:g}", f"{key.high:g}", *alone, *shares, remark))
+            outcomes = zip(("base", "at from", "at to"), (one.base, *one.alone[key.key]), strict=True)
+            rows.append(
+                {"estimator": one.estimator, "key": key.key, "from": f"{key.low:g}", "to": f"{key.high:g}"}
+                | {f"{head}{unit}": interval(Measured(outcome)) for head, outcome in outcomes}
+                | {f"{n} [95 %]": interval(one.shares[n][i]) if n in one.shares else NO_VALUE for n in names}
+                | {"": "changes no result" if key.key in one.unmoved else ""}
+            )
     note = (
         f"Outcome: {statistic} of the {metric.label} over the trials of a sample, with the same draws in all samples. A"
         " failure counts with the error of its prior; without priors, medians and percentiles count it as worse than"
@@ -165,4 +159,4 @@ def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[VariedKey], 
         " number of the estimator is that of the base, bit for bit. An index whose interval is wider than 1 says"
         " nothing: take more --samples."
     )
-    return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)
+    return row_grid("Sensitivity", rows, ("estimator", "key", ""), note)

@@ -24,8 +24,9 @@ from boresight.reports.figures.style import (
     plot_styles,
     styled,
 )
+from boresight.reports.statistics.consistency import NormalisedErrors
 from boresight.reports.statistics.measured import Measured, percent
-from boresight.scenarios.arrays import FloatArray
+from boresight.reports.statistics.roc import OutlierScore, area, roc_curve
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
 """Label of the error and label of the condition to the curves of a panel, by their labels."""
@@ -34,7 +35,7 @@ _POINTS = np.linspace(0.0, 1.0, 201)
 
 _LINE_IN = 0.32
 _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
-MOST_CURVES = 5
+_MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 
@@ -148,48 +149,37 @@ def _draw_differences(axes: Axes, summaries: Sequence[SubjectSummary], axis: str
     axes.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoverageCurve:
-    """Normalised squared errors of one subject, for a curve of coverage.
-
-    Parameters
-    ----------
-    label, style
-        Label and style of the curve.
-    squares, degrees
-        (n,) squared errors normalised by the covariance, and their degrees of freedom.
-    independent
-        How many of the n values are independent.
-    """
-
-    label: str
-    style: PlotStyle
-    squares: FloatArray
-    degrees: FloatArray
-    independent: int
-
-
 @styled
-def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_coverage(
+    curves: Mapping[str, NormalisedErrors],
+    styles: Mapping[str, PlotStyle],
+    title: str,
+    credit_lines: Sequence[str] = (),
+) -> Figure:
     """Draw the share of trials within each quantile of the chi-square distribution that the covariance claims.
 
     Parameters
     ----------
     curves
-        The curves. The grey band is the binomial 95 % interval for the fewest independent trials among them.
+        Label of each curve to its errors, whose table has a ``cluster`` too. The grey band is the binomial 95 %
+        interval for the fewest clusters among them.
+    styles
+        Label of each curve to its style.
     """
     # Imported here, as it takes 1 s and few figures need it.
     from scipy.stats import binom
 
     figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(curves))
-    fewest = min(curve.independent for curve in curves)
+    fewest = min(errors.table["cluster"].nunique() for errors in curves.values())
     low, high = (binom.ppf(tail, fewest, _POINTS) / fewest for tail in (0.025, 0.975))
     axes.fill_between(_POINTS, low, high, color=GREY, alpha=0.2, linewidth=0)
     axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
-    for curve in curves:
-        reached = np.sort(chdtr(curve.degrees, curve.squares))
+    for name, errors in curves.items():
+        ratios, degrees = (errors.table[column].to_numpy(dtype=np.float64) for column in ("ratio", "degrees"))
+        reached = np.sort(chdtr(degrees, ratios * degrees / errors.expected))
         share = np.searchsorted(reached, _POINTS, side="right") / len(reached)
-        axes.plot(_POINTS, share, color=curve.style.colour, linestyle=curve.style.line, label=curve.label)
+        label, style = f"{name} (n = {len(reached)})", styles[name]
+        axes.plot(_POINTS, share, color=style.colour, linestyle=style.line, label=label)
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))
     axes.set_aspect("equal", adjustable="box")
     figure.legend(loc="outside lower center", ncols=1, fontsize=7.5)
@@ -246,44 +236,29 @@ def _share_ordinate(row: Sequence[Axes], error: str) -> None:
     row[0].set_ylabel(error)
 
 
-@dataclass(frozen=True, slots=True)
-class TradeOffPoint:
-    """Accuracy and costs of one method.
+@styled
+def draw_trade_off(
+    errors: Mapping[str, Mapping[str, Measured]],
+    costs: Mapping[str, Mapping[str, float]],
+    prior: Mapping[str, float],
+    title: str,
+    credit_lines: Sequence[str] = (),
+) -> Figure:
+    """Draw position and attitude errors (rows) against two costs (columns), all axes logarithmic.
 
     Parameters
     ----------
     errors
-        Median errors with their intervals, by ``position_error_m`` and ``attitude_error_deg``.
-    seconds
-        Time per image; None if unknown.
-    size_bytes
-        Size of its data base; None if it has none.
-    """
-
-    errors: Mapping[str, Measured]
-    seconds: float | None
-    size_bytes: int | None
-
-
-@styled
-def draw_trade_off(
-    points: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
-) -> Figure:
-    """Draw position and attitude errors (rows) against time and size (columns), all axes logarithmic.
-
-    Parameters
-    ----------
-    points
-        Methods by label.
+        ``position_error_m`` and ``attitude_error_deg``, to the label of each method, to its median error.
+    costs
+        Label of each cost, to the label of each method, to its cost; without methods that have none.
     prior
-        Median errors of the prior, by the names of `TradeOffPoint.errors`.
+        Median errors of the prior, by the names of ``errors``.
     """
     figure, places = grid_figure(2, 2, height_in=5.6)
     for row, (name, label) in zip(places, _ERRORS, strict=True):
-        times = {key: 1e3 * point.seconds for key, point in points.items() if point.seconds is not None}
-        sizes = {key: 1e-3 * point.size_bytes for key, point in points.items() if point.size_bytes is not None}
-        for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
-            _draw_methods(axes, {key: point.errors[name] for key, point in points.items()}, costs)
+        for axes, (abscissa, known) in zip(row, costs.items(), strict=True):
+            _draw_methods(axes, errors[name], known)
             axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
             axes.set(xlabel=abscissa, ylabel=label, xscale="log", yscale="log")
             axes.margins(0.15)
@@ -307,32 +282,30 @@ def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str
         )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RocCurve:
-    """ROC curve of one score: its name, (m,) ascending false and true positive rates, and the area below it (AUC)."""
-
-    name: str
-    false_positives: FloatArray
-    true_positives: FloatArray
-    area: float
-
-
 @styled
-def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw a panel of curves for each definition of a bad solution.
+def draw_roc(panels: Mapping[str, Sequence[OutlierScore]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw a panel of curves for each definition of a bad solution, of the scores whose area is farthest from chance.
 
     Parameters
     ----------
     panels
-        Definition of a bad solution to at most `MOST_CURVES` curves.
+        Definition of a bad solution to its scores.
     """
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
-    drawn = plot_styles(curve.name for curves in panels.values() for curve in curves)
-    for place, (definition, curves) in zip(axes, panels.items(), strict=True):
+    curves = {
+        definition: sorted(
+            ((f"{one.name}{' (low)' * one.low_is_bad}", area(one.rising, one.bad), one) for one in scores),
+            key=lambda curve: -curve[1],
+        )[:_MOST_CURVES]
+        for definition, scores in panels.items()
+    }
+    # A score has the same style in all panels.
+    drawn = plot_styles(name for own in curves.values() for name, _, _ in own)
+    for place, (definition, own) in zip(axes, curves.items(), strict=True):
         place.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
-        for curve in curves:  # a score has the same style in all panels
-            label, style = f"{curve.name}: AUC {curve.area:.2f}", drawn[curve.name]
-            x, y = curve.false_positives, curve.true_positives
+        for name, below, one in own:
+            (x, y, _), style = roc_curve(one.rising, one.bad), drawn[name]
+            label = f"{name}: AUC {below:.2f}"
             place.plot(x, y, color=style.colour, linestyle=style.line, linewidth=1.4, label=label)
         place.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
         place.set_box_aspect(1)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -37,6 +38,8 @@ _MISSED = "#ffffff"
 _MISSED_ON_WHITE = "#000000"
 
 RimSet = tuple[Ellipses, str]
+Bar = tuple[float, float, float]
+"""A value, and the lower and the upper end of its interval."""
 TRUE_COLOUR, FOUND_COLOUR, FALSE_COLOUR, OTHER_COLOUR = "#ffd21f", "#35c4ff", "#ff4d4d", "#8f8f3c"
 
 
@@ -52,10 +55,7 @@ def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, d
 
 @styled
 def draw_stages(
-    image: NDArray[np.float32],
-    edges: NDArray[np.bool_],
-    arcs: Mapping[str, Sequence[FloatArray]],
-    detected: Ellipses,
+    image: NDArray[np.float32], edges: NDArray[np.bool_], arcs: Mapping[str, Sequence[FloatArray]], detected: Ellipses
 ) -> Figure:
     """Draw the image, all edges, grouped edges and detected craters (Cheng et al. 2003, figure 2).
 
@@ -113,30 +113,26 @@ def draw_found_and_true(
     return finish(figure, title)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ConfidenceCurve:
-    """ROC curve of a detector: shares (m,), %, as the threshold on its confidence falls.
-
-    ``false`` is the share of false alarms, ``detectable`` and ``clean`` those of the craters of each kind that are
-    found. ``chosen`` is the index of the detector's own threshold, -1 where no detection reaches it.
-    """
-
-    false: FloatArray
-    detectable: FloatArray
-    clean: FloatArray
-    chosen: int
-
-
 @styled
-def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) -> Figure:
-    """Draw the ROC curve of each detector: share of craters found over share of false alarms."""
+def draw_confidence_curves(curves: Mapping[str, pd.DataFrame], title: str) -> Figure:
+    """Draw the ROC curve of each detector: share of craters found over share of false alarms.
+
+    Parameters
+    ----------
+    curves
+        Label of each detector to its shares as the threshold on the confidence falls: ``false_share`` of false alarms,
+        ``detectable`` and ``clean`` of the craters of each kind that are found; ``kept``: whether the detection
+        reaches the detector's own threshold.
+    """
     figure, (place,) = new_figure(1, width_in=5.2, height_in=4.2)
     for (label, curve), drawn in zip(curves.items(), plot_styles(curves).values(), strict=True):
-        colour = drawn.colour
-        for values, name, style in ((curve.detectable, "detectable", "-"), (curve.clean, "clean", LINE_STYLES[1])):
-            place.plot(curve.false, values, color=colour, linewidth=1.3, linestyle=style, label=f"{label}: {name}")
-            if curve.chosen >= 0:
-                place.plot(curve.false[curve.chosen], values[curve.chosen], marker="o", markersize=5, color=colour)
+        colour, false = drawn.colour, 100.0 * curve["false_share"]
+        chosen = int(curve["kept"].sum()) - 1  # those above the threshold are the first of the curve
+        for name, style in (("detectable", "-"), ("clean", LINE_STYLES[1])):
+            found = 100.0 * curve[name]
+            place.plot(false, found, color=colour, linewidth=1.3, linestyle=style, label=f"{label}: {name}")
+            if chosen >= 0:
+                place.plot(false.iloc[chosen], found.iloc[chosen], marker="o", markersize=5, color=colour)
     place.plot(
         [5.0], [90.0], marker="*", markersize=11, color="black", linestyle="none", label="paper: over 90, under 5"
     )
@@ -147,50 +143,46 @@ def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) ->
 
 
 @styled
-def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, float, float]]]], title: str) -> Figure:
+def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, Bar]]]], title: str) -> Figure:
     """Draw rates with intervals in bins.
 
     Parameters
     ----------
     panels
-        Quantity that is binned, to detector, to the bins: (name, rate, low, high), %.
+        Quantity that is binned, to detector, to the names of the bins and the rates in them, %.
     """
     figure, axes = new_figure(len(panels), width_in=3.7 * len(panels), height_in=3.4)
     for place, (what, detectors) in zip(axes, panels.items(), strict=True):
         drawn = plot_styles(detectors)
         for k, (label, bins) in enumerate(detectors.items()):
             at = np.arange(float(len(bins))) + 0.12 * (k - 0.5 * (len(detectors) - 1))
-            rates = np.array([b[1:] for b in bins], dtype=np.float64).reshape(-1, 3)
-            draw_points(
-                place, Points(at, rates[:, 0], rates[:, 1:]), drawn[label], markersize=3.5, capsize=0, label=label
-            )
-            place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
+            rates = np.array([bar for _, bar in bins], dtype=np.float64).reshape(-1, 3)
+            points = Points(at, rates[:, 0], rates[:, 1:])
+            draw_points(place, points, drawn[label], markersize=3.5, capsize=0, label=label)
+            place.set_xticks(np.arange(len(bins)), [name for name, _ in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))
     axes[0].set_ylabel("detectable craters found, %")
     return finish(figure, title, legend=axes[0], columns=len(detectors))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShareCurve:
-    """Recall and share of wrong matches of a matcher at k points, each (k, 3): value, lower and upper bound, %."""
-
-    name: str
-    labels: tuple[str, ...]
-    recall: FloatArray
-    wrong: FloatArray
-
-
 @styled
-def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
-    """Draw recall on the left and wrong matches on the right; ``label`` names the abscissa."""
+def draw_shares(curves: Mapping[str, Sequence[tuple[str, Bar, Bar]]], label: str) -> Figure:
+    """Draw recall on the left and wrong matches on the right.
+
+    Parameters
+    ----------
+    curves
+        Label of each matcher to its points: their place on the abscissa, the recall and the share of wrong matches, %.
+    label
+        Name of the abscissa.
+    """
     figure, axes = grid_figure(1, 2, height_in=3.2)
-    places = list(dict.fromkeys(name for curve in curves for name in curve.labels))
-    for panel, name, title in zip(axes[0], ("recall", "wrong"), ("recall, %", "wrong matches, %"), strict=True):
-        drawn = plot_styles(curve.name for curve in curves)
-        for k, curve in enumerate(curves):
-            at = np.array([places.index(one) for one in curve.labels]) + 0.06 * (k - 0.5 * (len(curves) - 1))
-            values = getattr(curve, name)
-            draw_points(panel, Points(at, values[:, 0], values[:, 1:]), drawn[curve.name], label=curve.name)
+    places, drawn = list(dict.fromkeys(one[0] for curve in curves.values() for one in curve)), plot_styles(curves)
+    for which, (panel, title) in enumerate(zip(axes[0], ("recall, %", "wrong matches, %"), strict=True), start=1):
+        for k, (name, curve) in enumerate(curves.items()):
+            at = np.array([places.index(one[0]) for one in curve]) + 0.06 * (k - 0.5 * (len(curves) - 1))
+            bars = np.array([one[which] for one in curve], dtype=np.float64).reshape(-1, 3)
+            draw_points(panel, Points(at, bars[:, 0], bars[:, 1:]), drawn[name], label=name)
         panel.set_xticks(range(len(places)), [place.replace(" deg", "") for place in places])
         panel.set(xlabel=label, ylabel=title)
         panel.set_ylim(bottom=0.0)

@@ -43,8 +43,6 @@ def _counts(run: RunData) -> str:
     if len(solved) > _FEW:
         whose = f"{solved.min()} to {solved.max()} by each of {len(solved)} methods"
     else:
-        order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
-        labels = sorted(map(str, solved.index), key=lambda label: order.get(label, len(order)))
-        whose = ", ".join(f"{label} {solved[label]}" for label in labels)
+        whose = ", ".join(f"{label} {solved[label]}" for label in sorted(map(str, solved.index), key=run.place_of))
     of = f" of {several} scenarios" if several > 1 else ""
     return f"{count_of(trials, 'trial')}{of}, solved: {whose}"

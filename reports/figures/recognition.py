@@ -153,47 +153,24 @@ class FitPanels:
 
 
 @styled
-def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the converged fit (Rowell et al. 2015, figure 8).
+def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = (), *, aligned: bool = False) -> Figure:
+    """Draw the initial fit, the rendered mesh and the converged fit (Rowell et al. 2015, figure 8), all cropped.
 
     Parameters
     ----------
     fit
         The recognition to draw.
+    aligned
+        Whether ``after`` is the data base with the pose whose centroids are aligned, without corners (figure 3).
     """
-    figure, third = _draw_fit(fit, "(c) converged fit")
-    free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
-    third.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
-    third.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
-    corners = [
-        _dot("D", "none", VERMILION, f"corner, not matched ({len(free)})"),
-        _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({len(matched)})"),
-    ]
-    return _explained(figure, title, corners, credit_lines)
-
-
-@styled
-def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the fit with aligned centroids (Rowell et al. 2015, figure 3).
-
-    Parameters
-    ----------
-    fit
-        The recognition to draw; ``after`` is the data base with the aligned pose. Corners are not drawn.
-    """
-    figure, _ = _draw_fit(fit, "(c) fit after the alignment of the centroids")
-    return _explained(figure, title, [], credit_lines)
-
-
-def _draw_fit(fit: FitPanels, last: str) -> tuple[Figure, Axes]:
-    """Draw the initial fit, the mesh and the final fit, all three cropped to the body; return the last panel too."""
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
     shape = fit.image.shape
     window = window_around(points, 0.06, 0.0, fit.image) if len(points) else ((0.0, shape[1]), (0.0, shape[0]))
     (left, right), (top, bottom) = window
     height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
     figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
-    names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
+    last = "fit after the alignment of the centroids" if aligned else "converged fit"
+    names = ("(a) initial fit", "(b) mesh rendered for the first iteration", f"(c) {last}")
     for axes, image, name in zip(panels, (fit.image, fit.mesh_image, fit.image), names, strict=True):
         image_panel(axes, image, name, window)
     first, _, third = panels
@@ -203,7 +180,26 @@ def _draw_fit(fit: FitPanels, last: str) -> tuple[Figure, Axes]:
         first.add_collection(_ellipses(first, fit.before.landmarks_px, fit.before.covariances_px2))
     for (u, v), colour in ((fit.observed_centroid_px, "black"), (fit.rendered_centroid_px, VERMILION)):
         first.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
-    return figure, third
+    marks = [
+        _dot("o", "black", "black", "observed centroid"),
+        _dot("o", VERMILION, VERMILION, "rendered centroid"),
+        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
+        Line2D([], [], color=ORANGE, label="mesh"),
+    ]
+    if not aligned:
+        free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
+        third.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
+        third.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
+        marks += [
+            _dot("D", "none", VERMILION, f"corner, not matched ({len(free)})"),
+            _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({len(matched)})"),
+        ]
+    figure.legend(
+        handles=marks, loc="outside lower center", ncols=len(marks), columnspacing=1.2, handlelength=1.4,
+        title="; ".join(credit_lines) or None, title_fontsize=7,
+    )  # fmt: skip
+    figure.suptitle(title, fontsize=10)
+    return figure
 
 
 def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -> EllipseCollection:
@@ -219,23 +215,6 @@ def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -
 
 def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
-
-
-def _explained(figure: Figure, title: str, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> Figure:
-    """Print the title, and below the panels the credits and what the marks of the initial fit and others are."""
-    marks = [
-        _dot("o", "black", "black", "observed centroid"),
-        _dot("o", VERMILION, VERMILION, "rendered centroid"),
-        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
-        Line2D([], [], color=ORANGE, label="mesh"),
-        *handles,
-    ]
-    figure.legend(
-        handles=marks, loc="outside lower center", ncols=len(marks), columnspacing=1.2, handlelength=1.4,
-        title="; ".join(credit_lines) or None, title_fontsize=7,
-    )  # fmt: skip
-    figure.suptitle(title, fontsize=10)
-    return figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

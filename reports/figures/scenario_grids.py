@@ -1,4 +1,4 @@
-"""Figures of grids of scenarios: curves along each axis, effects of levels, and heat maps over two axes."""
+"""Figures of what is varied: curves, effects and heat maps of grids of scenarios, and indices of sensitivity."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from boresight.reports.figures.style import (
     BLUE,
     GREY,
+    ORANGE,
     Points,
     draw_points,
     finish,
+    grid_figure,
     mark_decades,
     new_figure,
     plot_styles,
     styled,
 )
+from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.arrays import FloatArray
 
 _PANELS_A_ROW = 3
@@ -29,6 +33,9 @@ _TICKS = (0.01, 0.03, 0.1, 0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 1
 _FEW_TICKS = (0.01, 0.1, 1.0, 10.0, 100.0)
 _WIDE = 30.0
 _MOST = 100.0
+_LONG = 18
+_SHOWN = (-1.1, 1.4)
+"""Limits of the axis of indices; wider intervals are cut off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +86,10 @@ class Effect:
 @styled
 def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
     """Draw a panel of effects for each outcome, on one logarithmic scale about 1; arrows are factors beyond it."""
-    bounds = _factor_limits([effect for effects in panels.values() for effect in effects])
+    # The limits contain all factors up to 100, and are so wide that small effects look small.
+    factors = [x for effects in panels.values() for one in effects for x in (one.value, one.low, one.high)]
+    known = [x for x in factors if np.isfinite(x)]
+    bounds = min([0.7, *(x / 1.05 for x in known)]), min(max([1.4, *(x * 1.05 for x in known)]), _MOST)
     most = max(len(effects) for effects in panels.values())
     figure, places = new_figure(len(panels), 3.2 + 2.2 * len(panels), 1.2 + 0.3 * most)
     for axes, (outcome, effects) in zip(places, panels.items(), strict=True):
@@ -104,36 +114,28 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
     return finish(figure, title)
 
 
-def _factor_limits(effects: Sequence[Effect]) -> tuple[float, float]:
-    """Choose limits that contain all factors up to 100, wide enough that small effects look small."""
-    known = [x for effect in effects for x in (effect.value, effect.low, effect.high) if np.isfinite(x)]
-    return min([0.7, *(x / 1.05 for x in known)]), min(max([1.4, *(x * 1.05 for x in known)]), _MOST)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CurvePanel:
-    """A panel: label of the abscissa, and the curves by their labels."""
-
-    label: str
-    lines: Mapping[str, Points]
-
-
 @styled
-def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figure:
-    """Draw the panels in rows of three with one logarithmic ordinate; all panels contain the same curves."""
+def draw_curves(panels: Sequence[tuple[str, Mapping[str, Points]]], ordinate: str, title: str) -> Figure:
+    """Draw panels in rows of three with one logarithmic ordinate.
+
+    Parameters
+    ----------
+    panels
+        Label of each abscissa, and the curves by their labels; all panels contain the same curves.
+    """
     across = min(_PANELS_A_ROW, len(panels))
     down = -(-len(panels) // across)
     figure = Figure(figsize=(2.6 * across + 0.4, 2.2 * down + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
-    drawn = plot_styles(panels[0].lines)
-    for axes, panel in zip(places, panels, strict=False):
-        for label, points in panel.lines.items():
+    drawn = plot_styles(panels[0][1])
+    for axes, (abscissa, lines) in zip(places, panels, strict=False):
+        for label, points in lines.items():
             order = np.argsort(points.x)
             ascending = Points(points.x[order], points.y[order], points.low_high[order])
             draw_points(axes, ascending, drawn[label], linewidth=1.3, elinewidth=0.9, label=label)
-        axes.set(xlabel=panel.label, yscale="log")
-        _scale_abscissa(axes, np.unique(np.concatenate([points.x for points in panel.lines.values()])))
+        axes.set(xlabel=abscissa, yscale="log")
+        _scale_abscissa(axes, np.unique(np.concatenate([points.x for points in lines.values()])))
     mark_decades(places[0].yaxis)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
@@ -154,3 +156,78 @@ def _scale_abscissa(axes: Axes, ticks: FloatArray) -> None:
         axes.set_xlim(ticks[0] - margin, ticks[-1] + margin)
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatorPanels:
+    """Results of one estimator: (n,) outcomes, that of the base, and by the name of an index its value for each key."""
+
+    label: str
+    outcomes: FloatArray
+    base: float
+    shares: Mapping[str, Sequence[Measured]]
+
+
+@styled
+def draw_sensitivity(
+    rows: Sequence[EstimatorPanels], keys: Sequence[str], samples: FloatArray, axis: str, title: str
+) -> Figure:
+    """Draw a row of panels for each estimator: the indices of all keys, and the outcome against each key.
+
+    Parameters
+    ----------
+    rows
+        The estimators.
+    keys
+        Names of the K keys.
+    samples
+        (n, K) values of the keys.
+    axis
+        Name of the outcome, with its unit.
+    """
+    width_in, height_in = 3.2 + 2.1 * len(keys), 0.9 + 2.3 * len(rows)
+    figure, places = grid_figure(len(rows), 1 + len(keys), width_in=width_in, height_in=height_in)
+    for row, panels in zip(rows, places, strict=True):
+        _indices(panels[0], row, keys)
+        panels[0].set_title(row.label, loc="left")
+        for axes, key, values in zip(panels[1:], keys, samples.T, strict=True):
+            axes.plot(values, row.outcomes, "o", color=BLUE, markersize=2.5, alpha=0.6)
+            axes.axhline(row.base, color=GREY, linestyle="--", linewidth=1.0)
+            axes.set_xlabel("\n".join(_wrapped(key)), fontsize=8)
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+        panels[1].set_ylabel(axis, fontsize=8)
+        for axes in panels[2:]:
+            axes.sharey(panels[1])
+            axes.tick_params(labelleft=False)
+    return finish(figure, f"{title} (dashed: base)")
+
+
+def _indices(axes: Axes, row: EstimatorPanels, keys: Sequence[str]) -> None:
+    places = np.arange(len(keys))
+    height = 0.8 / max(len(row.shares), 1)
+    for i, ((name, shares), colour) in enumerate(zip(row.shares.items(), (BLUE, ORANGE), strict=False)):
+        values, low, high = np.array([[x or 0.0 for x in (one.value, one.low, one.high)] for one in shares]).T
+        axes.barh(places + i * height, values, height, color=colour, alpha=0.75, label=name)
+        axes.errorbar(
+            values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
+        )
+    axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_wrapped(key)) for key in keys], fontsize=7)
+    axes.set_ylim(len(keys) - 0.1 - 0.5 * height, -0.1 - 0.5 * height)
+    left, right = axes.get_xlim()
+    axes.set_xlim(max(left, _SHOWN[0]), min(right, _SHOWN[1]))
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    if row.shares:
+        legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=7.5)
+        legend.set_in_layout(True)
+    else:
+        axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
+
+
+def _wrapped(key: str) -> list[str]:
+    """Break a long dotted key into lines at its dots."""
+    lines = [""]
+    for part in key.replace(".", ".\0").split("\0"):
+        if lines[-1] and len(lines[-1]) + len(part) > _LONG:
+            lines.append("")
+        lines[-1] += part
+    return lines

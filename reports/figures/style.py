@@ -225,12 +225,6 @@ def window_around(
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
-    """Print the credit lines of the images below the panels."""
-    if credit_lines:
-        figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
-
-
 def finish(
     figure: Figure, title: str, credit_lines: Sequence[str] = (), legend: Axes | None = None, columns: int = 4
 ) -> Figure:
@@ -239,7 +233,8 @@ def finish(
         handles, labels = legend.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns))
     figure.suptitle(title, fontsize=9.5)
-    add_credits(figure, credit_lines)
+    if credit_lines:
+        figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
     return figure
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from importlib import import_module
 from importlib.util import find_spec
 from typing import cast
@@ -82,17 +82,12 @@ class Content:
 
     def table(self) -> pd.DataFrame:
         """All measured numbers, with the published ones if there are any."""
-        beside = {id(c.ours): c for c in self.compared if c.ours is not None}
-        lines = []
-        for record in self.records:
-            match = beside.get(id(record))
-            published = {
-                "published": match.published.value if match else None,
-                "tolerance": match.published.tolerance if match else None,
-                "verdict": match.verdict if match else "",
-                "place": match.published.place if match else "",
-            }
-            lines.append(asdict(record) | published)
+        beside = {
+            id(c.ours): (c.published.value, c.published.tolerance, c.verdict, c.published.place)
+            for c in self.compared
+            if c.ours is not None
+        }
+        lines = [(*astuple(record), *beside.get(id(record), (None, None, "", ""))) for record in self.records]
         return pd.DataFrame(lines, columns=[field.name for field in fields(Record)] + _BESIDE)
 
 

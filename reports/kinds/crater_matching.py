@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from boresight.reports.figures.craters import ShareCurve, draw_shares
+from boresight.reports.figures.craters import Bar, draw_shares
 from boresight.reports.kinds import ReportKind
 from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.schema.grid import Grid, GridColumn, record_column, record_grid, text_column
@@ -140,11 +140,7 @@ def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
 
 
 def _grid(
-    title: str,
-    own: pd.DataFrame,
-    records: Sequence[Record],
-    parts: Sequence[_Part],
-    by: Sequence[str] = _ANGLE_HEADS,
+    title: str, own: pd.DataFrame, records: Sequence[Record], parts: Sequence[_Part], by: Sequence[str] = _ANGLE_HEADS
 ) -> Grid | None:
     """Tabulate the matches of a scenario, a line for each part and matcher; without another title, by the scenario."""
     of_stage = {part.stage: part for part in parts}
@@ -196,19 +192,15 @@ def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedF
         yield NamedFigure(file_stem("matching", str(scenario)), draw_shares(curves, label), caption, caption)
 
 
-def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -> list[ShareCurve]:
-    """Gather a curve for each matcher over (scenario, label, stage)."""
-    known = by_key(r for r in records if r.measure in (RECALL, WRONG))
-    curves = []
+def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -> dict[str, list[tuple[str, Bar, Bar]]]:
+    """Gather recall and wrong share of each matcher over (scenario, label, stage)."""
+    known = {key: Measured(one.value, one.low, one.high).bar for key, one in by_key(records).items()}
+    curves: dict[str, list[tuple[str, Bar, Bar]]] = {}
     for estimator in dict.fromkeys(r.estimator for r in records if r.measure == RECALL):
         keys = [(label, Key(scenario, estimator, stage, "", RECALL, "share")) for scenario, label, stage in places]
-        keys = [(label, key) for label, key in keys if key in known]
-        found = {name: [known[key._replace(measure=name)] for _, key in keys] for name in (RECALL, WRONG)}
-        values = {
-            name: np.array([Measured(one.value, one.low, one.high).bar for one in own]).reshape(-1, 3)
-            for name, own in found.items()
-        }
-        curves.append(ShareCurve(estimator, tuple(label for label, _ in keys), values[RECALL], values[WRONG]))
+        curves[estimator] = [
+            (label, known[key], known[key._replace(measure=WRONG)]) for label, key in keys if key in known
+        ]
     return curves
 
 

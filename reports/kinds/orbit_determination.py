@@ -28,8 +28,7 @@ _STATISTICS = {
     **dict.fromkeys(("epoch_error_m", "arc_rms_m", "arc_median_m", "predicted_error_m"), (MEDIAN, RMS, P90)),
     **dict.fromkeys(("epoch_nees", "arc_nees"), (MEAN,)),
     **dict.fromkeys(
-        ("residual_rms_px", "wrong_left_share", "right_edited_share", "solar_pressure_error", "gm_error"),
-        (MEDIAN, RMS),
+        ("residual_rms_px", "wrong_left_share", "right_edited_share", "solar_pressure_error", "gm_error"), (MEDIAN, RMS)
     ),
 }
 _COLUMNS = (
@@ -141,8 +140,5 @@ def reference_scenarios(run: RunData) -> list[str]:
 
 
 REPORT = ReportKind(
-    records=orbit_records,
-    tables=tables,
-    brief=brief,
-    figures=lambda content: orbit_figures(content.run),
+    records=orbit_records, tables=tables, brief=brief, figures=lambda content: orbit_figures(content.run)
 )

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.metrics import Metric, choose_metric
-from boresight.reports.compare.trials import ESTIMATOR, tabulate_trials
+from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials
 from boresight.reports.kinds import Content, report_kind
 from boresight.reports.kinds.sequence.tables import without_pooled
 from boresight.reports.published import Comparison, load_published
@@ -20,6 +19,7 @@ from boresight.reports.run.clusters import image_set
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
 from boresight.reports.run.outcomes import unsolved_lines
+from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import number
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import CONTROL, Record
@@ -38,7 +38,10 @@ _MOST_IN_HEADLINE = 3
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     """Yield the notes in the order of the report: what the run is, how its numbers are made, what is not there."""
-    yield from filter(None, (run.manifest.description, *_scenario_lines(run)))
+    yield from filter(None, [run.manifest.description])
+    for name, spec in run.manifest.scenarios.items() if run.manifest.grid is None else ():
+        if spec.get("description"):
+            yield f"Scenario {name}: {spec['description']}"
     yield from known_lines(run)
     done, total = run.progress()
     if done < total:
@@ -92,15 +95,6 @@ def _set_lines(run: RunData) -> Iterator[str]:
             " The starts on one set share the errors of its features: intervals and sign tests take the set for what"
             " is independent, and one set by itself has no interval."
         )
-
-
-def _scenario_lines(run: RunData) -> Iterator[str]:
-    """Yield the description of each scenario from its file."""
-    scenarios = run.manifest.scenarios
-    if isinstance(scenarios, dict) and run.manifest.grid is None:
-        for name, spec in scenarios.items():
-            if isinstance(spec, dict) and spec.get("description"):
-                yield f"Scenario {name}: {spec['description']}"
 
 
 def read_content(folder: Path) -> Content:
@@ -180,7 +174,7 @@ class EstimatorResult:
     prior: float | None
 
 
-def estimator_results(run: RunData) -> tuple[Metric, list[EstimatorResult]]:
+def estimator_results(run: RunData) -> tuple[Measure, list[EstimatorResult]]:
     """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
 
     Raises

@@ -16,7 +16,7 @@ from boresight.reports.kinds import Content
 from boresight.reports.pages.content import beside_published
 from boresight.reports.pages.document import Document, write_document
 from boresight.reports.published import Comparison
-from boresight.reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from boresight.reports.schema.grid import NO_VALUE, Grid, counts, row_grid, value_of
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import Record
@@ -165,28 +165,24 @@ def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
 
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
     """Lay the lines out as the one table of the paper."""
-    heads = (
-        "place in the paper", "quantity", "statistic", "paper", "ours [95 %]", "ok", "tolerance", "verdict", "campaign",
-        "scenario",
-    )  # fmt: skip
-    rows = tuple(
-        (
-            line.place,
-            line.quantity,
-            line.statistic,
-            line.printed,
-            value_of(line.ours[0], interval=True)
-            if len(line.ours) == 1
-            else "; ".join(filter(None, (ordered_values(line.ours, line.names), line.remark))),
-            counts(line.ours[0]) if len(line.ours) == 1 else NO_VALUE,
-            f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
-            line.said or line.verdict,
-            line.campaign,
-            line.scenario or NO_VALUE,
-        )
-        for line in lines
-    )
-    return Grid("Every published number beside ours", heads, rows, frozenset({0, 1, 2, 3, 4, 7, 8, 9}), VERDICT_RULE)
+    rows = []
+    for line in lines:
+        alone = len(line.ours) == 1
+        several = "" if alone else "; ".join(filter(None, (ordered_values(line.ours, line.names), line.remark)))
+        rows.append({
+            "place in the paper": line.place,
+            "quantity": line.quantity,
+            "statistic": line.statistic,
+            "paper": line.printed,
+            "ours [95 %]": value_of(line.ours[0], interval=True) if alone else several,
+            "ok": counts(line.ours[0]) if alone else NO_VALUE,
+            "tolerance": f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
+            "verdict": line.said or line.verdict,
+            "campaign": line.campaign,
+            "scenario": line.scenario or NO_VALUE,
+        })  # fmt: skip
+    text = rows[0].keys() - {"ok", "tolerance"}
+    return row_grid("Every published number beside ours", rows, text, VERDICT_RULE)
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:

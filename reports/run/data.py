@@ -190,6 +190,11 @@ class RunData:
         posed = self.rows[self.rows["prior_position_error_m"].notna()]
         return list(posed[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
 
+    def place_of(self, label: str) -> int:
+        """Return the place of an estimator in the campaign; one that it does not name comes after all others."""
+        labels = list(map(str, self.manifest.estimators))
+        return labels.index(label) if label in labels else len(labels)
+
     def progress(self) -> tuple[int, int]:
         """Count the trials that are stored and those that were asked for, over all scenarios."""
         done = len(self.rows[["scenario", "trial"]].drop_duplicates())
@@ -199,6 +204,16 @@ class RunData:
         """Name the pose that the rows are scored against: that of a real image set, or ``truth``."""
         images = self.manifest.scenarios.get(scenario, {}).get("images") or {}
         return str(images.get("truth", "truth"))
+
+
+def value_at(spec: Mapping[str, Any], key: str, missing: object = None) -> object:
+    """Look a dotted key of a scenario up; ``missing`` where there is none."""
+    value: object = spec
+    for part in key.split("."):
+        if not isinstance(value, Mapping) or part not in value:
+            return missing
+        value = value[part]
+    return value
 
 
 def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
-from boresight.reports.run.data import RunData
+from boresight.reports.run.data import RunData, value_at
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.tables import kind_schema
 from boresight.scenarios.known import Known, merged
@@ -20,32 +19,19 @@ _FEW = 4
 _INTERVAL = re.compile(r"\[\S+, \S+\]")
 
 
-_CRATERS = (
-    ("craters",),
-    ("crater_pairs", "craters"),
-    ("orbit", "imaging", "craters"),
-    ("orbit", "sightings", "craters"),
-)
+_CRATERS = ("craters", "crater_pairs.craters", "orbit.imaging.craters", "orbit.sightings.craters")
 """Keys of the craters that all trials of a scenario share; the first that a scenario has counts."""
 
 
 def single_draws(run: RunData) -> str:
     """Name what a run has only one of: its intervals leave out that variation; '' where there is nothing."""
     specs = run.manifest.scenarios.values()
-    shapes = [_value(spec, ("orbit", "knowledge", "shape_degree")) for spec in specs]
+    shapes = [value_at(spec, "orbit.knowledge.shape_degree") for spec in specs]
     found = [_one_of("a priori shape", shapes)]
     if run.databases <= 1:
-        craters = [next(filter(None, (_value(spec, keys) for keys in _CRATERS)), None) for spec in specs]
+        craters = [next(filter(None, (value_at(spec, key) for key in _CRATERS)), None) for spec in specs]
         found = [_one_of("world of craters", craters), "one data base" if run.manifest.products else "", *found]
     return " and ".join(filter(None, found))
-
-
-def _value(spec: Mapping[str, Any], keys: Sequence[str]) -> object:
-    """Return the value at nested keys of a scenario; None if a key is missing."""
-    found: object = spec
-    for key in keys:
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found
 
 
 def _one_of(what: str, values: Iterable[object]) -> str:

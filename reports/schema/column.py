@@ -44,6 +44,11 @@ class Measure:
     printed: bool = True
     detail: bool = False
 
+    @property
+    def axis(self) -> str:
+        """In words, with the unit."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column(Measure):
@@ -77,13 +82,9 @@ def number(name: str, meaning: str) -> Column:
     return Column(name=name, type=pa.float64(), meaning=meaning)
 
 
-def measured(
-    name: str, meaning: str, label: str = "", *, unit: str | None = None, error: bool = False, detail: bool = True
-) -> Column:
+def measured(name: str, meaning: str, label: str = "", *, error: bool = False, detail: bool = True) -> Column:
     """Make a column of numbers that is a measure."""
-    return Column(
-        name=name, type=pa.float64(), meaning=meaning, label=label, unit=unit, error=error, printed=True, detail=detail
-    )
+    return Column(name=name, type=pa.float64(), meaning=meaning, label=label, error=error, printed=True, detail=detail)
 
 
 def names(columns: Iterable[Measure]) -> tuple[str, ...]:

@@ -9,10 +9,7 @@ from boresight.reports.schema.column import Column, Columns, Measure, count, mea
 FRESH_IMAGE, STORED_IMAGE = "image", "stored_image"
 """Stages of ``timings``: an image that was rendered or read in this run, or kept from another."""
 
-IMAGE_KEY: Columns = (
-    count("trial", "number of the trial, from 0"),
-    text("scenario", "name of the scenario"),
-)
+IMAGE_KEY: Columns = (count("trial", "number of the trial, from 0"), text("scenario", "name of the scenario"))
 KEY: Columns = (*IMAGE_KEY, text("estimator", "label of the estimator"))
 COMMON_ROW: Columns = (
     *KEY,
@@ -72,11 +69,7 @@ def ellipse(what: str) -> Columns:
 
 
 TABLES: Mapping[str, Columns] = {
-    "diagnostics": (
-        *KEY,
-        text("name", "name of a number that the estimator reports"),
-        number("value", "its value"),
-    ),
+    "diagnostics": (*KEY, text("name", "name of a number that the estimator reports"), number("value", "its value")),
     "timings": (*KEY, text("stage", "stage of the trial or of the estimator"), number("seconds", "wall time")),
     "said": (
         *KEY,
@@ -92,9 +85,9 @@ def share(name: str, label: str = "", *, error: bool = False, detail: bool = Tru
     return Measure(name=name, label=label, unit="%", error=error, detail=detail and bool(label))
 
 
-def plain(name: str, label: str = "", *, unit: str | None = None, error: bool = False) -> Measure:
+def plain(name: str, label: str = "", *, error: bool = False) -> Measure:
     """Make a measure; one with a label is listed in the table of details."""
-    return Measure(name=name, label=label, unit=unit, error=error, detail=bool(label))
+    return Measure(name=name, label=label, error=error, detail=bool(label))
 
 
 MEASURES = (

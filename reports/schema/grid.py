@@ -55,7 +55,9 @@ class Grid:
     def markdown(self) -> str:
         """Write as a Markdown table under its heading."""
         rule = [":--" if i in self.text else "--:" for i in range(len(self.columns))]
-        cells = [self.columns, rule, *([_escape(cell) for cell in row] for row in self.rows)]
+        # A text must not end its cell.
+        escaped = ([c.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ") for c in row] for row in self.rows)
+        cells = [self.columns, rule, *escaped]
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
         return "\n\n".join(part for part in (f"### {self.title}", self.note, table, self.known) if part) + "\n"
 
@@ -102,11 +104,6 @@ def _latex_row(cells: Sequence[str]) -> str:
 def _latex(cell: str) -> str:
     """Keep the characters that LaTeX takes for commands from being so."""
     return "".join(_SPECIAL.get(character, character) for character in cell)
-
-
-def _escape(cell: str) -> str:
-    """Keep a text from ending its Markdown cell."""
-    return cell.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
 
 
 _ROUNDING = 1e-12
@@ -224,6 +221,18 @@ def record_column(
         return usual(found, interval=interval) if printed is None else printed(found)
 
     return GridColumn(head, cell)
+
+
+def row_grid(
+    title: str, rows: Sequence[Mapping[str, str]], text: Iterable[str], note: str = "", known: str = ""
+) -> Grid:
+    """Tabulate one row or more, each the headings of the columns and its cells.
+
+    ``text`` are the headings of the columns of texts.
+    """
+    heads, texts = tuple(rows[0]), set(text)
+    numbers = frozenset(i for i, head in enumerate(heads) if head in texts)
+    return Grid(title, heads, tuple(tuple(row.values()) for row in rows), numbers, note, known)
 
 
 SCENARIO = text_column("scenario", lambda key: key.scenario)

@@ -78,9 +78,3 @@ def by_key(records: Iterable[Record]) -> dict[Key, Record]:
     for record in records:
         index.setdefault(record.key, record)
     return index
-
-
-def find(records: Iterable[Record], **wanted: str) -> Record | None:
-    """Return the first record whose fields equal ``wanted`` (``reference`` is '' unless given)."""
-    wanted = {"reference": "", **wanted}
-    return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)

@@ -6,7 +6,9 @@ Raise FORMAT_VERSION when a column is renamed, moved, or changes its meaning.
 from __future__ import annotations
 
 import pkgutil
+import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from itertools import chain
@@ -21,6 +23,8 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.parquet import TableLayout
 
 FORMAT_VERSION = 3
+AFTER_REVOLUTIONS = re.compile(r"error_after_([1-9]\d*)_m")
+"""Names of the position errors of sequences after so many revolutions."""
 _USUAL = "single-image"
 _MODULES = (import_module(f"{_kinds.__name__}.{found.name}") for found in pkgutil.iter_modules(_kinds.__path__))
 _SCHEMAS: dict[str, KindSchema] = dict(sorted(chain.from_iterable(module.SCHEMAS.items() for module in _MODULES)))
@@ -69,28 +73,24 @@ def measures() -> dict[str, Measure]:
     return {measure.name: measure for measure in reversed([one for one in found if one.printed])}
 
 
+@cache
+def measure_of(name: str) -> Measure:
+    """Return a measure, or a number that an estimator reports, with its words and its unit."""
+    turns = AFTER_REVOLUTIONS.fullmatch(name)
+    known = measures().get(name, Measure(name=name, error=turns is not None))
+    unit = unit_by_suffix(name) if known.unit is None else known.unit
+    words = name.removesuffix(f"_{unit}").replace("_", " ")
+    return replace(known, label=known.label or (f"position {words} revolutions" if turns else words), unit=unit)
+
+
 def unit_of(name: str) -> str:
     """Return the unit of a measure, or of a number that an estimator reports, by the end of its name."""
-    known = measures().get(name)
-    return unit_by_suffix(name) if known is None or known.unit is None else known.unit
+    return measure_of(name).unit or ""
 
 
 def measure_label(name: str) -> str:
     """Return the words for a measure, without its unit."""
-    known = measures().get(name)
-    return (known and known.label) or name.removesuffix(f"_{unit_of(name)}").replace("_", " ")
-
-
-def measure_heading(name: str) -> str:
-    """Return the words for a measure with its unit, as for an axis."""
-    unit = unit_of(name)
-    return f"{measure_label(name)}, {unit}" if unit else measure_label(name)
-
-
-def is_error(name: str) -> bool:
-    """Whether a measure is an error: smaller is better."""
-    known = measures().get(name)
-    return known is not None and known.error
+    return measure_of(name).label
 
 
 def refuse_older(manifest: object, path: Path) -> None:

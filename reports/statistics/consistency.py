@@ -83,9 +83,13 @@ class NormalisedErrors:
     table: pd.DataFrame
 
     def test(self, clusters: NDArray[np.generic]) -> ConsistencyTest:
-        """Compare them with their distribution; ``clusters`` (n,) are what of them is independent."""
+        """Compare them, at least one, with their distribution; ``clusters`` (n,) are what of them is independent."""
         ratios, degrees = (self.table[name].to_numpy(np.float64) for name in ("ratio", "degrees"))
-        return consistency_test(ratios, degrees, self.expected, clusters)
+        mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
+        whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
+        low, high = (self.expected * chi_square_quantile(tail, degrees) / degrees for tail in _TAILS)
+        inside = share_of((ratios >= low) & (ratios <= high), clusters)
+        return ConsistencyTest(len(ratios), mean, median, consistent_mean(whole, self.expected), inside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +152,6 @@ def normalised_label(name: str) -> str:
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
     known = {NEES: "NEES of the pose", AT_EPOCH: "NEES of the orbit at its epoch", NIS: "NIS of a measurement"}
     return known.get(name, name)
-
-
-def consistency_test(
-    ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]
-) -> ConsistencyTest:
-    """Compare normalised errors (n,), n >= 1, with the chi-square distribution of their degrees of freedom (n,)."""
-    mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
-    whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
-    low, high = (expected * chi_square_quantile(tail, degrees) / degrees for tail in _TAILS)
-    inside = share_of((ratios >= low) & (ratios <= high), clusters)
-    return ConsistencyTest(len(ratios), mean, median, consistent_mean(whole, expected), inside)
 
 
 def chi_square_quantile(share: float, degrees: FloatArray | float) -> FloatArray:

@@ -84,10 +84,9 @@ def _solution(counts: np.ndarray, normal: np.ndarray, right: np.ndarray) -> np.n
 def paired_records(run: RunData) -> list[Record]:
     """Compare every estimator with the first one of its scenario; nothing where there is only one."""
     records: list[Record] = []
-    order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         found = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
-        first, *others = sorted(found, key=lambda name: order.get(name, len(order))) or [""]
+        first, *others = sorted(found, key=run.place_of) or [""]
         of_first = select(run.rows, scenario, first).set_index("trial", drop=False)
         for name in others:
             rows = select(run.rows, scenario, name).set_index("trial", drop=False)

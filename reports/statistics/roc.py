@@ -33,10 +33,7 @@ from boresight.reports.statistics.measured import Measured, Sample
 from boresight.scenarios.arrays import BoolArray, FloatArray
 
 ABOVE_PRIOR, ABOVE_MEDIANS = "above-prior", "above-3-medians"
-DEFINITIONS = {
-    ABOVE_PRIOR: "position error above the prior's",
-    ABOVE_MEDIANS: "position error above 3 medians",
-}
+DEFINITIONS = {ABOVE_PRIOR: "position error above the prior's", ABOVE_MEDIANS: "position error above 3 medians"}
 MEASURE = "outlier_score:"
 AUC, TRUE_POSITIVES, THRESHOLD, BAD = "AUC", "TPR at 5 % FPR", "threshold at 5 % FPR", "bad solutions"
 _FALSE_POSITIVES = 0.05
@@ -72,6 +69,11 @@ class OutlierScore:
     def low_is_bad(self) -> bool:
         """Whether small values indicate bad solutions rather than large ones."""
         return area(self.score, self.bad) < 0.5
+
+    @property
+    def rising(self) -> FloatArray:
+        """(n,) the score, negated where small values indicate bad solutions."""
+        return -self.score if self.low_is_bad else self.score
 
 
 def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
@@ -168,10 +170,9 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
 
 def operating_point(found: OutlierScore) -> tuple[float, float]:
     """Find the highest true positive rate with at most 5 % of false positives, and its threshold."""
-    sign = -1.0 if found.low_is_bad else 1.0
-    false, true, thresholds = roc_curve(sign * found.score, found.bad)
+    false, true, thresholds = roc_curve(found.rising, found.bad)
     best = int(np.flatnonzero(false <= _FALSE_POSITIVES)[-1])
-    return float(true[best]), float(sign * thresholds[best])
+    return float(true[best]), float(-thresholds[best] if found.low_is_bad else thresholds[best])
 
 
 def outlier_records(run: RunData) -> Iterator[Record]:

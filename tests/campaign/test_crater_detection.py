@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from stored_runs import find
 from terminal_text import terminal_lines
 from tiny_campaign import Heard, run
 from undrawn import undrawn
@@ -31,7 +32,6 @@ from boresight.reports.kinds.crater_detection.rates import confidence_curve, cra
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import number
-from boresight.reports.schema.records import find
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.observation import Frame
@@ -203,12 +203,12 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert blind.value == 0.0
     one = next(one for one in detector_results(data) if one.estimator == "blobs")
     curve = confidence_curve(one)
-    assert curve.found_share[len(found) - 1] == pytest.approx(rate.value / 100.0)
-    assert curve.false_share[len(found) - 1] == pytest.approx(false.value / 100.0)
-    assert len(curve.found_share) == len(every)
-    assert np.all(np.diff(curve.found_share) >= 0.0)
+    assert curve["detectable"].iloc[len(found) - 1] == pytest.approx(rate.value / 100.0)
+    assert curve["false_share"].iloc[len(found) - 1] == pytest.approx(false.value / 100.0)
+    assert len(curve) == len(every)
+    assert np.all(np.diff(curve["detectable"]) >= 0.0)
     half = one.detections.sort_values("confidence", ascending=False).head(7)
-    assert curve.listed_false_share[6] == pytest.approx((half["crater"] < 0).mean())
+    assert curve["listed_false_share"].iloc[6] == pytest.approx((half["crater"] < 0).mean())
 
 
 def test_rejected_detections_are_scored_and_are_not_kept() -> None:

@@ -16,8 +16,8 @@ from boresight.reports.compare.global_sensitivity import (
     same_results,
     sobol_shares,
 )
-from boresight.reports.compare.metrics import Metric
 from boresight.reports.run.data import read_run
+from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN
 from boresight.scenarios.errors import BoresightError
 
@@ -80,7 +80,7 @@ def test_failures_count_and_results_are_compared_bit_for_bit(tmp_path):
             builder.trial(trial, prior, None if length is None else ((length, 0.0, 0.0), 0.5))
             builder.tables["rows"][-1]["scenario"] = scenario
     run = read_run(builder.write(scenarios={name: {} for name in errors}))
-    assert outcome_of(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
+    assert outcome_of(run, measure_of("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
     assert same_results(run, SCENARIO, "same", "landmark-harris")
     assert not same_results(run, SCENARIO, "other", "landmark-harris")
 
@@ -94,7 +94,9 @@ def test_without_priors_a_failure_is_worse_than_any_error(tmp_path, lengths, med
     for trial, length in enumerate(lengths):
         builder.trial(trial, ((np.nan, 0.0, 0.0), np.nan), None if length is None else ((length, 0.0, 0.0), 0.5))
     run = read_run(builder.write())
-    found = [outcome_of(run, Metric("position_error_m"), one, SCENARIO, "landmark-harris") for one in (MEDIAN, MEAN)]
+    found = [
+        outcome_of(run, measure_of("position_error_m"), one, SCENARIO, "landmark-harris") for one in (MEDIAN, MEAN)
+    ]
     assert found == pytest.approx([median, mean])
 
 

@@ -100,3 +100,9 @@ class RunBuilder:
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / "manifest.json").write_text(json.dumps(whole), encoding="utf-8")
         return seal(self.folder)
+
+
+def find(records, **wanted):
+    """Return the first record whose fields equal ``wanted`` (``reference`` is '' unless given); None without one."""
+    wanted = {"reference": "", **wanted}
+    return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest, bootstrap, t
+from stored_runs import find
 from terminal_text import terminal_lines
 
 from boresight.reports.kinds.designs.tables import DesignData, Outcome
@@ -17,7 +18,7 @@ from boresight.reports.pages.build import write_report
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from boresight.reports.schema.records import RATIO, SEQUENCE, find
+from boresight.reports.schema.records import RATIO, SEQUENCE
 from boresight.reports.statistics.measured import MEAN, measure, measure_deviation
 from boresight.reports.statistics.measures import measure_run
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST, paired_records

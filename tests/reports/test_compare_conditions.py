@@ -12,11 +12,12 @@ from boresight.reports.compare.figures import (
     prepare_frames,
     trials_by_condition,
 )
-from boresight.reports.compare.metrics import Metric
-from boresight.reports.figures.comparison import CoverageCurve, draw_coverage
+from boresight.reports.figures.comparison import draw_coverage
 from boresight.reports.figures.style import plot_styles
+from boresight.reports.schema.tables import measure_of
+from boresight.reports.statistics.consistency import NormalisedErrors
 
-POSITION = Metric("position_error_m")
+POSITION = measure_of("position_error_m")
 
 
 def trials(rng, n, scale=1.0):
@@ -41,10 +42,10 @@ def trials(rng, n, scale=1.0):
 
 def test_bins_hold_the_medians_of_their_trials():
     table = trials(np.random.default_rng(1), 400)
-    split = trials_by_condition({"one": table}, POSITION)
-    assert split.conditions == ("phase_deg", "prior"), "a range that never changes and unknown ones are left out"
-    assert split.errors == ("value", "lateral_error_m", "boresight_error_m", SUCCESS)
-    ((label, points),) = binned_errors(split, "value", "phase_deg")
+    errors, conditions = trials_by_condition({"one": table}, POSITION)
+    assert conditions == ("phase_deg", "prior"), "a range that never changes and unknown ones are left out"
+    assert errors == ("value", "lateral_error_m", "boresight_error_m", SUCCESS)
+    ((label, points),) = binned_errors({"one": table}, "value", "phase_deg")
     assert label == "one"
     in_order = table.sort_values("phase_deg")
     parts = [in_order.iloc[50 * i : 50 * (i + 1)] for i in range(8)]
@@ -60,7 +61,7 @@ def test_bins_hold_the_medians_of_their_trials():
 def test_success_is_a_rate_of_all_trials_of_a_bin():
     table = trials(np.random.default_rng(2), 400)
     table.loc[table["failed"], "value"] = np.nan
-    ((_, points),) = binned_errors(trials_by_condition({"one": table}, POSITION), SUCCESS, "phase_deg")
+    ((_, points),) = binned_errors({"one": table}, SUCCESS, "phase_deg")
     order = np.argsort(table["phase_deg"].to_numpy())
     rates = 100.0 * (~table["failed"].to_numpy()[order]).reshape(8, 50).mean(axis=1)
     np.testing.assert_allclose(points.y, rates)
@@ -71,12 +72,12 @@ def test_subjects_share_bins_but_those_of_their_own_landmarks():
     rng = np.random.default_rng(3)
     few, many = trials(rng, 200), trials(rng, 200, scale=0.5)
     few["n_landmarks"], many["n_landmarks"] = rng.poisson(30, 200), rng.poisson(300, 200)
-    split = trials_by_condition({"few": few, "many": many}, POSITION)
-    landmarks = dict(binned_errors(split, "value", "n_landmarks"))
+    tables = {"few": few, "many": many}
+    landmarks = dict(binned_errors(tables, "value", "n_landmarks"))
     assert landmarks["few"].x.max() < 60 < landmarks["many"].x.min()
     assert len(landmarks["few"].x) > 5
     assert len(landmarks["many"].x) > 5
-    phases = dict(binned_errors(split, "value", "phase_deg"))
+    phases = dict(binned_errors(tables, "value", "phase_deg"))
     assert abs(phases["few"].x - phases["many"].x).max() < 3.0
 
 
@@ -96,10 +97,10 @@ def test_frames_are_thinned_and_trials_stay_what_is_independent():
         )  # fmt: skip
     frames = prepare_frames(pd.concat(parts))
     assert frames.groupby("cluster").size().max() <= 61
-    split = frames_by_condition({"one": frames})
-    assert split.conditions == ("anomaly_deg",)
-    assert split.errors == ("value", "radial_error_m", "transverse_error_m")
-    points = {error: dict(binned_errors(split, error, "anomaly_deg"))["one"] for error in split.errors}
+    errors, conditions = frames_by_condition({"one": frames})
+    assert conditions == ("anomaly_deg",)
+    assert errors == ("value", "radial_error_m", "transverse_error_m")
+    points = {error: dict(binned_errors({"one": frames}, error, "anomaly_deg"))["one"] for error in errors}
     np.testing.assert_allclose(points["radial_error_m"].y, 3.0)
     np.testing.assert_allclose(points["transverse_error_m"].y, np.hypot(4.0, 12.0))
     # Thirty trials, each with one error for all its frames: the interval is that of thirty numbers.
@@ -111,7 +112,8 @@ def test_frames_are_thinned_and_trials_stay_what_is_independent():
 def test_coverage_curves_of_true_claims_stay_in_the_band(scale, inside):
     degrees = np.full(300, 3.0)
     squares = scale * np.random.default_rng(5).chisquare(3, 300)
-    figure = draw_coverage([CoverageCurve("one", plot_styles(["one"])["one"], squares, degrees, 300)], "T")
+    table = pd.DataFrame({"ratio": squares, "degrees": degrees, "cluster": np.arange(300)})
+    figure = draw_coverage({"one": NormalisedErrors("nees", 3, table)}, plot_styles(["one"]), "T")
     (axes,) = figure.axes
     claimed, share = axes.lines[-1].get_data()
     np.testing.assert_allclose(share[100], np.mean(squares <= chi2.ppf(0.5, 3)))

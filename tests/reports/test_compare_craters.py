@@ -8,7 +8,7 @@ import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.metrics import trial_numbers
+from boresight.reports.compare.trials import trial_numbers
 from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.tables import kind_schema

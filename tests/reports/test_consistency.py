@@ -1,21 +1,21 @@
 """Covariances and bounds held against errors whose distribution is known."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2, kstest
-from stored_runs import RunBuilder, pose_error
+from stored_runs import RunBuilder, find, pose_error
 
 from boresight.reports.run.data import read_run
 from boresight.reports.run.outcomes import revolution_ends
-from boresight.reports.schema.records import find
 from boresight.reports.statistics.consistency import (
     BAND,
     INSIDE,
     NEES,
     RATIO,
+    NormalisedErrors,
     consistency_grid,
     consistency_records,
-    consistency_test,
     consistent_mean,
     normalised_errors,
     rms_ratio,
@@ -114,7 +114,8 @@ def test_the_nis_is_held_against_its_degrees_of_freedom():
     """Drawn chi-squares of 40 to 400 degrees: the mean lies in the band, and 95 % of the trials in theirs."""
     rng = np.random.default_rng(13)
     degrees = rng.integers(40, 400, 3000)
-    found = consistency_test(rng.chisquare(degrees) / degrees, degrees.astype(float), 1, np.arange(3000))
+    ratios = rng.chisquare(degrees) / degrees
+    found = NormalisedErrors("innovation", 1, pd.DataFrame({"ratio": ratios, "degrees": degrees})).test(np.arange(3000))
     assert found.band.value == 1.0
     assert found.band.low < found.mean.value < found.band.high
     assert found.inside.value == pytest.approx(0.95, abs=0.012)
@@ -124,7 +125,8 @@ def test_the_nis_is_held_against_its_degrees_of_freedom():
 
 def test_realisations_of_one_image_widen_the_band():
     ratios = np.full(40, 6.0)
-    alone, shared = (consistency_test(ratios, ratios, 6, np.arange(40) // n) for n in (1, 4))
+    errors = NormalisedErrors(NEES, 6, pd.DataFrame({"ratio": ratios, "degrees": ratios}))
+    alone, shared = (errors.test(np.arange(40) // n) for n in (1, 4))
     assert shared.band.high - 6 == pytest.approx(2 * (alone.band.high - 6), rel=0.1)
 
 

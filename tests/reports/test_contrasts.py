@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import binomtest
+from stored_runs import find
 
 from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
 from boresight.reports.published import Comparison, PublishedValue
 from boresight.reports.run.data import RunData
-from boresight.reports.schema.records import find
 from boresight.reports.statistics.measures import timing_measures
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST
 

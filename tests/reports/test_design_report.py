@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 
-from boresight.reports.figures.scenario_grids import CurvePanel, HeatMap, draw_curves, draw_heat_maps
+from boresight.reports.figures.scenario_grids import HeatMap, draw_curves, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.designs.figures import design_figures
@@ -213,7 +213,7 @@ def test_curves_join_points_in_the_order_of_the_abscissa():
     points = Points(
         np.array([2.0, 0.0, 1.0]), np.array([4.0, 1.0, 2.0]), np.array([[3.0, 5.0], [0.5, 2.0], [1.0, 3.0]])
     )
-    figure = draw_curves([CurvePanel("x", {"method": points})], "y", "title")
+    figure = draw_curves([("x", {"method": points})], "y", "title")
     line = figure.axes[0].containers[0].lines[0]
     np.testing.assert_array_equal(line.get_xydata(), [[0.0, 1.0], [1.0, 2.0], [2.0, 4.0]])
     bars = figure.axes[0].containers[0].lines[2][0].get_segments()

@@ -6,17 +6,14 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
-from boresight.reports.figures.comparison import SubjectSummary, TradeOffPoint, draw_summaries, draw_trade_off
+from boresight.reports.figures.comparison import SubjectSummary, draw_summaries, draw_trade_off
 from boresight.reports.figures.craters import (
-    ConfidenceCurve,
     MatchedRims,
-    ShareCurve,
     draw_confidence_curves,
     draw_matched_pair,
     draw_rates,
     draw_shares,
 )
-from boresight.reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
 from boresight.reports.figures.orbit import (
     draw_count_histogram,
     draw_crater_counts,
@@ -26,22 +23,30 @@ from boresight.reports.figures.orbit import (
     draw_sightings_used,
 )
 from boresight.reports.figures.recognition import MatchedLandmarks, draw_matched_landmarks
-from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_effects, draw_heat_maps
-from boresight.reports.figures.sequences import draw_revolutions, draw_traces
+from boresight.reports.figures.scenario_grids import (
+    Effect,
+    EstimatorPanels,
+    HeatMap,
+    draw_effects,
+    draw_heat_maps,
+    draw_sensitivity,
+)
+from boresight.reports.figures.sequences import (
+    TrackLifetimes,
+    TrajectoryErrors,
+    draw_error_bands,
+    draw_landmark_map,
+    draw_revolutions,
+    draw_traces,
+    draw_tracks,
+    draw_trajectory,
+)
 from boresight.reports.figures.style import (
     grid_figure,
     mark_revolutions,
     percentile_band,
     scale_ordinate,
     step_histogram,
-)
-from boresight.reports.figures.trajectory import (
-    TrackLifetimes,
-    TrajectoryErrors,
-    draw_error_bands,
-    draw_landmark_map,
-    draw_tracks,
-    draw_trajectory,
 )
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.geometry import Ellipses
@@ -78,26 +83,27 @@ def test_a_summary_has_errors_success_in_percent_and_the_difference():
 
 
 def test_costs_are_in_milliseconds_and_kilobytes():
-    marks = {"a": TradeOffPoint({"position_error_m": Measured(3.0), "attitude_error_deg": Measured(0.3)}, 0.1, 4000)}
-    figure = draw_trade_off(marks, {"position_error_m": 9.0, "attitude_error_deg": 1.0}, "T")
+    errors = {"position_error_m": {"a": Measured(3.0)}, "attitude_error_deg": {"a": Measured(0.3)}}
+    spent = {"time, ms": {"a": 100.0}, "size, kB": {"a": 4.0}}
+    figure = draw_trade_off(errors, spent, {"position_error_m": 9.0, "attitude_error_deg": 1.0}, "T")
     assert [points(axes, marker="o") for axes in figure.axes] == [
         [([100.0], [3.0])], [([4.0], [3.0])], [([100.0], [0.3])], [([4.0], [0.3])],
     ]  # fmt: skip
 
 
 def test_a_confidence_curve_is_marked_at_the_detector_s_own_threshold():
-    shares = np.array([0.0, 4.0, 9.0]), np.array([0.0, 50.0, 70.0]), np.array([0.0, 60.0, 80.0])
-    (axes,) = draw_confidence_curves({"a": ConfidenceCurve(*shares, 1)}, "T").axes
+    shares = {"false_share": [0.0, 0.04, 0.09], "detectable": [0.0, 0.5, 0.7], "clean": [0.0, 0.6, 0.8]}
+    (axes,) = draw_confidence_curves({"a": pd.DataFrame(shares).assign(kept=[True, True, False])}, "T").axes
     assert points(axes, marker="o") == [([4.0], [50.0]), ([4.0], [60.0])]
     assert points(axes, marker="*") == [([5.0], [90.0])]
 
 
 def test_rates_and_shares_of_several_stand_next_to_each_other():
-    bins = {"a": [("x", 50.0, 40.0, 60.0)], "b": [("x", 55.0, 45.0, 65.0)]}
+    bins = {"a": [("x", (50.0, 40.0, 60.0))], "b": [("x", (55.0, 45.0, 65.0))]}
     (axes,) = draw_rates({"size": bins}, "T").axes
     assert points(axes, marker="o") == [([-0.06], [50.0]), ([0.06], [55.0])]
-    found, wrongly = np.array([[9.0, 8.0, 10.0], [7.0, 6.0, 8.0]]), np.array([[1.0, 0.0, 2.0], [3.0, 2.0, 4.0]])
-    recall, wrong = draw_shares([ShareCurve("a", ("0 deg", "10 deg"), found, wrongly)], "angle").axes
+    curve = [("0 deg", (9.0, 8.0, 10.0), (1.0, 0.0, 2.0)), ("10 deg", (7.0, 6.0, 8.0), (3.0, 2.0, 4.0))]
+    recall, wrong = draw_shares({"a": curve}, "angle").axes
     assert points(recall, marker="o") == [([0.0, 1.0], [9.0, 7.0])]
     assert points(wrong, marker="o") == [([0.0, 1.0], [1.0, 3.0])]
     assert [text.get_text() for text in wrong.get_xticklabels()] == ["0", "10"]

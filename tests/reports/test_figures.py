@@ -6,18 +6,16 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 from scipy import stats
 
-from boresight.reports.figures.landmark_database import (
+from boresight.reports.figures.landmarks import (
     ClusterView,
     SurfaceView,
     cluster_colours,
-    draw_clusters,
-    draw_triangulation,
-)
-from boresight.reports.figures.landmarks import (
     draw_centroid_offsets,
+    draw_clusters,
     draw_count_comparison,
     draw_landmark_counts,
     draw_landmark_errors,
+    draw_triangulation,
     one_sigma_ellipse,
 )
 from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
@@ -26,7 +24,6 @@ from boresight.reports.figures.recognition import (
     FitPanels,
     Overlay,
     PoseRendering,
-    draw_alignment_panels,
     draw_fit_panels,
     draw_pose_renderings,
 )
@@ -103,7 +100,7 @@ FIGURES = {
     "count comparison": lambda: draw_count_comparison(
         {"a": np.arange(30.0, 80.0), "b": np.arange(20.0, 60.0)}, {"a": 59.0}, "T", [CREDIT]
     ),
-    "alignment": lambda: draw_alignment_panels(_fit(), "T", [CREDIT]),
+    "alignment": lambda: draw_fit_panels(_fit(), "T", [CREDIT], aligned=True),
     "fit": lambda: draw_fit_panels(_fit(), "T", [CREDIT]),
 }
 

@@ -3,10 +3,10 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from stored_runs import seal
+from stored_runs import find, seal
 
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.records import FAILURES_AT_PRIOR, find
+from boresight.reports.schema.records import FAILURES_AT_PRIOR
 from boresight.reports.statistics.measures import clusters_of, measure_run
 from boresight.scenarios.errors import BoresightError
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from stored_runs import SCENARIO, RunBuilder, pose_error
+from stored_runs import SCENARIO, RunBuilder, find, pose_error
 from terminal_text import terminal_lines
 
 from boresight.reports.kinds import report_grids
@@ -11,7 +11,6 @@ from boresight.reports.kinds.orbit_determination import ORBIT
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.schema.grid import of_ended
-from boresight.reports.schema.records import find
 from boresight.reports.statistics.consistency import AT_EPOCH, BAND, CONSISTENCY, INSIDE
 from boresight.reports.statistics.measured import RMS, measure
 

@@ -2,7 +2,7 @@ from dataclasses import replace
 from importlib import resources
 
 import pytest
-from stored_runs import RunBuilder
+from stored_runs import RunBuilder, find
 
 from boresight.campaign.runs.resolve import resolve
 from boresight.reports.kinds import report_kind
@@ -15,7 +15,7 @@ from boresight.reports.published import (
     published_names,
 )
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.records import Record, find
+from boresight.reports.schema.records import Record
 from boresight.reports.verdicts import (
     claim_values,
     compare,

@@ -42,22 +42,23 @@ def detector(detections, craters):
 def test_craters_of_one_number_in_several_worlds_are_several():
     """In worlds of their own, no crater is seen in two other images."""
     apart = looks().assign(world=lambda table: table["trial"])
-    assert rim_scatter(detector(seen(), apart)).redetected == 0.0 < rim_scatter(detector(seen(), looks())).redetected
+    assert rim_scatter(detector(seen(), apart))["redetected"] == 0.0
+    assert rim_scatter(detector(seen(), looks()))["redetected"] > 0.0
 
 
 def test_the_scatter_that_was_put_in_comes_out():
     scatter = rim_scatter(detector(seen(), looks()))
-    assert scatter.centre_px == pytest.approx(0.3, rel=0.15)
-    assert scatter.centre_radii == pytest.approx(0.03, rel=0.1)
-    assert scatter.size == pytest.approx(0.06, rel=0.05)
-    assert scatter.axes == pytest.approx(0.12, rel=0.05)
+    assert scatter["centre_sigma_px"] == pytest.approx(0.3, rel=0.15)
+    assert scatter["centre_sigma_radii"] == pytest.approx(0.03, rel=0.1)
+    assert scatter["size_sigma"] == pytest.approx(0.06, rel=0.05)
+    assert scatter["axes_sigma"] == pytest.approx(0.12, rel=0.05)
 
 
 def test_a_known_crater_counts_where_it_could_be_detected_again():
     # Of crater 7 each of three looks, seen twice elsewhere; of crater 8 two or none: it is known from one image alone.
-    assert rim_scatter(detector(seen(), looks())).redetected == pytest.approx(1.0)
+    assert rim_scatter(detector(seen(), looks()))["redetected"] == pytest.approx(1.0)
     missed = pd.concat([looks(), looks().head(1).assign(trial=5, kept=False)], ignore_index=True)
-    assert rim_scatter(detector(seen(), missed)).redetected == pytest.approx(0.75)
+    assert rim_scatter(detector(seen(), missed))["redetected"] == pytest.approx(0.75)
 
 
 def test_too_few_detections_tell_nothing():

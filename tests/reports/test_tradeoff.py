@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest
+from stored_runs import find
 
-from boresight.reports.figures.comparison import TradeOffPoint, draw_trade_off
+from boresight.reports.figures.comparison import draw_trade_off
 from boresight.reports.figures.style import render
-from boresight.reports.kinds.single_image.tradeoff import costs, trade_grid
+from boresight.reports.kinds import draw_figures
+from boresight.reports.kinds.single_image.databases import costs, trade_grid
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.records import find
 from boresight.reports.statistics.measured import Measured
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
@@ -66,6 +67,9 @@ def test_the_size_is_a_number_of_the_report(builder):
     content = read_content(fill(builder))
     size = find(content.records, scenario=ITOKAWA, estimator="maplets", measure="database_bytes")
     assert (size.value, size.unit, size.statistic) == (160_000, "bytes", "count")
+    (traded,) = (one for one in draw_figures(content) if one.stem == "trade_off_itokawa")
+    times, sizes = ([float(c.lines[0].get_xdata()[0]) for c in axes.containers] for axes in traded.figure.axes[:2])
+    assert (times, sizes) == (pytest.approx([40.0, 45.0]), [50.0, 160.0]), "milliseconds and kilobytes"
     files = write_report(content.run.folder)
     assert (files.folder / "trade_off_itokawa.png").stat().st_size > 10_000
     assert "Accuracy and its cost" in files.markdown.read_text(encoding="utf-8")
@@ -91,9 +95,10 @@ def test_an_estimator_that_never_answers_has_no_accuracy(builder):
 
 
 def test_marks_lie_at_their_costs():
-    errors = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
-    marks = {"maplets": TradeOffPoint(errors, 0.5, 160_000), "shape": TradeOffPoint(errors, 2.0, None)}
-    figure = draw_trade_off(marks, {"position_error_m": 45.0, "attitude_error_deg": 1.0}, "T", ["Credit"])
+    found = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
+    errors = {name: {"maplets": one, "shape": one} for name, one in found.items()}
+    spent = {"ms": {"maplets": 500.0, "shape": 2000.0}, "kB": {"maplets": 160.0}}
+    figure = draw_trade_off(errors, spent, {"position_error_m": 45.0, "attitude_error_deg": 1.0}, "T", ["Credit"])
     assert render(figure, "png")[:4] == b"\x89PNG"
     time, size = figure.axes[:2]
     assert [tuple(np.ravel(c.lines[0].get_xydata())) for c in time.containers] == [(500.0, 4.0), (2000.0, 4.0)]

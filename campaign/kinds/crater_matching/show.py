@@ -18,7 +18,7 @@ from boresight.campaign.kinds.crater_matching.trial import CraterMatching, Match
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterMatches
-from boresight.reports.compare.metrics import missed_or_wrong
+from boresight.reports.compare.trials import missed_or_wrong
 from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run, select

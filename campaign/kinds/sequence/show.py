@@ -25,7 +25,7 @@ from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.contract import SequenceEstimate
-from boresight.reports.figures.trajectory import (
+from boresight.reports.figures.sequences import (
     ANOMALY,
     TIME,
     TrackLifetimes,

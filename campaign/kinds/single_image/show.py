@@ -41,7 +41,6 @@ from boresight.renderers.mitsuba3.rays import body_window
 from boresight.reports.figures.recognition import (
     MatchedLandmarks,
     PoseRendering,
-    draw_alignment_panels,
     draw_fit_panels,
     draw_matched_landmarks,
     draw_pose_renderings,
@@ -145,7 +144,7 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
     elif aligned is not None:
         ended = f" Recognition ended there: {look.found.failure}." if look.found.failure else ""
         caption = f"{what}. {before} Right, after the alignment.{ended}"
-        yield NamedFigure("alignment", draw_alignment_panels(aligned, what, lines), caption, alt)
+        yield NamedFigure("alignment", draw_fit_panels(aligned, what, lines, aligned=True), caption, alt)
 
 
 def _recognised(shown: EstimatedImage, scored: list[Record]) -> MatchedLandmarks | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,7 +17,7 @@ from boresight.reports.kinds.crater_detection.rates import (
     crater_records,
     detector_results,
 )
-from boresight.reports.schema.grid import NO_VALUE, Grid
+from boresight.reports.schema.grid import NO_VALUE, Grid, row_grid
 from boresight.reports.tables import timing_grid
 from boresight.reports.verdicts import comparison_grid
 
@@ -38,19 +37,11 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RimScatter:
-    """Scatter of detected rims about true ones; see the note of `rim_grid`."""
+def rim_scatter(one: DetectorResults) -> dict[str, float] | None:
+    """Measure the scatter of detected rims about true ones, as the note of `rim_grid` says; None with too few matches.
 
-    centre_px: float
-    centre_radii: float
-    size: float
-    axes: float
-    redetected: float
-
-
-def rim_scatter(one: DetectorResults) -> RimScatter | None:
-    """Measure it; None with too few detections that are matched."""
+    The keys are `_HEADS`.
+    """
     found = one.detections
     found = found[found["kept"].to_numpy(dtype=bool) & (found["crater"].to_numpy() >= 0)]
     if len(found) < _LEAST:
@@ -67,8 +58,8 @@ def rim_scatter(one: DetectorResults) -> RimScatter | None:
     squares = np.array([square[rows].mean() for rows in tenths])
     fitted, _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)
     size, shape = 0.5 * ratios.sum(axis=1), ratios[:, 1] - ratios[:, 0]
-    of_px, of_radii = map(float, np.sqrt(fitted))
-    return RimScatter(of_px, of_radii, float(size.std()), float(shape.std()), _redetected(one.craters))
+    numbers = (*np.sqrt(fitted), size.std(), shape.std(), _redetected(one.craters))
+    return dict(zip(_HEADS, map(float, numbers), strict=True))
 
 
 def _redetected(craters: pd.DataFrame) -> float:
@@ -88,10 +79,10 @@ def rim_grid(ones: Sequence[DetectorResults]) -> Grid:
     """Tabulate the scatter of each detector."""
     rows = []
     for one in ones:
-        scatter = rim_scatter(one)
-        cells = [NO_VALUE] * len(_HEADS) if scatter is None else [f"{value:.3g}" for value in astuple(scatter)]
-        rows.append((one.scenario, one.estimator, *cells))
-    return Grid("Scatter of detected rims", ("scenario", "detector", *_HEADS), tuple(rows), frozenset({0, 1}), _NOTE)
+        scatter = rim_scatter(one) or {}
+        cells = {head: f"{scatter[head]:.3g}" if head in scatter else NO_VALUE for head in _HEADS}
+        rows.append({"scenario": one.scenario, "detector": one.estimator} | cells)
+    return row_grid("Scatter of detected rims", rows, ("scenario", "detector"), _NOTE)
 
 
 def tables(content: Content) -> Tables:

@@ -13,7 +13,6 @@ from boresight.reports.figures.craters import (
     FOUND_COLOUR,
     OTHER_COLOUR,
     TRUE_COLOUR,
-    ConfidenceCurve,
     draw_confidence_curves,
     draw_found_and_true,
     draw_rates,
@@ -40,17 +39,10 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
         if len(one.detections):
             of_scenario.setdefault(one.scenario, []).append(one)
     for scenario, ones in of_scenario.items():
-        curves = {}
-        for one in ones:
-            curve = confidence_curve(one)
-            at = int(one.detections["kept"].sum()) - 1  # those above the threshold are the first of the curve
-            curves[one.estimator] = ConfidenceCurve(
-                100.0 * curve.false_share, 100.0 * curve.found_share, 100.0 * curve.clean_share, at
-            )
         title = f"Craters found over false alarms, {scenario}"
         yield NamedFigure(
             file_stem("crater_curves", scenario),
-            draw_confidence_curves(curves, title),
+            draw_confidence_curves({one.estimator: confidence_curve(one) for one in ones}, title),
             f"{title}: as the threshold on the confidence falls. Detections of listed craters that are not"
             " detectable count neither way. Circles: at the detector's own threshold."
             " Star: what the paper claims, without a definition.",
@@ -59,7 +51,7 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
         panels = {
             what: {
                 one.estimator: [
-                    (f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+", *rate.bar)
+                    (f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+", rate.bar)
                     for (low, high), (rate, _) in binned_rates(one, column, edges).items()
                     if rate.value is not None
                 ]

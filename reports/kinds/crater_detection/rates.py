@@ -18,14 +18,15 @@ from boresight.reports.schema.grid import (
     Grid,
     record_column,
     record_grid,
+    row_grid,
     scenario_grids,
     text_column,
 )
 from boresight.reports.schema.records import Key, Record
-from boresight.reports.schema.tables import measure_heading
+from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.intervals import has_quantile
 from boresight.reports.statistics.measured import MEDIAN, RMS, Measured, Sample, measure_share
-from boresight.scenarios.arrays import BoolArray, FloatArray
+from boresight.scenarios.arrays import BoolArray
 from boresight.scenarios.craters.truth import LEAST_DIAMETER_PX
 
 DETECTION = "detection"
@@ -136,7 +137,7 @@ _DETECTOR = text_column("detector", lambda key: key.estimator)
 _COLUMNS = (
     SCENARIO,
     _DETECTOR,
-    text_column("quantity", lambda key: measure_heading(key.measure)),
+    text_column("quantity", lambda key: measure_of(key.measure).axis),
     text_column("statistic", lambda key: key.statistic),
     record_column("value [95 %]", interval=True),
     record_column("n", printed=lambda record: str(record.n) if record else NO_VALUE),
@@ -183,41 +184,30 @@ def crater_brief(records: Sequence[Record]) -> list[Grid]:
     return list(scenario_grids("Detection of craters", _BRIEF_COLUMNS, records, lines))
 
 
-@dataclass(frozen=True, slots=True)
-class OperatingCurve:
-    """A detector's operating points as the confidence falls: (m,) shares of false alarms and of craters found.
+def confidence_curve(one: DetectorResults) -> pd.DataFrame:
+    """Tabulate a detector's operating points as the threshold on the confidence falls, a row for each detection.
 
-    ``false_share`` is among the detections that count (`counted_detections`), ``listed_false_share`` among all.
+    Returns
+    -------
+    curve
+        ``false_share``: false alarms among the detections that count (`counted_detections`); ``listed_false_share``:
+        among all; ``detectable`` and ``clean``: shares of such craters that are found; ``confidence`` and ``kept`` of
+        the detection.
     """
-
-    false_share: FloatArray
-    listed_false_share: FloatArray
-    found_share: FloatArray
-    clean_share: FloatArray
-    confidence: FloatArray
-
-
-def confidence_curve(one: DetectorResults) -> OperatingCurve:
-    """Follow the threshold on the confidence from the highest to the lowest."""
     found = one.detections.sort_values("confidence", ascending=False, kind="stable")
     false = np.cumsum(found["crater"].to_numpy() < 0)
-    counted = np.cumsum(counted_detections(found))
     matched = found["crater"].to_numpy() >= 0
-    hits = {name: np.cumsum(found[name].to_numpy(dtype=bool) & matched) for name in ("detectable", "clean")}
-    totals = {name: max(int(one.craters[name].sum()), 1) for name in hits}
-    return OperatingCurve(
-        false / np.maximum(counted, 1),
-        false / np.arange(1, len(found) + 1),
-        hits["detectable"] / totals["detectable"],
-        hits["clean"] / totals["clean"],
-        found["confidence"].to_numpy(dtype=np.float64),
+    return found[["confidence", "kept"]].assign(
+        false_share=false / np.maximum(np.cumsum(counted_detections(found)), 1),
+        listed_false_share=false / np.arange(1, len(found) + 1),
+        **{
+            name: np.cumsum(found[name].to_numpy(dtype=bool) & matched) / max(int(one.craters[name].sum()), 1)
+            for name in ("detectable", "clean")
+        },
     )
 
 
-_CURVE_HEADS = (
-    "scenario", "detector", "false alarms, % at most", "of all, %", "confidence", "detectable found, %",
-    "clean found, %", "n",
-)  # fmt: skip
+_CURVE_CELLS = ("of all, %", "confidence", "detectable found, %", "clean found, %", "n")
 _CURVE_NOTE = (
     "Had the threshold on the confidence let at most so many false alarms through, over all images together, among"
     " false detections and those of detectable craters; of all: among all detections, of which those of other"
@@ -227,23 +217,24 @@ _CURVE_NOTE = (
 
 def _curve_grid(ones: Sequence[DetectorResults]) -> Grid:
     """List what is found where the threshold lets so many false alarms through at most."""
-    rows: list[tuple[str, ...]] = []
+    rows = []
     for one in ones:
         curve = confidence_curve(one)
         for wanted in FALSE_SHARES:
-            allowed = np.flatnonzero(curve.false_share <= wanted)
-            cells = [NO_VALUE] * 5
+            allowed = curve[curve["false_share"] <= wanted]
+            cells = dict.fromkeys(_CURVE_CELLS, NO_VALUE)
             if len(allowed):
-                threshold = float(curve.confidence[allowed[-1]])
+                threshold = float(allowed["confidence"].iloc[-1])
                 above = one.craters["confidence"].to_numpy(dtype=np.float64) >= threshold
                 unit = one.craters["unit"].to_numpy()
                 chosen = [one.craters[name].to_numpy(dtype=bool) for name in ("detectable", "clean")]
                 shares = [_cell(ratio(above[of], unit[of])) for of in chosen]
                 kept = int((one.detections["confidence"] >= threshold).sum())
-                listed = f"{100 * curve.listed_false_share[allowed[-1]]:.1f}"
-                cells = [listed, f"{threshold:.3g}", *shares, str(kept)]
-            rows.append((one.scenario, one.estimator, f"{100 * wanted:g}", *cells))
-    return Grid("Detection of craters by confidence", _CURVE_HEADS, tuple(rows), frozenset({0, 1}), _CURVE_NOTE)
+                listed = f"{100 * allowed['listed_false_share'].iloc[-1]:.1f}"
+                cells = dict(zip(_CURVE_CELLS, (listed, f"{threshold:.3g}", *shares, str(kept)), strict=True))
+            whose = {"scenario": one.scenario, "detector": one.estimator}
+            rows.append(whose | {"false alarms, % at most": f"{100 * wanted:g}"} | cells)
+    return row_grid("Detection of craters by confidence", rows, ("scenario", "detector"), _CURVE_NOTE)
 
 
 BINNINGS = (
@@ -273,9 +264,9 @@ def _binned_grid(ones: Sequence[DetectorResults], what: str, column: str, edges:
     for one in ones:
         for (low, high), (rate, n) in binned_rates(one, column, edges).items():
             span = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
-            rows.append((one.scenario, one.estimator, span, _cell(rate), str(n)))
-    heads = ("scenario", "detector", what, "detectable found, %", "n")
-    return Grid(f"Detection of craters by {what.split(',')[0]}", heads, tuple(rows), frozenset({0, 1, 2}))
+            cells = {what: span, "detectable found, %": _cell(rate), "n": str(n)}
+            rows.append({"scenario": one.scenario, "detector": one.estimator} | cells)
+    return row_grid(f"Detection of craters by {what.split(',')[0]}", rows, ("scenario", "detector", what))
 
 
 def _cell(rate: Measured) -> str:

@@ -7,16 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from boresight.reports.compare.figures import cumulative_figure, summary_figure
-from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import compared
-from boresight.reports.figures.scenario_grids import (
-    CurvePanel,
-    Effect,
-    HeatMap,
-    draw_curves,
-    draw_effects,
-    draw_heat_maps,
-)
+from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_curves, draw_effects, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from boresight.reports.run.data import GridAxis, RunData
@@ -24,7 +16,7 @@ from boresight.reports.schema.grid import number
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL, SEQUENCE
-from boresight.reports.schema.tables import kind_schema, measure_label, unit_of
+from boresight.reports.schema.tables import kind_schema, measure_label, measure_of, unit_of
 from boresight.reports.statistics.measured import Measured
 
 
@@ -42,7 +34,7 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     if design.design == "full" and len(design.axes) == 1:
         # The errors of every estimator at each level of a single axis are drawn with the figures of a comparison.
         if run.rows[POSITION].notna().any():
-            both = compared((run,), Metric(POSITION))
+            both = compared((run,), measure_of(POSITION))
             yield summary_figure(both)
             for level, subjects in both.groups.items():
                 yield cumulative_figure(both, level, subjects)
@@ -100,7 +92,7 @@ def _over_axes(
     axes = [axis for axis in data.design.axes if axis.values is not None]
     label, unit = measure_label(group[0].measure), unit_of(group[0].measure)
     if axes:
-        panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
+        panels = [(axis.label, _lines(data, names, axis, group)) for axis in axes]
         yield NamedFigure(
             file_stem(f"curves_{stem}"),
             draw_curves(panels, f"median {label}, {unit}", title),

@@ -80,15 +80,7 @@ def outcomes(run: RunData) -> list[Outcome]:
 
 
 class DesignData:
-    """A run of a grid of scenarios, with the errors of an outcome by scenario and trial.
-
-    Parameters
-    ----------
-    run
-        The run; its manifest describes the grid.
-    design
-        That description.
-    """
+    """A run of a grid of scenarios, with the errors of an outcome by scenario and trial."""
 
     def __init__(self, run: RunData, design: ScenarioGrid) -> None:
         self.run = run
@@ -224,9 +216,8 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
 
 def _by_measure(run: RunData) -> list[list[Outcome]]:
     """Group the outcomes of the same measure and stage, final positions first, estimators as the campaign has them."""
-    order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
     groups: dict[str, list[Outcome]] = {}
-    for one in sorted(outcomes(run), key=lambda one: order.get(one.estimator, len(order))):
+    for one in sorted(outcomes(run), key=lambda one: run.place_of(one.estimator)):
         groups.setdefault(one.label, []).append(one)
     return sorted(groups.values(), key=lambda group: (group[0].stage, group[0].measure) != ("", POSITION))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from boresight.reports.compare.metrics import Metric
 from boresight.reports.compare.subjects import compared
 from boresight.reports.compare.tables import subject_tables
 from boresight.reports.kinds import Content, ReportKind, Tables
@@ -29,6 +28,7 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import Record
+from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import consistency_grid
 from boresight.reports.tables import diagnostic_grid, timing_grid
 from boresight.reports.verdicts import comparison_grid
@@ -74,7 +74,7 @@ def _errors_at_the_end(run: RunData) -> list[Grid]:
     """Tabulate the position errors at the last frame of sequences of less than a revolution."""
     if run.rows[list(REVOLUTION_ERRORS)].notna().any(axis=None) or run.rows[POSITION].isna().all():
         return []
-    whole, _ = subject_tables(compared((run,), Metric(POSITION)))
+    whole, _ = subject_tables(compared((run,), measure_of(POSITION)))
     shown = [head for head in whole.columns if head in ("estimator", "scenario", "solved") or head.startswith("median")]
     return [replace(whole.keep(*shown), note="")]
 

@@ -38,7 +38,7 @@ from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from boresight.reports.schema.labels import as_title, count_of
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record
-from boresight.reports.schema.tables import measure_heading, measure_label
+from boresight.reports.schema.tables import measure_label, measure_of
 from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS, Sample, measure_deviation
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST
 
@@ -204,7 +204,7 @@ def vision_grid(records: Sequence[Record]) -> Grid | None:
     columns = (
         SCENARIO,
         text_column("tracks of", lambda key: whose[key]),
-        text_column("quantity", lambda key: measure_heading(key.measure)),
+        text_column("quantity", lambda key: measure_of(key.measure).axis),
         record_column("mean [95 %]", interval=True),
         record_column("trials", printed=counts),
     )

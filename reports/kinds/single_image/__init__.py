@@ -10,9 +10,8 @@ from pydantic import ValidationError
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs.figures import design_figures
 from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid, trade_grid
 from boresight.reports.kinds.single_image.figures import image_figures
-from boresight.reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
-from boresight.reports.kinds.single_image.tradeoff import trade_grid
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid

@@ -6,18 +6,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from boresight.reports.figures.comparison import MOST_CURVES, RocCurve, TradeOffPoint, draw_roc, draw_trade_off
+from boresight.reports.figures.comparison import draw_roc, draw_trade_off
 from boresight.reports.figures.landmarks import draw_centroid_offsets, draw_landmark_counts, draw_landmark_errors
 from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
 from boresight.reports.kinds import Content
-from boresight.reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
+from boresight.reports.kinds.single_image.databases import ATTITUDE, POSITION, costs, prior_medians
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import errors_by_stage, final_stage
 from boresight.reports.schema.labels import stage_label
 from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import CONTROL
 from boresight.reports.statistics.measured import MEDIAN
-from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, area, outlier_scores, roc_curve
+from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, outlier_scores
 from boresight.scenarios.arrays import FloatArray
 
 
@@ -28,7 +28,7 @@ def image_figures(content: Content) -> Iterator[NamedFigure]:
         for estimator in (name for where, name in pairs if where == scenario and name != CONTROL):
             yield pose_figure(content, scenario, estimator)
             yield from landmark_figures(content, scenario, estimator)
-            yield from _outlier_figures(content, scenario, estimator)
+            yield from _outlier_figures(content.run, scenario, estimator)
         yield from _scenario_figures(content, scenario, [name for where, name in pairs if where == scenario])
     told = content.run.table("diagnostics")
     for estimator in dict.fromkeys(told.loc[told["name"] == "centroid_du_px", "estimator"]):
@@ -97,31 +97,21 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
         )
 
 
-def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
-    run = content.run
-    found = [d for d in outlier_scores(run) if (d.scenario, d.estimator) == (scenario, estimator)]
-    if found:
-        title, curves = f"What tells bad solutions, {scenario}, {estimator}", _curves(found)
+def _outlier_figures(run: RunData, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    panels: dict[str, list[OutlierScore]] = {}
+    for one in outlier_scores(run):
+        if (one.scenario, one.estimator) == (scenario, estimator):
+            panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
+            panels.setdefault(panel, []).append(one)
+    if panels:
+        title = f"What tells bad solutions, {scenario}, {estimator}"
         yield NamedFigure(
             file_stem("outliers", scenario, estimator),
-            draw_roc(curves, title, run.manifest.credits),
+            draw_roc(panels, title, run.manifest.credits),
             f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
             " estimator reports; the diagonal is chance.",
-            f"Receiver operating characteristics for {' and '.join(curves)}.",
+            f"Receiver operating characteristics for {' and '.join(panels)}.",
         )
-
-
-def _curves(found: Sequence[OutlierScore]) -> dict[str, list[RocCurve]]:
-    """Choose the scores whose area is farthest from chance, for each definition of bad."""
-    curves: dict[str, list[RocCurve]] = {}
-    for one in found:
-        sign = -1.0 if one.low_is_bad else 1.0
-        false, true, _ = roc_curve(sign * one.score, one.bad)
-        size = area(sign * one.score, one.bad)
-        name = f"{one.name} (low)" if one.low_is_bad else one.name
-        panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
-        curves.setdefault(panel, []).append(RocCurve(name, false, true, size))
-    return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
 
 
 def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) -> Iterator[NamedFigure]:
@@ -138,21 +128,24 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
             " legend.",
             f"Two histograms of the errors of attitude and position of {', '.join(final)}.",
         )
-    marks = {
-        cost.estimator: TradeOffPoint(
-            {POSITION: cost.position_m, ATTITUDE: cost.attitude_deg}, cost.seconds.value, cost.size_bytes
-        )
-        for cost in costs(run)
-        if cost.scenario == scenario
-    }
-    if marks:
+    found = {cost.estimator: cost for cost in costs(run) if cost.scenario == scenario}
+    if found:
+        errors = {
+            POSITION: {label: cost.position_m for label, cost in found.items()},
+            ATTITUDE: {label: cost.attitude_deg for label, cost in found.items()},
+        }
+        seconds = {label: cost.seconds.value for label, cost in found.items()}
+        spent = {
+            "time an image, ms": {label: 1e3 * value for label, value in seconds.items() if value is not None},
+            "data base, kB": {k: 1e-3 * cost.size_bytes for k, cost in found.items() if cost.size_bytes is not None},
+        }
         title = f"Accuracy and its cost, {scenario}"
         yield NamedFigure(
             file_stem("trade_off", scenario),
-            draw_trade_off(marks, prior_medians(run, scenario), title, run.manifest.credits),
+            draw_trade_off(errors, spent, prior_medians(run, scenario), title, run.manifest.credits),
             f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
             " prior. What reads no data base stands in the panels of time alone.",
-            f"Median errors of {', '.join(marks)} against time an image and size of the data base.",
+            f"Median errors of {', '.join(found)} against time an image and size of the data base.",
         )
     title = f"Cumulative error, {scenario}"
     solved = {label: (own[own["status"] == "ok"], len(own)) for label, own in rows.items()}
