@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import tempfile
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ def bench_command(arguments: argparse.Namespace) -> int:
         minutes = campaign.spec.trials * whole.median_s / 60.0
         out.print(f"{whole.scenario}: {campaign.spec.trials} trials take {minutes:.1f} core minutes at that rate")
     if arguments.json is not None:
-        write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
+        write_text(arguments.json, json.dumps(asdict(found), indent=1) + "\n")
     return 0
 
 

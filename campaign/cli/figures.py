@@ -41,21 +41,7 @@ _IN_PART = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Options for running the campaigns of a paper.
-
-    Parameters
-    ----------
-    runs
-        Where the run folders are.
-    share
-        Of the trials, and of all that a draft keeps a share of; 1 for runs that are meant.
-    trials
-        Of each scenario at most; None for as many as the campaign says.
-    command
-        The command line, for the manifest.
-    embedded
-        Whether built-in bodies replace shape files.
-    """
+    """How the campaigns of a paper are run: folder of the runs, share of a draft (1 for none), most trials or None."""
 
     runs: Path
     share: float

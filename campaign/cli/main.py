@@ -7,12 +7,9 @@ import os
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Sequence
 from importlib import import_module, resources
-from types import MappingProxyType
-from typing import NoReturn, cast
+from typing import Any, NoReturn, cast
 
 from boresight.campaign.cli.arguments import add_commands
 from boresight.scenarios.atomic import explain_write_error
@@ -30,44 +27,19 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     add_commands(commands)
     pages = manual()
-    parser.epilog, parser.formatter_class = pages.whole, argparse.RawDescriptionHelpFormatter
-    for name, page in pages.commands.items():
-        command = commands.choices[name]
-        command.description, command.epilog = page.text, page.epilog()
+    parser.epilog, parser.formatter_class = pages["whole"], argparse.RawDescriptionHelpFormatter
+    for name, page in pages["commands"].items():
+        command, wide = commands.choices[name], max(map(len, page["examples"]))
+        lines = [f"  {example:<{wide}}   {what}" for example, what in page["examples"].items()]
+        command.description, command.epilog = page["text"].strip(), "\n".join(["examples:", *lines])
         command.formatter_class = _CommandFormatter
     return parser
 
 
-@dataclass(frozen=True, slots=True)
-class ManualPage:
-    """The page of a command: a sentence or two, and examples with what they do."""
-
-    text: str
-    examples: Mapping[str, str]
-
-    def epilog(self) -> str:
-        """Write the examples below each other."""
-        wide = max(map(len, self.examples))
-        lines = [f"  {example:<{wide}}   {what}" for example, what in self.examples.items()]
-        return "\n".join(["examples:", *lines])
-
-
-@dataclass(frozen=True, slots=True)
-class Manual:
-    """The text below ``boresight --help``, and the page of each command."""
-
-    whole: str
-    commands: Mapping[str, ManualPage]
-
-
-@lru_cache(maxsize=1)
-def manual() -> Manual:
-    """Read the manual from ``manual.toml``."""
-    stored = tomllib.loads(
-        resources.files("boresight.campaign.cli").joinpath("manual.toml").read_text(encoding="utf-8")
-    )
-    pages = {name: ManualPage(page["text"].strip(), page["examples"]) for name, page in stored["commands"].items()}
-    return Manual(stored["whole"], MappingProxyType(pages))
+def manual() -> dict[str, Any]:
+    """Read ``manual.toml``: the text below ``boresight --help`` (``whole``), and the page of each of ``commands``."""
+    file = resources.files("boresight.campaign.cli").joinpath("manual.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
 class _Parser(argparse.ArgumentParser):

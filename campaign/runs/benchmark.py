@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +46,6 @@ class StageTime:
     high_s: float
     ratio: float
 
-    @classmethod
-    def of(cls, key: tuple[str, str, str], seconds: pd.Series, yardstick_s: float) -> StageTime:
-        """Sum up the times of one stage."""
-        low, median, high = (float(q) for q in np.percentile(seconds, [25.0, 50.0, 75.0]))
-        return cls(*key, median, low, high, median / yardstick_s)
-
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
@@ -65,10 +59,6 @@ class Benchmark:
     stages: tuple[StageTime, ...]
     machine: Mapping[str, object]
     versions: Mapping[str, str]
-
-    def plain(self) -> dict[str, object]:
-        """Return everything in values that JSON can hold."""
-        return asdict(self)
 
 
 @dataclass(slots=True)
@@ -108,18 +98,10 @@ def yardstick_s() -> float:
 
 
 def benchmark(campaign: ResolvedCampaign, blocks: int, folder: Path, tell: Callable[[str], None]) -> Benchmark:
-    """Run some blocks of a campaign on one core, rendering every image, and time them.
+    """Run some blocks of trials of each scenario on one core, rendering every image, and time them.
 
-    Parameters
-    ----------
-    campaign
-        What to run; its products are built or taken from the cache first, which is not timed.
-    blocks
-        Blocks of trials of each scenario that are timed; one more goes before them.
-    folder
-        An empty folder for the run.
-    tell
-        Hears of the steps.
+    One more block goes before them. Products are built or taken from the cache first, which is not timed. ``folder`` is
+    an empty one for the run; ``tell`` is called with each step.
     """
     if blocks < 1:
         raise BoresightError(f"a benchmark needs at least 1 block of trials, not {blocks}")
@@ -130,16 +112,8 @@ def benchmark(campaign: ResolvedCampaign, blocks: int, folder: Path, tell: Calla
     yardstick = float(np.median(clock.yardsticks_s))
     stages = _stages(pd.concat(clock.timings, ignore_index=True), yardstick)
     whole = _whole(pd.DataFrame(clock.blocks), yardstick)
-    return Benchmark(
-        campaign.spec.name,
-        campaign.digest,
-        campaign.variant,
-        trials,
-        yardstick,
-        (*stages, *whole),
-        describe(),
-        package_versions(),
-    )
+    about = (campaign.spec.name, campaign.digest, campaign.variant, trials, yardstick)
+    return Benchmark(*about, (*stages, *whole), describe(), package_versions())
 
 
 def _stages(timings: pd.DataFrame, yardstick: float) -> Iterator[StageTime]:
@@ -149,12 +123,17 @@ def _stages(timings: pd.DataFrame, yardstick: float) -> Iterator[StageTime]:
     own = timings[~shared | first].assign(estimator=timings["estimator"].where(~shared, ""))
     totals = own.groupby(["scenario", "estimator", "stage", "trial"], sort=False)["seconds"].sum()
     for key, seconds in totals.groupby(level=[0, 1, 2], sort=False):
-        yield StageTime.of(key, seconds, yardstick)
+        yield _stage(key, seconds, yardstick)
 
 
 def _whole(blocks: pd.DataFrame, yardstick: float) -> Iterator[StageTime]:
     for scenario, group in blocks.groupby("scenario", sort=False):
-        yield StageTime.of((str(scenario), "", WHOLE_TRIAL), group["seconds"].iloc[1:], yardstick)
+        yield _stage((str(scenario), "", WHOLE_TRIAL), group["seconds"].iloc[1:], yardstick)
+
+
+def _stage(key: tuple[str, str, str], seconds: pd.Series, yardstick: float) -> StageTime:
+    low, median, high = (float(q) for q in np.percentile(seconds, [25.0, 50.0, 75.0]))
+    return StageTime(*key, median, low, high, median / yardstick)
 
 
 @contextmanager

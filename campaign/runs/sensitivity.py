@@ -26,10 +26,9 @@ from boresight.reports.schema.column import Measure
 from boresight.reports.statistics.measured import Statistic
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.load import LoadedScenario, load_campaign, parse_override
+from boresight.scenarios.load import load_campaign, parse_override
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
-METHODS = ("sobol", "latin-hypercube")
 BASE = "base"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OVER = re.compile(rf"(?P<key>[\w.]+)=(?P<low>{_NUMBER}):(?P<high>{_NUMBER})")
@@ -38,18 +37,9 @@ _BOUNDS = ("min", "max")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """Samples of varied keys, and the campaign whose scenarios they make.
+    """Samples (n, K) of K varied keys, ``sobol`` or ``latin-hypercube``, and the campaign of their scenarios.
 
-    Parameters
-    ----------
-    varied
-        K keys with their bounds.
-    samples
-        (n, K) values.
-    method
-        One of `METHODS`.
-    campaign
-        Its scenarios: the base, each key alone at its bounds, the samples.
+    The scenarios are the base, each key alone at its bounds, and the samples.
     """
 
     varied: tuple[VariedKey, ...]
@@ -59,13 +49,7 @@ class Design:
 
 
 def parse_over(text: str) -> VariedKey:
-    """Read ``KEY=LOW:HIGH``.
-
-    Raises
-    ------
-    BoresightError
-        If it is written otherwise or the range is empty.
-    """
+    """Read ``KEY=LOW:HIGH``; raise BoresightError if it is written otherwise or the range is empty."""
     found = _OVER.fullmatch(text.strip())
     if found is None:
         raise BoresightError(f"--over {text}: write it as KEY=LOW:HIGH, for example detector.read_noise_e=0:10")
@@ -78,10 +62,7 @@ def parse_over(text: str) -> VariedKey:
 def draw_samples(varied: Sequence[VariedKey], n: int, method: str, seed: int) -> FloatArray:
     """Draw the samples, (n (K + 2), K) after Saltelli or (n, K) of a Latin hypercube.
 
-    Raises
-    ------
-    BoresightError
-        If Sobol's sequence is not balanced over so many.
+    Raise BoresightError if Sobol's sequence is not balanced over so many.
     """
     if method == "latin-hypercube":
         unit = qmc.LatinHypercube(len(varied), rng=np.random.default_rng(seed)).random(n)
@@ -115,31 +96,29 @@ def make_design(
     for column, one in zip(samples.T, varied, strict=True):
         if _is_whole(base.spec, one.key):
             column[:] = np.round(column)
+    cells: dict[str, dict[str, float]] = {BASE: {}}
+    for i, one in enumerate(varied):
+        low, high = _ends(i)
+        cells |= {low: {one.key: one.low}, high: {one.key: one.high}}
+    cells |= {_sample(i): dict(zip(keys, row.tolist(), strict=True)) for i, row in enumerate(samples)}
     loaded = load_campaign(name, CATALOG)
-    source = sources(loaded.spec)[number]
-
-    def scenario(cell: str, values: Mapping[str, float]) -> LoadedScenario:
+    source, scenarios = sources(loaded.spec)[number], []
+    for cell, values in cells.items():
         changes = [
             parse_override(_setting(base.spec, one, values[one.key]), f"--over {one.key}={one.low:g}:{one.high:g}")
             for one in varied
             if one.key in values
         ]
         found, _ = read_source(loaded, source, [*resolved.overrides, *changes])
-        return replace(found, spec=found.spec.model_copy(update={"name": cell}))
-
-    scenarios = [scenario(BASE, {})]
-    for i, one in enumerate(varied):
-        scenarios += [
-            scenario(f"{_alone(i)}-{end}", {one.key: value}) for end, value in (("low", one.low), ("high", one.high))
-        ]
-    scenarios += [scenario(_sample(i), dict(zip(keys, row.tolist(), strict=True))) for i, row in enumerate(samples)]
+        scenarios.append(replace(found, spec=found.spec.model_copy(update={"name": cell})))
     spec = resolved.spec.model_copy(update={"scenarios": (source.file,), "grid": None})
     campaign = replace(resolved, spec=spec, scenarios=tuple(scenarios), variations={})
     return Design(tuple(varied), samples, method, campaign)
 
 
-def _alone(index: int) -> str:
-    return f"key-{index + 1}"
+def _ends(index: int) -> tuple[str, str]:
+    """Name the scenarios with one key alone at its lower and at its upper bound."""
+    return f"key-{index + 1}-low", f"key-{index + 1}-high"
 
 
 def _sample(index: int) -> str:
@@ -181,38 +160,24 @@ def analyse(
 ) -> list[Sensitivity]:
     """Work out what the varied keys do to every estimator.
 
-    Raises
-    ------
-    BoresightError
-        If an estimator has failed in too many trials of a sample and there is no prior to count them with.
+    Raise BoresightError if one failed in too many trials of a sample, and there is no prior to count them with.
     """
-    found = []
+    ends, found = {one.key: _ends(i) for i, one in enumerate(design.varied)}, []
     for label in labels:
-
-        def of(cell: str, label: str = label) -> float:
-            value = outcome_of(run, metric, statistic, cell, label)
-            if not np.isfinite(value):
+        value = {}
+        for cell in (one.spec.name for one in design.campaign.scenarios):
+            value[cell] = outcome_of(run, metric, statistic, cell, label)
+            if not np.isfinite(value[cell]):
                 raise BoresightError(
                     f"{run.folder}: {label} has no {statistic.name} of {metric.name} in {cell}, as it failed in too"
                     " many trials: narrow the ranges of --over, or give more --trials"
                 )
-            return value
-
-        outcomes = np.array([of(_sample(i)) for i in range(len(design.samples))])
-        ends = {one.key: (f"{_alone(i)}-low", f"{_alone(i)}-high") for i, one in enumerate(design.varied)}
-        shares = (
-            sobol_shares(design.varied, outcomes, run.manifest.seed)
-            if design.method == "sobol"
-            else rank_shares(design.samples, outcomes)
-        )
-        found.append(
-            Sensitivity(
-                label,
-                of(BASE),
-                outcomes,
-                {key: (of(low), of(high)) for key, (low, high) in ends.items()},
-                shares,
-                tuple(key for key, cells in ends.items() if all(same_results(run, BASE, c, label) for c in cells)),
-            )
-        )
+        outcomes = np.array([value[_sample(i)] for i in range(len(design.samples))])
+        alone = {key: (value[low], value[high]) for key, (low, high) in ends.items()}
+        unmoved = [key for key, cells in ends.items() if all(same_results(run, BASE, c, label) for c in cells)]
+        if design.method == "sobol":
+            shares = sobol_shares(design.varied, outcomes, run.manifest.seed)
+        else:
+            shares = rank_shares(design.samples, outcomes)
+        found.append(Sensitivity(label, value[BASE], outcomes, alone, shares, tuple(unmoved)))
     return found

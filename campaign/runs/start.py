@@ -121,16 +121,7 @@ def run(
 class Start:
     """A run that is about to begin, all that could be refused beforehand checked.
 
-    Parameters
-    ----------
-    campaign
-        What decides its rows.
-    request
-        Where and how it runs.
-    until
-        When to stop before all trials are run; None to run them all.
-    advice
-        What would make this machine faster; '' without.
+    ``until`` says when to stop before all trials are run. ``advice`` is what would make this machine faster, or ''.
     """
 
     campaign: ResolvedCampaign

@@ -51,18 +51,9 @@ _WRITTEN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Until:
-    """A wanted width.
+    """A wanted width of the 95 % interval of a statistic, as the user wrote it, and read.
 
-    Parameters
-    ----------
-    written
-        As the user wrote it.
-    metric, statistic
-        Whose 95 % interval.
-    width
-        From its lower to its upper end, in the metric's unit, or as a share of the statistic.
-    relative
-        Whether it is such a share.
+    ``width`` is in the metric's unit or, if it is ``relative``, a share of the statistic.
     """
 
     written: str
@@ -79,10 +70,7 @@ class Until:
 def parse_until(text: str, experiment: str) -> Until:
     """Read ``ci(METRIC, STATISTIC) < WIDTH`` or ``... < SHARE %``; nothing is evaluated.
 
-    Raises
-    ------
-    BoresightError
-        If it is written otherwise, or names a metric that such an experiment has not or an unknown statistic.
+    Raise BoresightError if it is written otherwise, or names a metric or a statistic that there is not.
     """
     found = _WRITTEN.fullmatch(text)
     if found is None:

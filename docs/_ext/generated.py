@@ -233,14 +233,20 @@ def _column_table(columns: Sequence[Column]) -> str:
 def _command_line() -> str:
     parser = make_parser()
     (commands,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
-    told = ["# Command line", *_whole(manual().whole)]
+    pages = manual()
+    told = ["# Command line", *_whole(pages["whole"])]
     for name, command in commands.choices.items():
-        page = manual().commands[name]
+        page = pages["commands"][name]
         usage = command.format_usage().removeprefix("usage: ").strip()
-        told += [f"## `boresight {name}`", page.text, f"```text\n{usage}\n```", f"```{{program}} boresight {name}\n```"]
+        told += [
+            f"## `boresight {name}`",
+            page["text"].strip(),
+            f"```text\n{usage}\n```",
+            f"```{{program}} boresight {name}\n```",
+        ]
         told += [_argument(one) for one in command._actions if one.dest != "help"]
         told += ["Examples:"]
-        told += [f"```console\n$ {example}\n```\n{{.example}}\n{what}." for example, what in page.examples.items()]
+        told += [f"```console\n$ {example}\n```\n{{.example}}\n{what}." for example, what in page["examples"].items()]
     return _lines(*told)
 
 

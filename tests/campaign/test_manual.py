@@ -14,9 +14,9 @@ from page_blocks import run_command, stop_before_long
 
 from boresight.campaign.cli.main import make_parser, manual
 
-PAGES, WHOLE = manual().commands, manual().whole
+PAGES, WHOLE = manual()["commands"], manual()["whole"]
 
-EXAMPLES = [example for page in PAGES.values() for example in page.examples]
+EXAMPLES = [example for page in PAGES.values() for example in page["examples"]]
 FIRST = [line.split("   ")[0].strip() for line in WHOLE.splitlines() if line.strip().startswith("boresight ")]
 
 
@@ -55,8 +55,8 @@ def test_a_page_tells_what_the_command_does_and_how_it_is_called(name, capsys):
     assert left.value.code == 0
     said = capsys.readouterr().out
     assert "examples:" in said
-    assert all(example in said for example in PAGES[name].examples)
-    assert PAGES[name].text.split()[0] in said
+    assert all(example in said for example in PAGES[name]["examples"])
+    assert PAGES[name]["text"].split()[0] in said
 
 
 def test_the_whole_names_places_and_exit_codes(capsys):
