@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.recompute import recompute
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
@@ -47,13 +47,18 @@ def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) 
     BoresightError
         If recomputed and stored rows differ.
     """
-    show = _showing(campaign)
+    show = check_posed(campaign)
     together: dict[tuple[str, str], list[PosedFrames]] = {}
     for case in cases:
-        found = None if show.posed is None else show.posed(_same(recompute(campaign, folder, case)).shown, case)
-        if found is not None and show.pooled:
+        again = recompute(campaign, folder, case)
+        if again.comparison.differences:
+            raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
+        if show.posed is None or again.shown is None:
+            continue
+        found = show.posed(again.shown, case)
+        if show.pooled:
             together.setdefault((case.scenario, case.estimator), []).append(found)
-        elif found is not None:
+        else:
             yield case.stem, found
     for (scenario, estimator), parts in together.items():
         frames = [frame for part in parts for frame in part.frames]
@@ -61,29 +66,13 @@ def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) 
         yield f"{scenario}_{estimator}", PosedFrames(parts[0].camera, frames, places)
 
 
-def check_posed(campaign: ResolvedCampaign) -> None:
-    """Raise an error if the trials of a campaign have no camera poses.
-
-    Raises
-    ------
-    BoresightError
-        If they have none.
-    """
-    _showing(campaign)
-
-
-def _showing(campaign: ResolvedCampaign) -> Show:
+def check_posed(campaign: ResolvedCampaign) -> Show:
+    """Return the displays of a campaign's trials; raise BoresightError if these have no camera poses."""
     kind = campaign.spec.experiment
     show = show_of(kind)
     if show is None or show.posed is None:
         raise BoresightError(f"trials of {kind} have no camera poses: export them with --to csv, parquet or latex")
     return show
-
-
-def _same(again: Recomputed) -> Recomputed:
-    if again.comparison.differences:
-        raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
-    return again
 
 
 def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
@@ -114,7 +103,7 @@ def trajectories(
     campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]
 ) -> Iterator[tuple[str, Sequence[PosedFrame]]]:
     """Yield the trajectory of each case; those of sequences are inertial and need no estimator to run again."""
-    show = _showing(campaign)
+    show = check_posed(campaign)
     if show.trajectory is None:
         for name, found in posed(campaign, folder, cases):
             yield name, found.frames

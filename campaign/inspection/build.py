@@ -71,7 +71,7 @@ def _keep(again: Recomputed, show: Show | None, folder: Path) -> None:
         if records:
             table = pa.Table.from_pylist([dict(record) for record in records], schema=schema(name))
             write_atomically(folder / "tables" / f"{name}.parquet", partial(pq.write_table, table))
-    shown = CaseFiles() if show is None else show.kept(again.shown)
+    shown = CaseFiles() if show is None or again.shown is None else show.kept(again.shown)
     for name, image in shown.images.items():
         write_image(folder / f"{name}.tiff", image)
     if shown.estimate is not None:
@@ -128,9 +128,8 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
 
 def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
     """Draw the completed stages of a case, or return a note that there is nothing to draw."""
-    drawn = None if show is None else show.draw(again)
-    if drawn is not None:
-        return drawn
+    if show is not None and again.shown is not None:
+        return show.draw(again)
     why = f"trials of {kind} hold numbers alone" if show is None else "the trial ended before an estimator saw anything"
     return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 

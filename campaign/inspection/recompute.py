@@ -15,7 +15,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import trials_of
 from boresight.campaign.runs.resolve import reload, unlike
 from boresight.campaign.store import TABLES, RunFolder
-from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Trials, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.reports.schema.tables import schema
 from boresight.scenarios.errors import BoresightError
 
@@ -27,27 +27,16 @@ NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recomputed:
-    """Result of recomputing a case.
+    """A recomputed case: the trials of its estimator alone, its tables, and the `InspectedTrial`.
 
-    Parameters
-    ----------
-    case
-        The case.
-    trials
-        The trials of its estimator alone.
-    records
-        Its tables, recomputed.
-    shown
-        Intermediate results passed to the observer of the trial; None if the kind of trial provides none, or the trial
-        ended before.
-    folder
-        The run that it is a case of.
+    The last is None if the kind of trial has none, or the trial ended before. The types of trials and `InspectedTrial`
+    depend on the kind.
     """
 
     case: Case
-    trials: Trials
+    trials: Any
     records: Records
-    shown: InspectedTrial | None
+    shown: Any
     folder: RunFolder
 
     @property
@@ -126,7 +115,7 @@ def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
     """Run one case again, observed; one whose method was stopped in the stored run is not."""
     context = WorkerContext(folder.path, jobs=1, keep_images=False)
-    shown: list[InspectedTrial] = []
+    shown: list[InspectedTrial[Any, Any, Any]] = []
     watched = trials_of(campaign, case.scenario, context).of(case.trial).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))

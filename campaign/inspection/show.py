@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
@@ -105,9 +105,9 @@ class Show:
     Parameters
     ----------
     draw
-        Draws a recomputed case; returns None if it has no intermediate results.
+        Draws a recomputed case whose `InspectedTrial` is known.
     kept
-        Returns the files to write from the intermediate results of a case.
+        Returns the files to write of the `InspectedTrial` of a case.
     look
         Collects the three-dimensional view of a run.
     examples
@@ -125,11 +125,11 @@ class Show:
         Whether recomputing a case of a campaign takes minutes.
     """
 
-    draw: Callable[[Recomputed], CaseFigures | None] = lambda again: None
-    kept: Callable[[object], CaseFiles] = lambda shown: CaseFiles()
+    draw: Callable[[Recomputed], CaseFigures]
+    kept: Callable[[Any], CaseFiles]
     look: Callable[[EstimatorRun], View3D] | None = None
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
-    posed: Callable[[object, Case], PosedFrames | None] | None = None
+    posed: Callable[[Any, Case], PosedFrames] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
     faults: Callable[[RunData], pd.Series | None] | None = None
     pooled: bool = False

@@ -27,6 +27,7 @@ from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import of_scenario
 from boresight.campaign.store import RunFolder
+from boresight.campaign.trial.kind import InspectedTrial
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
@@ -200,6 +201,6 @@ def inspect(run: str | PathLike[str], scenario: str, estimator: str, trial: int)
 
 def _trial(campaign: ResolvedCampaign, found: Recomputed) -> Trial:
     tables = {name: pd.DataFrame(records) for name, records in found.records.items() if records and name != "rows"}
-    shown = found.shown
-    seen = (None, None, None, None) if shown is None else (shown.image, shown.truth, shown.observation, shown.estimate)
-    return Trial(found.row, tables, *seen, found, campaign.spec.experiment)
+    seen = found.shown or InspectedTrial(None, None, None)
+    shown = (seen.image, seen.truth, seen.observation, seen.estimate)
+    return Trial(found.row, tables, *shown, found, campaign.spec.experiment)

@@ -9,13 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, cast
 
 from boresight.campaign.pool.steps import report_progress
 from boresight.estimators.registry import base_of
+from boresight.scenarios.arrays import Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.lengths import lengths_left_out, with_lengths
 
@@ -26,37 +24,32 @@ if TYPE_CHECKING:
     from boresight.scenarios.spec.base import SpecModel
     from boresight.scenarios.spec.campaign import EstimatorSpec
 
+Truth = TypeVar("Truth")
+Observed = TypeVar("Observed")
+Estimated = TypeVar("Estimated")
+
 Record = dict[str, object]
 Records = dict[str, list[Record]]
 
 _KINDS = "boresight.campaign.kinds"
 
 
-class InspectedTrial(Protocol):
-    """A trial of one method with its truth, observation and estimate. The types are those of the kind of trial."""
+@dataclass(frozen=True, slots=True, eq=False)
+class InspectedTrial(Generic[Truth, Observed, Estimated]):
+    """A trial of one method: truth, input of the method, and its result, whose types depend on the kind of trial.
 
-    @property
-    def image(self) -> NDArray[np.float32] | None:
-        """Image (H, W); None where methods see tracks or data."""
-        ...
+    ``estimate`` is None if the method raised or broke its contract. ``image`` (H, W) is as the camera took it, None
+    where methods see tracks or data; ``image_name`` is the file of a real one, else ''.
+    """
 
-    @property
-    def truth(self) -> object:
-        """The truth."""
-        ...
-
-    @property
-    def observation(self) -> object:
-        """Input of the method."""
-        ...
-
-    @property
-    def estimate(self) -> object | None:
-        """Result of the method; None if it raised or broke its contract."""
-        ...
+    truth: Truth
+    observation: Observed
+    estimate: Estimated | None
+    image: Image | None = None
+    image_name: str = ""
 
 
-Inspector = Callable[[InspectedTrial], None]
+Inspector = Callable[[InspectedTrial[Any, Any, Any]], None]
 """Called with each trial of one method, for inspection."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from boresight.campaign.pool.guard import Call
 from boresight.campaign.resolved import ResolvedCampaign
@@ -75,7 +75,7 @@ class TrialRunner(Trials, Generic[Method, Drawn, Answer]):
     def score(self, answer: Answer, drawn: Drawn) -> Records:
         """Score an answer: the records of each table without their key, of ``rows`` the one that completes `row`."""
 
-    def shown(self, answer: Answer | None, drawn: Drawn) -> InspectedTrial | None:
+    def shown(self, answer: Answer | None, drawn: Drawn) -> InspectedTrial[Any, Any, Any] | None:
         """Return what an inspector sees of a trial, ``answer`` None without a valid one; None if there is nothing."""
         return None
 

@@ -58,7 +58,7 @@ def test_two_dozen_rendered_images_a_day_come_to_orbits(tmp_path):
 
 def _a_priori_rms_m(determined: DeterminedOrbit) -> float:
     """RMS over the arc of the error of the orbit that was known before: about 1 km."""
-    times = determined.data.wanted_s
-    before = Trajectory.a_priori(determined.data.knowledge, times)
+    times = determined.observation.wanted_s
+    before = Trajectory.a_priori(determined.observation.knowledge, times)
     errors = np.linalg.norm(before.positions_m - determined.truth.states[:, :3], axis=1)
     return float(np.sqrt(np.mean(errors[times <= ARC_DAYS * 86400.0] ** 2)))

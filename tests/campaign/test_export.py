@@ -133,8 +133,8 @@ def test_a_sequence_is_a_model_whose_tracks_fit(sequences, tmp_path):
     folder = RunFolder(sequences)
     again = recompute(reopened(folder), folder, Case("orbit", "fixed-lag", 0))
     assert len(model.images) == len(again.shown.estimate.frames)
-    assert sum(len(i.points2D) for i in model.images.values()) == again.shown.seen.sequence.frames[0].tracks.size + sum(
-        frame.tracks.size for frame in again.shown.seen.sequence.frames[1:]
+    assert sum(len(i.points2D) for i in model.images.values()) == again.shown.observation.frames[0].tracks.size + sum(
+        frame.tracks.size for frame in again.shown.observation.frames[1:]
     )
     errors = [point.error for point in model.points3D.values() if point.track.length() > 3]
     assert np.median(errors) < 2.0

@@ -66,7 +66,7 @@ def test_what_is_kept_is_what_the_estimator_saw_and_said(copied):
     folder = copied / "inspect" / f"scene_landmark-harris_{trial:07d}"
     campaign = reopened(RunFolder(copied))
     again = recompute(campaign, RunFolder(copied), Case("scene", "landmark-harris", trial))
-    truth = again.shown.trial_image.view.T_cam_body
+    truth = again.shown.truth.T_cam_body
     pose = json.loads((folder / "estimate.json").read_text())["pose"]
     R = Rotation.from_quat(pose["T_cam_body_quat_wxyz"], scalar_first=True).as_matrix()
     c = -R.T @ pose["T_cam_body_translation_m"]

@@ -78,7 +78,7 @@ def test_components_and_sigmas_of_a_sequence_are_those_of_its_epochs(sequences):
     folder = RunFolder(sequences)
     again = recompute(reopened(folder), folder, Case("orbit", "fixed-lag", 0))
     shown = again.shown
-    truth, sequence = shown.seen.truth, shown.seen.sequence
+    truth, sequence = shown.truth, shown.observation
     followed = followed_of(shown.estimate, sequence, truth, again.records["epochs"], 190.0)
     epochs = pd.read_parquet(sequences / "epochs").query("trial == 0 and estimator == 'fixed-lag'")
     # A rotation keeps lengths and traces.

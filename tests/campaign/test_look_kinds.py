@@ -14,9 +14,8 @@ from orbit_worlds import orbit_world
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import camera_scale
 from boresight.campaign.kinds.crater_matching.show import pair_outcomes
-from boresight.campaign.kinds.crater_matching.trial import MatchedPair
 from boresight.campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
-from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from boresight.campaign.trial.kind import InspectedTrial
 from boresight.estimators.craters.contract import CraterMatches
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
 from boresight.reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
@@ -51,12 +50,12 @@ def shown(world):
         residuals_px=np.tile([3.0, 4.0], (count, 1)),
         used=data.pictures.image != 2,
     )
-    return DeterminedOrbit(world, truth, data, OrbitEstimate("ok", orbit))
+    return InspectedTrial(truth, data, OrbitEstimate("ok", orbit))
 
 
 def orbit_used(shown):
     """Tell which landmarks have a sighting that was used."""
-    orbit, pictures = shown.estimate.orbit, shown.data.pictures
+    orbit, pictures = shown.estimate.orbit, shown.observation.pictures
     return np.isin(orbit.numbers, pictures.landmark[orbit.used])
 
 
@@ -99,7 +98,7 @@ def test_images_of_an_orbit_stand_where_the_turning_body_had_the_camera(world, s
     assert len(useful.points_m) + len(useless.points_m) == 30
     numbers = [int(re.search(r"trial 7, image (\d+)", text)[1]) for text in useful.texts]
     assert 2 not in numbers
-    turn = 2.0 * np.pi * shown.data.pictures.times_s[numbers] / (3600.0 * world.spec.asteroid.rotation_h)
+    turn = 2.0 * np.pi * shown.observation.pictures.times_s[numbers] / (3600.0 * world.spec.asteroid.rotation_h)
     inertial = shown.truth.image_states[numbers, :3]
     # The body has turned by this angle about z: its axes see the camera turned back.
     x = np.cos(turn) * inertial[:, 0] + np.sin(turn) * inertial[:, 1]
@@ -122,9 +121,9 @@ def test_craters_of_a_pair_are_counted_by_hand():
 
     pair = CraterPair(look([4, 7, NO_CRATER, 9]), look([9, 7, 4, NO_CRATER]), 1.0, 1.0)
     # 7 with 7 is right, 4 with 9 is wrong, no crater with no crater is nothing.
-    found = pair_outcomes(MatchedPair(pair, None, CraterMatches(np.array([[1, 1], [0, 0], [2, 3]]), np.ones(3))))
+    found = pair_outcomes(InspectedTrial(pair, None, CraterMatches(np.array([[1, 1], [0, 0], [2, 3]]), np.ones(3))))
     assert found.set_index("crater")["hits"].to_dict() == {4: 0.0, 7: 1.0, 9: 0.0}
-    assert pair_outcomes(MatchedPair(pair, None, None))["hits"].sum() == 0.0
+    assert pair_outcomes(InspectedTrial(pair, None, None))["hits"].sum() == 0.0
 
 
 def test_landmarks_are_drawn_just_above_the_surface(world):

@@ -46,7 +46,7 @@ def detected(
         done = [label for label in labels if label in set(rows["estimator"])]
         # All detectors see the same image, so one of them is run again for it.
         shown = recompute(campaign, folder, Case(scenario, done[0], trial)).shown if done else None
-        if isinstance(shown, DetectedImage):
+        if shown is not None:
             for label in done:
                 yield example_figure(run, scenario, label, trial, shown.observation.frame.image)
 
@@ -60,7 +60,7 @@ def stages_of(
     for trial in _richest(run, scenario)[:1]:
         again = recompute(campaign, folder, Case(scenario, label, trial))
         shown, detector = again.shown, again.trials.methods[label]
-        if not isinstance(shown, DetectedImage) or not isinstance(detector, CraterClassic):
+        if shown is None or not isinstance(detector, CraterClassic):
             return
         stages = detector.stages(shown.observation.frame, shown.observation.camera)
         arcs = {"shaded": [a.uv_px for a in stages.shaded], "lit": [a.uv_px for a in stages.lit]}
@@ -109,11 +109,9 @@ def look_at_detections(scene: EstimatorRun) -> View3D:
     )
 
 
-def draw_detection(again: Recomputed) -> CaseFigures | None:
+def draw_detection(again: Recomputed) -> CaseFigures:
     """Draw an image with the craters that are there and those that were found."""
-    shown, what = again.shown, str(again.case)
-    if not isinstance(shown, DetectedImage):
-        return None
+    shown: DetectedImage = again.shown
     truth = shown.truth
     detections = [record for record in again.records.get("detections", []) if record["kept"]]
     matched = np.array([int(str(record["crater"])) != NO_CRATER for record in detections], dtype=np.bool_)
@@ -122,7 +120,7 @@ def draw_detection(again: Recomputed) -> CaseFigures | None:
         (truth.ellipses, truth.detectable),
         (ellipses_of(detections), matched),
         "craters",
-        what,
+        str(again.case),
     )
     missed = int(truth.detectable.sum()) - sum(bool(record["detectable"]) for record in detections)
     note = f"{int(truth.detectable.sum())} detectable craters, {missed} of them missed; {int((~matched).sum())} of"
@@ -131,9 +129,9 @@ def draw_detection(again: Recomputed) -> CaseFigures | None:
     )
 
 
-def kept(shown: object) -> CaseFiles:
+def kept(shown: DetectedImage) -> CaseFiles:
     """Return the image that a detector saw."""
-    return CaseFiles({"image": shown.observation.frame.image}) if isinstance(shown, DetectedImage) else CaseFiles()
+    return CaseFiles({"image": shown.observation.frame.image})
 
 
 SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples, faults=missed_or_wrong)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.world import TrialImage, World, open_world
@@ -17,7 +16,7 @@ from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
 from boresight.campaign.trial.images import ImageDraw, draw_image
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
@@ -29,20 +28,8 @@ from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Observation
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DetectedImage:
-    """A trial of one detector, for inspection; ``estimate`` is None if the detector raised or gave up."""
-
-    trial_image: TrialImage
-    observation: Observation
-    truth: CraterTruth
-    estimate: CraterDetections | None
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """The image, as the camera took it."""
-        return self.trial_image.image
+DetectedImage = InspectedTrial[CraterTruth, Observation, CraterDetections]
+"""A trial of one detector, for inspection."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,10 +150,8 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
         return drawn.image.timings
 
     def shown(self, answer: TimedDetections | None, drawn: DetectionDraw) -> DetectedImage:
-        image = drawn.image
-        return DetectedImage(
-            image.trial_image, image.observation, drawn.truth, None if answer is None else answer.found
-        )
+        image, found = drawn.image, None if answer is None else answer.found
+        return InspectedTrial(drawn.truth, image.observation, found, image.trial_image.image)
 
 
 def _scored(found: CraterDetections, truth: CraterTruth) -> list[Record]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -41,7 +42,7 @@ def look_at_matches(scene: EstimatorRun) -> View3D:
     views, outcomes = {}, []
     for trial in map(int, rows["trial"]):
         shown = recompute(scene.campaign, scene.folder, Case(scene.scenario, scene.label, trial)).shown
-        if isinstance(shown, MatchedPair):
+        if shown is not None:
             looks = (shown.truth.first, shown.truth.second)
             views[trial] = np.array([look.view.T_cam_body.camera_position_m for look in looks])
             outcomes.append(pair_outcomes(shown))
@@ -77,11 +78,9 @@ def _craters_of(source: PairSource) -> tuple[FloatArray, IndexArray]:
     return source.imager.ground.rims.centre_m, source.imager.ground.rims.crater
 
 
-def draw_pair_case(again: Recomputed) -> CaseFigures | None:
+def draw_pair_case(again: Recomputed) -> CaseFigures:
     """Draw both looks with the matches that are right, those that are wrong, and common craters that were missed."""
-    shown, what = again.shown, str(again.case)
-    if not isinstance(shown, MatchedPair):
-        return None
+    shown, what = cast("MatchedPair", again.shown), str(again.case)
     looks = (shown.truth.first, shown.truth.second)
     matches = CraterMatches.none("") if shown.estimate is None else shown.estimate
     one, other = (look.detections.crater for look in looks)
@@ -126,10 +125,10 @@ def matching_example(
 ) -> NamedFigure | None:
     """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
     trial = _typical(select(run.table("crater_matches"), scenario, label))
-    drawn = None if trial is None else draw_pair_case(recompute(campaign, folder, Case(scenario, label, trial)))
-    if drawn is None:
+    again = None if trial is None else recompute(campaign, folder, Case(scenario, label, trial))
+    if again is None or again.shown is None:
         return None
-    figure = next(iter(drawn.figures))
+    figure = next(iter(draw_pair_case(again).figures))
     chosen = (
         " Of the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median"
         " number of right matches."
@@ -145,10 +144,8 @@ def _typical(table: pd.DataFrame) -> int | None:
     return int(ordered.iloc[len(ordered) // 2]) if len(ordered) else None
 
 
-def kept(shown: object) -> CaseFiles:
+def kept(shown: MatchedPair) -> CaseFiles:
     """Return both images, where there are some, and the matches; none of a matcher that raised."""
-    if not isinstance(shown, MatchedPair):
-        return CaseFiles()
     looks = {"first": shown.truth.first.frame.image, "second": shown.truth.second.frame.image}
     images = {name: image for name, image in looks.items() if image.size}
     if shown.estimate is None:

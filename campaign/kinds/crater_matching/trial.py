@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from boresight.campaign.kinds.crater_matching.pairs import (
 )
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import check_array, check_indices, check_reason
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.methods import Unbuilt, located
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.craters.contract import (
@@ -43,17 +43,8 @@ from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.campaign import EstimatorSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchedPair:
-    """A trial of one matcher, for inspection; ``estimate`` is None where the matcher raised."""
-
-    truth: CraterPair
-    observation: tuple[CraterImage, CraterImage]
-    estimate: CraterMatches | None
-
-    image: ClassVar[None] = None
-    """A matcher sees two, where any is rendered."""
+MatchedPair = InspectedTrial[CraterPair, tuple[CraterImage, CraterImage], CraterMatches]
+"""A trial of one matcher, for inspection."""
 
 
 @dataclass(slots=True, eq=False)
@@ -201,7 +192,7 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         """Return the pair with its matches; None where the detector saw none."""
         if drawn.pair is None:
             return None
-        return MatchedPair(drawn.pair, self.images(drawn.pair), None if answer is None else answer.matches)
+        return InspectedTrial(drawn.pair, self.images(drawn.pair), None if answer is None else answer.matches)
 
     def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
         """Return what a matcher may see of a pair."""

@@ -37,7 +37,7 @@ from boresight.campaign.kinds.orbit_determination.trial import (
 )
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import check_listed
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
@@ -180,7 +180,7 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
         """Return the orbit that a chain has determined; None where there is none."""
         if answer is None:
             return None
-        return DeterminedOrbit(self.world, self._truth(answer, drawn), answer.data, answer.estimate)
+        return InspectedTrial(self._truth(answer, drawn), answer.data, answer.estimate)
 
     def _truth(self, answer: NavigationAnswer, drawn: NavigationDraw) -> OrbitTruth:
         crater = [image.crater for image in answer.searched]

@@ -38,12 +38,12 @@ def look_at_orbits(scene: EstimatorRun) -> View3D:
     marks, seen, world = [], [], None
     for name, colour, case in middle_and_worst(scene):
         again = recompute(scene.campaign, scene.folder, case)
-        shown = again.shown
-        if not isinstance(shown, DeterminedOrbit) or shown.estimate is None or shown.estimate.orbit is None:
+        shown, orbit = again.shown, None if again.shown is None else _solution(again.shown)
+        if orbit is None:
             continue
-        world = shown.world
-        sightings = sightings_of(shown, shown.estimate.orbit)
-        marks += orbit_marks(shown.estimate.orbit, shown.truth, sightings, name)
+        world = again.trials.world
+        sightings = sightings_of(shown, orbit)
+        marks += orbit_marks(orbit, shown.truth, sightings, name)
         seen += image_sets(shown, sightings, world.rotation, case, (name, colour))
     if world is None:
         raise BoresightError(
@@ -56,9 +56,14 @@ def look_at_orbits(scene: EstimatorRun) -> View3D:
     return View3D(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)
 
 
+def _solution(shown: DeterminedOrbit) -> Orbit | None:
+    """Return the solution of a trial, also one that was rejected."""
+    return None if shown.estimate is None else shown.estimate.orbit
+
+
 def sightings_of(shown: DeterminedOrbit, orbit: Orbit) -> pd.DataFrame:
     """List the sightings: image, number, true crater, whether used, and squared length of the residual, px^2."""
-    pictures = shown.data.pictures
+    pictures = shown.observation.pictures
     return pd.DataFrame(
         {
             "image": pictures.image,
@@ -111,7 +116,7 @@ def image_sets(
     shown: DeterminedOrbit, sightings: pd.DataFrame, rotation: UniformRotation, case: Case, called: tuple[str, str]
 ) -> list[CameraSet]:
     """Place the images of a trial in body axes: those that the orbit rests on, and those without a used sighting."""
-    (name, colour), times = called, shown.data.pictures.times_s
+    (name, colour), times = called, shown.observation.pictures.times_s
     places = np.einsum("nij,nj->ni", rotation.at(times), shown.truth.image_states[:, :3])
     grouped, every = sightings.groupby("image"), np.arange(len(times))
     hits = grouped.size().reindex(every).fillna(0).to_numpy()
@@ -129,18 +134,16 @@ def image_sets(
     return [CameraSet(what, shade, places[own], list(texts[own])) for what, shade, own in sets if own.any()]
 
 
-def draw_orbit_case(again: Recomputed) -> CaseFigures | None:
+def draw_orbit_case(again: Recomputed) -> CaseFigures:
     """Draw a solution, also one that was rejected; without any there is nothing to draw."""
-    shown, what = again.shown, str(again.case)
-    if not isinstance(shown, DeterminedOrbit):
-        return None
-    orbit = None if shown.estimate is None else shown.estimate.orbit
-    if shown.estimate is None or orbit is None:
+    shown, what, orbit = again.shown, str(again.case), _solution(again.shown)
+    if orbit is None:
         return CaseFigures([], notes=["There is nothing to draw: no solution came out."])
-    errors = pd.DataFrame(list(orbit_errors(orbit, shown.truth, shown.data)))
-    residuals = pd.DataFrame(list(residual_records(orbit, shown.data)))
+    truth, data = shown.truth, shown.observation
+    errors = pd.DataFrame(orbit_errors(orbit, truth, data))
+    residuals = pd.DataFrame(residual_records(orbit, data))
     placed = np.isfinite(orbit.residuals_px[:, 0])
-    residuals = residuals.assign(wrong=wrong_sightings(orbit, shown.truth, shown.data)[placed])
+    residuals = residuals.assign(wrong=wrong_sightings(orbit, truth, data)[placed])
     figures = [
         NamedFigure(
             "errors",
@@ -167,17 +170,16 @@ def draw_orbit_case(again: Recomputed) -> CaseFigures | None:
     return CaseFigures(figures, notes=[f"The solution was rejected: {shown.estimate.reason}."] if rejected else [])
 
 
-def kept(shown: object) -> CaseFiles:
+def kept(shown: DeterminedOrbit) -> CaseFiles:
     """Return the orbit of a solution; nothing where none came out."""
-    if not isinstance(shown, DeterminedOrbit) or shown.estimate is None or shown.estimate.orbit is None:
+    if shown.estimate is None or (orbit := shown.estimate.orbit) is None:
         return CaseFiles()
-    orbit = shown.estimate.orbit
     solution = {
         "status": shown.estimate.status,
         "reason": shown.estimate.reason,
         "state_inertial": orbit.state.tolist(),
         "covariance": orbit.covariance.tolist(),
-        "times_s": shown.data.wanted_s.tolist(),
+        "times_s": shown.observation.wanted_s.tolist(),
         "positions_inertial_m": orbit.positions_m.tolist(),
     }
     return CaseFiles({}, solution)

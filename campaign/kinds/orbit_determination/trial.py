@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from boresight.campaign.kinds.orbit_determination.score import (
     residual_records,
 )
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from boresight.estimators.orbit.registry import orbit_estimator_class
@@ -42,22 +42,8 @@ class OrbitDraw:
     data: OrbitData
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeterminedOrbit:
-    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
-
-    world: OrbitWorld
-    truth: OrbitTruth
-    data: OrbitData
-    estimate: OrbitEstimate | None
-
-    image: ClassVar[None] = None
-    """A method sees data."""
-
-    @property
-    def observation(self) -> OrbitData:
-        """Input of the method."""
-        return self.data
+DeterminedOrbit = InspectedTrial[OrbitTruth, OrbitData, OrbitEstimate]
+"""A trial of one estimator, for inspection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +94,7 @@ class OrbitTrials(MethodRunner[OrbitEstimator, OrbitDraw, OrbitEstimate]):
         return scored_orbit(answer, drawn.truth, drawn.data, with_residuals=drawn.trial == 0) | timings
 
     def shown(self, answer: OrbitEstimate | None, drawn: OrbitDraw) -> DeterminedOrbit:
-        return DeterminedOrbit(self.world, drawn.truth, drawn.data, drawable(answer, drawn.data))
+        return InspectedTrial(drawn.truth, drawn.data, drawable(answer, drawn.data))
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import cast
 
 import numpy as np
 
@@ -46,12 +47,10 @@ from boresight.scenarios.sequences import MeshGround, SequenceTruth
 from boresight.scenarios.tracks import TrackSequence
 
 
-def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
+def draw_sequence_case(again: Recomputed) -> CaseFigures:
     """Draw the trial of an estimator of sequences up to its last frame."""
-    shown, records, what = again.shown, again.records, str(again.case)
-    if not isinstance(shown, FollowedSequence) or not isinstance(again.trials, SequenceTrials):
-        return None
-    truth, sequence = shown.seen.truth, shown.seen.sequence
+    shown, records, what = cast("FollowedSequence", again.shown), again.records, str(again.case)
+    truth, sequence = shown.truth, shown.observation
     estimate = shown.estimate or SequenceEstimate("failed", ())
     figures = []
     if estimate.frames and records.get("epochs"):
@@ -189,11 +188,10 @@ def look_at_sequences(scene: EstimatorRun) -> View3D:
     marks, cameras, ground = [], [], None
     for name, colour, case in middle_and_worst(scene):
         again = recompute(scene.campaign, scene.folder, case)
-        if not isinstance(again.shown, FollowedSequence) or not isinstance(again.trials, SequenceTrials):
-            continue
-        ground = again.trials.ground
-        marks += _track_marks(again.shown, name)
-        cameras += _paths(again.shown, case, name, colour)
+        if again.shown is not None:
+            ground = again.trials.ground
+            marks += _track_marks(again.shown, name)
+            cameras += _paths(again.shown, case, name, colour)
     if ground is None:
         raise BoresightError(f"{scene.folder.path}: no trial of {scene.title} has a sequence to look at")
     if isinstance(ground, MeshGround):
@@ -210,8 +208,8 @@ def look_at_sequences(scene: EstimatorRun) -> View3D:
 def _track_marks(shown: FollowedSequence, name: str) -> list[PointSet]:
     if shown.estimate is None:
         return []
-    truth = shown.seen.truth
-    ends = last_seen(shown.estimate, shown.seen.sequence, truth)
+    truth = shown.truth
+    ends = last_seen(shown.estimate, shown.observation, truth)
     tracks = list(ends)
     errors = np.array([float(np.linalg.norm(ends[track][0])) for track in tracks])
     texts = [
@@ -222,7 +220,7 @@ def _track_marks(shown: FollowedSequence, name: str) -> list[PointSet]:
 
 def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[CameraSet]:
     frames = () if shown.estimate is None else shown.estimate.frames
-    true = np.array([pose.camera_position_m for pose in shown.seen.truth.poses])
+    true = np.array([pose.camera_position_m for pose in shown.truth.poses])
     estimated = np.array([frame.position_m for frame in frames]).reshape(-1, 3)
     errors = np.linalg.norm(estimated - true[: len(estimated)], axis=1)
     texts = [f"trial {case.trial}, frame {i}<br>{error:.3g} m from the truth" for i, error in enumerate(errors)]
@@ -230,9 +228,9 @@ def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[
     return [truth, CameraSet(f"estimate, {name} trial", colour, estimated, texts, joined=True)]
 
 
-def kept(shown: object) -> CaseFiles:
+def kept(shown: FollowedSequence) -> CaseFiles:
     """Return the frames of an estimate; nothing of an estimator that raised."""
-    if not isinstance(shown, FollowedSequence) or shown.estimate is None:
+    if shown.estimate is None:
         return CaseFiles()
     frames = [
         {
@@ -246,12 +244,10 @@ def kept(shown: object) -> CaseFiles:
     return CaseFiles({}, {"status": shown.estimate.status, "reason": shown.estimate.reason, "frames": frames})
 
 
-def posed(shown: object, case: Case) -> PosedFrames | None:
+def posed(shown: FollowedSequence, case: Case) -> PosedFrames:
     """Return the frames of a sequence in body axes, and its landmarks where they were put when they were seen last."""
     del case
-    if not isinstance(shown, FollowedSequence):
-        return None
-    sequence, truth = shown.seen.sequence, shown.seen.truth
+    sequence, truth = shown.observation, shown.truth
     frames, places = [], {}
     estimates = () if shown.estimate is None else shown.estimate.frames
     for index, (found, seen) in enumerate(zip(estimates, sequence.frames, strict=False)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from boresight.campaign.kinds.sequence.score import (
 )
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from boresight.estimators.slam.registry import sequence_estimator_class
@@ -39,26 +39,8 @@ from boresight.scenarios.sequences import (
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.tracks import TrackSequence
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FollowedSequence:
-    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
-
-    seen: Seen
-    estimate: SequenceEstimate | None
-
-    image: ClassVar[None] = None
-    """A method sees tracks."""
-
-    @property
-    def truth(self) -> SequenceTruth:
-        """True motion, landmarks and tracks."""
-        return self.seen.truth
-
-    @property
-    def observation(self) -> TrackSequence:
-        """Input of the method."""
-        return self.seen.sequence
+FollowedSequence = InspectedTrial[SequenceTruth, TrackSequence, SequenceEstimate]
+"""A trial of one estimator, for inspection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +148,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         return {"vision": list(seen.vision), "timings": timings}
 
     def shown(self, answer: SequenceEstimate | None, drawn: Seen | Watch) -> FollowedSequence:
-        return FollowedSequence(drawn.seen(), answer)
+        return InspectedTrial(drawn.seen().truth, drawn.seen().sequence, answer)
 
     def known(self, trial: int) -> tuple[CameraTrajectory, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.

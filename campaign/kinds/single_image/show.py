@@ -24,6 +24,7 @@ from boresight.campaign.inspection.show import (
 from boresight.campaign.kinds.single_image.examples import (
     SecondLook,
     alignment_of,
+    credit_lines,
     fit_figures,
     fit_of,
     recognised_again,
@@ -53,13 +54,10 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 
 
-def draw_single(again: Recomputed) -> CaseFigures | None:
+def draw_single(again: Recomputed) -> CaseFigures:
     """Draw the stages of one image, as far as they came."""
     shown, experiment, what = again.shown, again.trials, str(again.case)
-    if not isinstance(shown, EstimatedImage) or not isinstance(experiment, SingleImage):
-        return None
-    credit = experiment.world.scenario.spec.images
-    lines = [credit.credit] if credit is not None and credit.credit else []
+    lines = credit_lines(experiment.world.scenario.spec)
 
     def figures() -> Iterator[NamedFigure]:
         yield _posed(experiment, shown, what, lines)
@@ -75,7 +73,7 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
     """Draw the body at the prior, at the estimate and at the truth."""
     frame, camera = shown.observation.frame, shown.observation.camera
     image = frame.image.astype(np.float64)
-    truth = shown.trial_image.view.T_cam_body
+    truth = shown.truth.T_cam_body
     poses = {"prior": ("prior", frame.prior_T_cam_body)}
     reached = _reached(shown.estimate)
     if reached is not None:
@@ -130,7 +128,7 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
     (estimator,) = experiment.methods.values()
     if not isinstance(estimator, LandmarkRecognizer) or shown.estimate is None:
         return
-    look: SecondLook = recognised_again(estimator, shown.observation, shown.trial_image.image_name)
+    look: SecondLook = recognised_again(estimator, shown.observation, shown.image_name)
     fit, aligned = fit_of(look), alignment_of(look)
     alt = "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
     before = (
@@ -240,10 +238,8 @@ def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.Dat
     ]
 
 
-def kept(shown: object) -> CaseFiles:
+def kept(shown: EstimatedImage) -> CaseFiles:
     """Return the image that an estimator saw, and its estimate; none of one that raised."""
-    if not isinstance(shown, EstimatedImage):
-        return CaseFiles()
     image = {"image": shown.observation.frame.image}
     return CaseFiles(image, None if shown.estimate is None else _estimate(shown.estimate))
 
@@ -263,10 +259,8 @@ def _estimate(estimate: Estimate) -> dict[str, object]:
     }
 
 
-def posed(shown: object, case: Case) -> PosedFrames | None:
+def posed(shown: EstimatedImage, case: Case) -> PosedFrames:
     """Return an estimated image as a frame; no frame where there is no estimate."""
-    if not isinstance(shown, EstimatedImage):
-        return None
     camera, estimate = shown.observation.camera, shown.estimate
     if estimate is None or estimate.status != "ok" or estimate.pose is None:
         return PosedFrames(camera, [], {})
@@ -279,9 +273,9 @@ def posed(shown: object, case: Case) -> PosedFrames | None:
             for names in (("u_px", "v_px"), ("x_m", "y_m", "z_m"))
         )
     one = PosedFrame(
-        shown.trial_image.image_name or f"{case.trial:07d}.tiff",
-        frame.time_s if shown.trial_image.image_name else float(case.trial),
-        shown.trial_image.view.T_cam_body,
+        shown.image_name or f"{case.trial:07d}.tiff",
+        frame.time_s if shown.image_name else float(case.trial),
+        shown.truth.T_cam_body,
         estimate.pose,
         numbers,
         uv,

@@ -18,7 +18,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduc
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.images import ImageDraw, draw_image
-from boresight.campaign.trial.kind import Record, Records, WorkerContext
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.methods import Unbuilt, check_options, try_build, unbuilt_products
 from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
 from boresight.campaign.trial.runner import TrialRunner
@@ -33,24 +33,8 @@ from boresight.scenarios.onboard import onboard_camera
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import EstimatorSpec
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EstimatedImage:
-    """A trial of one estimator, for inspection; ``estimate`` is None where the estimator raised."""
-
-    trial_image: TrialImage
-    observation: Observation
-    estimate: Estimate | None
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """The image, as the camera took it."""
-        return self.trial_image.image
-
-    @property
-    def truth(self) -> View:
-        """The true view; of real images that of the reference pose."""
-        return self.trial_image.view
+EstimatedImage = InspectedTrial[View, Observation, Estimate]
+"""A trial of one estimator, for inspection; the true view of a real image is that of the reference pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +166,8 @@ class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
         return drawn.timings
 
     def shown(self, answer: Estimate | None, drawn: ImageDraw) -> EstimatedImage:
-        return EstimatedImage(drawn.trial_image, drawn.observation, answer)
+        image = drawn.trial_image
+        return InspectedTrial(image.view, drawn.observation, answer, image.image, image.image_name)
 
     def _landmarks(self, table: Table | None, trial_image: TrialImage) -> list[Record]:
         """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
