@@ -15,7 +15,7 @@ from rich.table import Table
 
 from boresight.campaign.cli.arguments import PEERS
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
+from boresight.campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, benchmark
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
 from boresight.renderers.mitsuba3 import choose_variant
@@ -71,13 +71,11 @@ def _table(found: Benchmark, earlier: _Ratios) -> Table:
             f"{1e3 * stage.low_s:.2f} to {1e3 * stage.high_s:.2f}",
             f"{stage.ratio:.3f}",
         ]
-        table.add_row(*cells, *([_change(stage, earlier)] if earlier else []))
+        if earlier:
+            before = earlier.get((stage.scenario, stage.estimator, stage.stage))
+            cells.append("new" if not before else f"x {stage.ratio / before:.2f}")
+        table.add_row(*cells)
     return table
-
-
-def _change(stage: StageTime, earlier: _Ratios) -> str:
-    before = earlier.get((stage.scenario, stage.estimator, stage.stage))
-    return "new" if not before else f"x {stage.ratio / before:.2f}"
 
 
 def read_ratios(path: Path) -> _Ratios:

@@ -8,7 +8,6 @@ import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.text import Text
@@ -206,17 +205,9 @@ def schema_command(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of scenario or campaign files."""
     schema = json_schema(arguments.kind)
     if arguments.kind == "campaign":
-        _list_kinds(schema)
+        # The models of files are in `scenarios`, which does not import the kinds of trial.
+        for definition in schema["$defs"].values():
+            if "experiment" in definition.get("properties", {}):
+                definition["properties"]["experiment"]["enum"] = kind_names()
     console().print(json.dumps(schema, indent=1), highlight=False)
     return 0
-
-
-def _list_kinds(schema: dict[str, Any]) -> None:
-    """Restrict ``experiment`` in the schema of campaigns to the known kinds of trial.
-
-    The models of files are in `scenarios`, which does not import the kinds of trial; so they are added here.
-    """
-    for definition in schema["$defs"].values():
-        experiment = definition.get("properties", {}).get("experiment")
-        if experiment is not None:
-            experiment["enum"] = kind_names()

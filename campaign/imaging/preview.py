@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -88,7 +89,8 @@ def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh
     size_m, ends = longest_m(scenario, mesh), np.array(ranges_m(scenario, mesh))
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
     unit, unit_m = ("km", 1000.0) if ends[2] >= 1e5 else ("m", 1.0)
-    told = [" to ".join(dict.fromkeys(map(_plain, values[[0, 2]].tolist()))) for values in (
+    four_digits = partial(np.format_float_positional, precision=4, unique=False, fractional=False, trim="-")
+    told = [" to ".join(dict.fromkeys(map(four_digits, values[[0, 2]].tolist()))) for values in (
         ends / unit_m, ends / camera.fx_px, size_m / ends * camera.fx_px
     )]  # fmt: skip
     median = "" if " to " not in told[2] else f" ({size_m / ends[1] * camera.fx_px:.4g} at the median range)"
@@ -100,11 +102,6 @@ def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh
         return words
     lit = "" if np.isnan(sight.dark) else f" and {100.0 * sight.dark:.0f} % of the rest in the dark"
     return f"{words}; of the side that faces the camera {100.0 * sight.out:.0f} % is out of the frame on average{lit}"
-
-
-def _plain(value: float) -> str:
-    """Print four digits without an exponent."""
-    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-")
 
 
 def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -23,8 +23,6 @@ from boresight.reports.run.data import RunData
 from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +91,9 @@ class EstimatorRun:
         """Title of the page."""
         return f"{self.scenario} / {self.label}"
 
-    def opened(self, kind: type[T]) -> T:
-        """Open the trials of the scenario with the first data base; ``kind`` is their class."""
-        return opened(self.campaign, self.scenario, self.folder.path, kind)
+    def opened(self) -> Any:
+        """Open the trials of the scenario with the first data base; their class is that of the kind of trial."""
+        return opened(self.campaign, self.scenario, self.folder.path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

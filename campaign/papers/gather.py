@@ -116,11 +116,6 @@ def gather_runs(
     return GatheredRuns(found, tuple(dict.fromkeys(refused)))
 
 
-def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
-    """Return the most recently started finished run of a campaign among some folders, or None."""
-    return next(iter(finished_runs(runs, name, draft)[0]), None)
-
-
 def finished_runs(
     runs: Sequence[Path], name: str, draft: float = 1.0, *, embedded: bool = False
 ) -> tuple[list[FinishedRun], list[str]]:

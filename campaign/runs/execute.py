@@ -15,7 +15,7 @@ from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.blocks import Losses, run_block
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.requirements import remember
-from boresight.campaign.store import TABLES, RunFolder, RunLock
+from boresight.campaign.store import TABLES, RunFolder, run_lock
 from boresight.campaign.store.folder import Block, BlockState, blocks
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.campaign.trial.methods import unbuilt_products
@@ -48,7 +48,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         If the folder holds another run, is in use, or cannot be written.
     """
     folder = RunFolder(request.out)
-    with RunLock(request.out):
+    with run_lock(request.out):
         folder.sweep()
         previous = _previous(folder, campaign)
         for note in (note for scenario in campaign.scenarios for note in left_out_notes(scenario)):

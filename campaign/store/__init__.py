@@ -4,8 +4,8 @@ Everything that a report needs is here, and nothing is counted twice: a block's 
 before its rows, and only a block whose rows are complete counts as done.
 """
 
-from boresight.campaign.store.folder import RunFolder, RunLock
+from boresight.campaign.store.folder import RunFolder, run_lock
 from boresight.reports.schema.column import Column
 from boresight.reports.schema.tables import TABLES
 
-__all__ = ["TABLES", "Column", "RunFolder", "RunLock"]
+__all__ = ["TABLES", "Column", "RunFolder", "run_lock"]

@@ -8,11 +8,11 @@ import os
 import shutil
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -37,38 +37,26 @@ _Text = str | None
 _Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class RunLock:
-    """An advisory lock that the system drops when the process ends, however it ends."""
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / ".lock"
-        self._descriptor: int | None = None
-
-    def __enter__(self) -> Self:
-        try:
-            make_folder(self._path.parent)
-            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise BoresightError(
-                f"{display(self._path.parent)}: cannot be used as a run folder ({error.strerror}): choose another with"
-                " --out"
-            ) from error
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Hold an advisory lock of a run folder; the system drops it when the process ends, however it ends."""
+    try:
+        make_folder(folder)
+        descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise BoresightError(
+            f"{display(folder)}: cannot be used as a run folder ({error.strerror}): choose another with --out"
+        ) from error
+    try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            os.close(descriptor)
             raise BoresightError(
-                f"{self._path.parent}: another boresight process is working on this run: wait for it, or use --out"
+                f"{folder}: another boresight process is working on this run: wait for it, or use --out"
             ) from error
-        self._descriptor = descriptor
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+        yield
+    finally:
+        os.close(descriptor)
 
 
 class _Entries(BaseModel):

@@ -12,7 +12,7 @@ import pytest
 from stored_runs import seal
 
 from boresight.campaign.cli import main
-from boresight.campaign.papers.gather import gather_runs, newest_finished, run_folders
+from boresight.campaign.papers.gather import finished_runs, gather_runs, run_folders
 
 COMMANDS = {
     "compare": ("compare", "RUN", "--out", "OUT"),
@@ -108,7 +108,7 @@ def test_a_figure_is_not_drawn_of_what_another_version_stored(tiny_run, tmp_path
         shutil.copytree(tiny_run.folder, tmp_path / "runs" / f"tiny-{number}")
     rewritten(format=1, start=99)(tmp_path / "runs" / "tiny-1")
     folders = run_folders(tmp_path / "runs")
-    assert newest_finished(folders, "tiny").folder.path.name == "tiny-2"
+    assert finished_runs(folders, "tiny")[0][0].folder.path.name == "tiny-2"
     cut("rows", checked=False)(tmp_path / "runs" / "tiny-2")
     gathered = gather_runs(folders, ["tiny"])
     assert gathered.found == {}

@@ -18,7 +18,7 @@ from tiny_campaign import SCENE, compute, write_campaign
 from boresight.campaign.cli import main
 from boresight.campaign.cli.figures import Wanted, run_missing
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.papers.gather import newest_finished, run_folders
+from boresight.campaign.papers.gather import finished_runs, run_folders
 from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
 from boresight.campaign.papers.rowell2015 import broadside_view, built_again, cluster_view, surface_view
 from boresight.campaign.runs.read import CATALOG, sources
@@ -184,7 +184,7 @@ def test_what_is_missing_is_run_on_request_with_no_more_trials_than_the_campaign
         run_missing([str(file)], Wanted(tmp_path / "runs", 1.0, asked, "boresight figures"), 1)
         (folder,) = run_folders(tmp_path / "runs")
         assert RunFolder(folder).table("rows")["trial"].nunique() == stored
-    assert newest_finished([folder], name) is not None
+    assert finished_runs([folder], name)[0]
 
 
 def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, tmp_path):
@@ -192,9 +192,8 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
     file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
     run_missing([str(file)], Wanted(tmp_path / "runs", 0.6, None, "boresight figures"), 1)
     folders = run_folders(tmp_path / "runs")
-    assert newest_finished(folders, name) is None
-    draft = newest_finished(folders, name, 0.6)
-    assert draft is not None
+    assert not finished_runs(folders, name)[0]
+    (draft, *_), _ = finished_runs(folders, name, 0.6)
     assert draft.folder.table("rows")["trial"].nunique() == 3
     assert any("draft of scale 0.6" in note for note in draft.content.notes)
     assert draft.campaign().draft == 0.6
@@ -224,7 +223,7 @@ def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data
     assert len(alone) == 2
     for one, other in zip(alone, beside, strict=True):
         pd.testing.assert_frame_equal(RunFolder(one).table("rows"), RunFolder(other).table("rows"), check_exact=True)
-        assert newest_finished([other], read_name(other), 0.6) is not None
+        assert finished_runs([other], read_name(other), 0.6)[0]
 
 
 def read_name(folder):
@@ -276,10 +275,9 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
     store("another-world", "2024-04-01T00:00:00+00:00", 3, 3, ["camera.fov_deg=20"])
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "manifest.json").write_text("{")
-    found = newest_finished(run_folders(tmp_path), "c")
-    assert found is not None
+    (found, *_), _ = finished_runs(run_folders(tmp_path), "c")
     assert found.folder.path.name == "new"
-    assert newest_finished(run_folders(tmp_path), "another") is None
+    assert not finished_runs(run_folders(tmp_path), "another")[0]
 
 
 def test_a_run_of_another_version_keeps_its_numbers_and_loses_its_pictures(runs):

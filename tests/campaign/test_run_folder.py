@@ -27,7 +27,7 @@ from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image.trial import SingleImage
-from boresight.campaign.papers.gather import newest_finished, run_folders
+from boresight.campaign.papers.gather import finished_runs, run_folders
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.pose_score import pose_error
@@ -278,7 +278,7 @@ def test_a_clock_that_is_set_back_turns_no_order_round(tmp_path, monkeypatch, ca
     assert RunFolder(Path("runs/orbits-2")).read_manifest()["created"] < "2025-12-31T22"
     assert main(["status", "orbits"]) == 0
     assert capsys.readouterr().out.startswith("runs/orbits-2: orbits, 2 of 2 trials stored")
-    assert newest_finished(run_folders(Path("runs")), "orbits").folder.path.name == "orbits-2"
+    assert finished_runs(run_folders(Path("runs")), "orbits")[0][0].folder.path.name == "orbits-2"
     compute(file, Path("runs/orbits-1"), 2)
     assert main(["status", "orbits"]) == 0
     assert capsys.readouterr().out.startswith("runs/orbits-1: "), "what was gone on with last is the newest"

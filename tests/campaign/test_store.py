@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from boresight.campaign.store import TABLES, RunFolder, RunLock
+from boresight.campaign.store import TABLES, RunFolder, run_lock
 from boresight.campaign.store.folder import Block, BlockState, blocks
 from boresight.campaign.trial.pose_score import pose_error
 from boresight.reports.schema.tables import columns_of, schema
@@ -210,14 +210,14 @@ def test_a_second_process_is_refused(tmp_path):
     code = f"""
 import sys
 from pathlib import Path
-from boresight.campaign.store import RunLock
+from boresight.campaign.store import run_lock
 from boresight.scenarios.errors import BoresightError
 try:
-    RunLock(Path({str(tmp_path)!r})).__enter__()
+    run_lock(Path({str(tmp_path)!r})).__enter__()
 except BoresightError as error:
     print(error); sys.exit(7)
 """
-    with RunLock(tmp_path):
+    with run_lock(tmp_path):
         held = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     free = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert held.returncode == 7
@@ -253,7 +253,7 @@ def test_a_part_of_the_path_that_is_a_file(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(BoresightError, match="part of that path is a file: choose another folder with --out"):
         write_text(tmp_path / "file" / "rows.txt", "y")
-    with pytest.raises(BoresightError, match="--out"), RunLock(tmp_path / "file" / "run"):
+    with pytest.raises(BoresightError, match="--out"), run_lock(tmp_path / "file" / "run"):
         pass
 
 

@@ -17,7 +17,7 @@ from fuzz import recipes
 from boresight.campaign.cli.printed import MADE, Printed, print_report, printed_before
 from boresight.campaign.cli.status import status_command
 from boresight.campaign.inspection.recompute import reopened
-from boresight.campaign.papers.gather import newest_finished
+from boresight.campaign.papers.gather import finished_runs
 from boresight.campaign.runs.manifest import make_manifest
 from boresight.campaign.runs.newest import newest_first
 from boresight.campaign.runs.request import RunRequest
@@ -76,7 +76,7 @@ def record_seeds() -> tuple[bytes, ...]:
 def manifest(content: bytes, folder: Path) -> None:
     run = _written(folder, {"manifest.json": content})
     _all_ways(
-        lambda: newest_first([run.path]), lambda: reopened(run), lambda: newest_finished([run.path], "orbits"), run=run
+        lambda: newest_first([run.path]), lambda: reopened(run), lambda: finished_runs([run.path], "orbits"), run=run
     )
 
 

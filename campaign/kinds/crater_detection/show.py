@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -82,7 +83,7 @@ def look_at_detections(scene: EstimatorRun) -> View3D:
 
     Of several worlds the first is shown.
     """
-    experiment, run = scene.opened(CraterDetection), scene.run
+    run, experiment = scene.run, cast("CraterDetection", scene.opened())
     rows = select(run.rows, scene.scenario, scene.label)
     rows = rows[rows["trial"] % scene.campaign.spec.databases == 0]
     ground = experiment.world.ground

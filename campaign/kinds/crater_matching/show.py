@@ -37,7 +37,7 @@ _MOST_PAIRS = 60
 
 def look_at_matches(scene: EstimatorRun) -> View3D:
     """Show the craters by how often they are matched when both looks show them, and both cameras of each trial."""
-    experiment, run = scene.opened(CraterMatching), scene.run
+    run, experiment = scene.run, cast("CraterMatching", scene.opened())
     rows = select(run.rows, scene.scenario, scene.label).head(_MOST_PAIRS)
     views, outcomes = {}, []
     for trial in map(int, rows["trial"]):

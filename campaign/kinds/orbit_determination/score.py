@@ -84,11 +84,7 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
     if orbit.residuals_px.shape != (sightings, 2) or orbit.residuals_px.dtype.kind != "f":
         raise ValueError(f"residuals_px of shape {orbit.residuals_px.shape} is not {(sightings, 2)} of numbers")
     check_array("residuals_px of used sightings", orbit.residuals_px[orbit.used], (int(orbit.used.sum()), 2))
-    _check_invertible(orbit)
-
-
-def _check_invertible(orbit: Orbit) -> None:
-    """Refuse covariances by which an error cannot be weighed."""
+    # By these, errors are weighed.
     for covariance, size in [(orbit.covariance, _STATE), *((one, _AXES) for one in orbit.position_covariances_m2)]:
         check_covariance("a covariance", covariance, size)
         if nees(np.ones(len(covariance)), covariance) is None:

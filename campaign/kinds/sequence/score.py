@@ -195,11 +195,12 @@ def summary(
     What is summed up over frames is None for an estimate that failed: it has the first frames alone, whose errors are
     smaller. Its frames stay in the table ``epochs``.
     """
+    known = [_number(epoch["nees"]) for epoch in epochs if epoch["nees"] is not None]
     over_frames = {
         "landmark_rmse_m": _over_frames(epochs, "landmark_rmse_m", "n_landmarks"),
         "settled_landmark_rmse_m": _over_frames(epochs, "settled_landmark_rmse_m", "n_settled"),
         "final_landmark_rmse_m": final_landmark_rmse(estimate, sequence, truth),
-        "mean_position_nees": _mean([epoch["nees"] for epoch in epochs]),
+        "mean_position_nees": float(np.mean(known)) if known else None,
     }
     return {
         **{f"error_after_{n}_m": _after(epochs, n) for n in REVOLUTIONS},
@@ -222,11 +223,6 @@ def _over_frames(epochs: Sequence[Epoch], name: str, count: str) -> float | None
         return None
     rmse, weights = np.array(pairs).T
     return float(np.sqrt(weights @ rmse**2 / weights.sum()))
-
-
-def _mean(values: Sequence[object]) -> float | None:
-    known = [_number(value) for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 def _number(value: object) -> float:

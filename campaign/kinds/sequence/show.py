@@ -268,7 +268,7 @@ def posed(shown: FollowedSequence, case: Case) -> PosedFrames:
 
 def trajectory(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> list[PosedFrame]:
     """Combine the stored positions of a sequence with its attitudes, true and as known on board, in inertial space."""
-    trials = opened(campaign, case.scenario, folder.path, SequenceTrials)
+    trials: SequenceTrials = opened(campaign, case.scenario, folder.path)
     epochs = folder.of_trial("epochs", case.scenario, case.estimator, case.trial).to_pylist()
     if not epochs:
         return []

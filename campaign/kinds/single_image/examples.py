@@ -27,45 +27,27 @@ from boresight.scenarios.spec.scenario import ScenarioSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SecondLook:
-    """One trial of a stored run, recognised again from its seed with everything that came about in between.
+    """A trial of a landmark recogniser, worked out again from its seed, with the intermediate results.
 
-    Parameters
-    ----------
-    image
-        (H, W) what the estimator saw.
-    image_name
-        File name of a real image, or ''.
-    camera
-        The camera that it calculates with.
-    database
-        The landmarks that it looks for.
-    found
-        Its intermediate results.
+    ``image_name`` is the file name of a real image, or ''.
     """
 
-    image: NDArray[np.float32]
+    observation: Observation
     image_name: str
-    camera: Camera
     database: LandmarkDatabase
     found: Recognition
 
 
 def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> SecondLook | None:
     """Recognise the landmarks of a case again; None where the estimator is no landmark recogniser."""
-    trials = opened(campaign, case.scenario, folder.path, SingleImage, case.trial)
+    trials: SingleImage = opened(campaign, case.scenario, folder.path, case.trial)
     estimator = trials.methods[case.estimator]
     if not isinstance(estimator, LandmarkRecognizer):
         return None
     trial_image = trials.world.source.trial_image(trials.seed, case.trial)
     observation = observe(trials.world, trial_image, trials.seed, case.trial)
-    return recognised_again(estimator, observation, trial_image.image_name)
-
-
-def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:
-    """Recognise the landmarks of an observation and keep the intermediate results."""
-    frame = observation.frame
-    found = estimator.recognise(frame, observation.camera)
-    return SecondLook(frame.image, image_name, observation.camera, estimator.database, found)
+    found = estimator.recognise(observation.frame, observation.camera)
+    return SecondLook(observation, trial_image.image_name, estimator.database, found)
 
 
 def fit_figures(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
@@ -123,12 +105,12 @@ def alignment_of(look: SecondLook) -> FitPanels | None:
 
 
 def _fit(look: SecondLook, after: Pose, corners_px: NDArray[np.float64], matched: NDArray[np.bool_]) -> FitPanels:
-    first = look.found.alignment.steps[0]
+    first, camera = look.found.alignment.steps[0], look.observation.camera
     return FitPanels(
-        image=look.image,
+        image=look.observation.frame.image,
         mesh_image=first.rendered,
-        before=overlay(look.database, look.camera, look.found.prior),
-        after=overlay(look.database, look.camera, after),
+        before=overlay(look.database, camera, look.found.prior),
+        after=overlay(look.database, camera, after),
         observed_centroid_px=first.observed_px,
         rendered_centroid_px=first.rendered_px,
         corners_px=corners_px,

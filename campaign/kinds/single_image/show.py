@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,6 @@ from boresight.campaign.kinds.single_image.examples import (
     credit_lines,
     fit_figures,
     fit_of,
-    recognised_again,
 )
 from boresight.campaign.kinds.single_image.trial import EstimatedImage, SingleImage
 from boresight.campaign.trial.kind import Record
@@ -64,7 +64,15 @@ def draw_single(again: Recomputed) -> CaseFigures:
         yield from _recognition(experiment, shown, what, lines)
         found = _recognised(shown, again.records.get("landmarks", []))
         if found is not None:
-            yield _matches(shown, found, what, lines)
+            yield NamedFigure(
+                "matches",
+                draw_matched_landmarks(shown.observation.frame.image, found, what, lines),
+                f"{what}. Left, recognised landmarks where the estimate projects them, with magnified residuals."
+                " Middle, the residuals. Right, each residual over the true distance between the landmark and the"
+                " surface point that was taken for it: far to the right and low is a wrong match that the fit has"
+                " swallowed.",
+                "Arrows over the image, a scatter of residuals, and residuals over true errors.",
+            )
 
     return CaseFigures(figures(), lines)
 
@@ -128,7 +136,8 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
     (estimator,) = experiment.methods.values()
     if not isinstance(estimator, LandmarkRecognizer) or shown.estimate is None:
         return
-    look: SecondLook = recognised_again(estimator, shown.observation, shown.image_name)
+    recognised = estimator.recognise(shown.observation.frame, shown.observation.camera)
+    look = SecondLook(shown.observation, shown.image_name, estimator.database, recognised)
     fit, aligned = fit_of(look), alignment_of(look)
     alt = "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
     before = (
@@ -159,20 +168,9 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> MatchedLandmarks
     return MatchedLandmarks(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
 
 
-def _matches(shown: EstimatedImage, found: MatchedLandmarks, what: str, lines: list[str]) -> NamedFigure:
-    return NamedFigure(
-        "matches",
-        draw_matched_landmarks(shown.observation.frame.image, found, what, lines),
-        f"{what}. Left, recognised landmarks where the estimate projects them, with magnified residuals. Middle, the"
-        " residuals. Right, each residual over the true distance between the landmark and the surface point that was"
-        " taken for it: far to the right and low is a wrong match that the fit has swallowed.",
-        "Arrows over the image, a scatter of residuals, and residuals over true errors.",
-    )
-
-
 def look_at_images(scene: EstimatorRun) -> View3D:
     """Show the landmarks of the first data base and the cameras of all its trials."""
-    experiment, run = scene.opened(SingleImage), scene.run
+    run, experiment = scene.run, cast("SingleImage", scene.opened())
     tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
     rows, recognised = (table[table["trial"] % scene.campaign.spec.databases == 0] for table in tables)
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
