@@ -29,14 +29,8 @@ _OF_A_START = frozenset({"start", "finished", "updated"})
 class Printed(BaseModel):
     """Tables and lines of a report for the terminal, and the digests that decide whether it would be the same.
 
-    Parameters
-    ----------
-    source
-        Digest of rows, manifest, options and code.
-    files
-        SHA-256 of each file of the report, by its path in the folder of the report.
-    grids, lines
-        Tables, and the lines below them.
+    ``source`` is the digest of rows, manifest, options and code. ``files`` has the SHA-256 of each file of the report,
+    by its path in the report's folder.
     """
 
     model_config = ConfigDict(frozen=True)

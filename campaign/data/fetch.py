@@ -68,16 +68,8 @@ def check_space(size: int, root: Path) -> None:
 def fetch(dataset: DataSet, root: Path, progress: Progress, source: str = "") -> Iterator[FetchedFile]:
     """Bring the missing files of a data set, verify those present, and store credit and licence next to them.
 
-    Parameters
-    ----------
-    dataset
-        The data set.
-    root
-        The data folder.
-    progress
-        Called with the file name, the bytes received and the size of the file.
-    source
-        URL or folder of a mirror, which has the files under their paths in the data folder; '' for the repository.
+    ``progress`` is called with the file name, the bytes received and the size of the file. ``source`` is the URL or the
+    folder of a mirror, which has the files under their paths in the data folder; '' for the repository.
 
     Raises
     ------

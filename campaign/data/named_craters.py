@@ -123,12 +123,8 @@ def _plane(mesh: TriangleMesh, point_m: FloatArray, radius_m: float, normal: Flo
 class RealDetection:
     """Detections in a real image, and the craters expected in it.
 
-    Parameters
-    ----------
-    nearest
-        (k,) index of the detection matched with each named crater; -1 if none is similar in position and radius.
-    stages
-        Intermediate results of the classic detector; None for others.
+    ``nearest`` (k,) is the index of the detection matched with each named crater, -1 if none is similar in position and
+    radius. ``stages`` are intermediate results of the classic detector, None for others.
     """
 
     image: MsiImage

@@ -19,14 +19,8 @@ def write_tables(
 ) -> list[Path]:
     """Write every table that is not empty to a file, and a file with the meaning of the columns.
 
-    Parameters
-    ----------
-    kind
-        ``csv`` or ``parquet``; both preserve every bit of the numbers.
-    trials
-        Trials to export; None for all.
-    only
-        Required value by column, for tables that have the column.
+    ``kind`` is ``csv`` or ``parquet``; both preserve every bit of the numbers. ``trials`` are those to export, None for
+    all. ``only`` has required values by column, for tables that have the column.
     """
     written, meanings = [], []
     for name in TABLES:

@@ -151,14 +151,7 @@ def store_switched(on: bool) -> Iterator[None]:
 def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: Sequence[SpecModel]) -> str:
     """Return the hash of everything that determines a set of rendered images, except the view of each image.
 
-    Parameters
-    ----------
-    scenario
-        Body, camera, reflectance and rendering.
-    variant
-        The Mitsuba variant.
-    stream, laws
-        Random stream and distributions of the views, to distinguish sets of different views.
+    Random stream and distributions of the views, the ``laws``, distinguish sets of different views.
     """
     spec = scenario.spec
     versions = package_versions()
@@ -186,12 +179,7 @@ def fingerprint(view: View) -> bytes:
 class ImageStore:
     """Stored images of one set, numbered from 0 for each seed; a process loads one chunk at a time.
 
-    Parameters
-    ----------
-    key
-        Hash of the set, from ``image_set_key``.
-    chunk_images
-        Images per chunk.
+    ``key`` is the hash of the set, from `image_set_key`; ``chunk_images`` the number of images in a chunk.
     """
 
     key: str
@@ -286,16 +274,7 @@ class Imager:
         return replace(self, detector=detector, brightness=spec.lighting.brightness)
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
-        """Image a view.
-
-        Parameters
-        ----------
-        view
-            Camera, pose and Sun.
-        seed, index
-            Seed and number of the image in the store.
-        noise
-            Random generator of the detector.
+        """Image a view, exposed with the generator ``noise``; ``seed`` and ``index`` number the image in the store.
 
         Returns
         -------

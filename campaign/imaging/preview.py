@@ -32,16 +32,10 @@ _SATURATED = 0.01
 class _Sight:
     """Visible part of a body in some views, as means over points that are uniform over its area.
 
-    Parameters
-    ----------
-    out, dark
-        Share of the projected area that faces the camera out of the frame, and of the rest unlit (NaN without a rest).
-    in_view
-        Share of the whole surface that is lit and in the frame.
-    distance_m
-        Median distance of that part from the camera, m.
-    radiance_factor, weight
-        (N,) I/F of the lit points in the frame, and their projected areas.
+    ``out`` is the share of the projected area that faces the camera out of the frame, and ``dark`` that of the rest
+    unlit (NaN without a rest). ``in_view`` is the share of the whole surface that is lit and in the frame,
+    ``distance_m`` its median distance from the camera. ``radiance_factor`` and ``weight``, both (N,), are I/F and
+    projected areas of its points.
     """
 
     out: float
@@ -123,12 +117,7 @@ def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
 def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight: FloatArray) -> str:
     """Describe the signal of the lit surface in one frame, and say what to change where it is too low or too high.
 
-    Parameters
-    ----------
-    detector
-        The detector.
-    radiance_factor, weight
-        (N,) I/F of points of the surface, and their areas in the image.
+    ``radiance_factor`` (N,) is the I/F of points of the surface, ``weight`` (N,) their areas in the image.
     """
     order = np.argsort(radiance_factor)
     shares = np.cumsum(weight[order]) / weight.sum()

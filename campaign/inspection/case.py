@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from boresight.reports.compare.trials import choose_metric, metric_values, trial_numbers
+from boresight.reports.compare.trials import choose_metric, metric_values, missed_or_wrong, trial_numbers
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.column import Measure
 from boresight.reports.schema.named_figure import file_stem
@@ -136,19 +136,10 @@ def worst_cases(run: RunData, count: int, choice: Choice, metric: str | None) ->
 
 def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
     """Return the metric by which trials are ranked, in the order of the rows, and its name."""
-    faults = crater_faults(run)
+    faults = missed_or_wrong(run)
     if faults is not None and metric in (None, MISSED_OR_WRONG):
         return faults, MISSED_OR_WRONG
     if metric is None and not trial_numbers(run):
         return pd.Series(np.nan, index=run.rows.index), "nothing: no trial has a number"
     chosen: Measure = choose_metric(metric, [run])
     return metric_values(run, chosen), chosen.name
-
-
-def crater_faults(run: RunData) -> pd.Series | None:
-    """Count missed and wrong craters of each row; None for a run without craters in images."""
-    # Imported here, as displays are made of cases.
-    from boresight.campaign.inspection.show import show_of
-
-    show = show_of(run.manifest.experiment) if run.manifest.experiment else None
-    return None if show is None or show.faults is None else show.faults(run)

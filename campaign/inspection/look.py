@@ -59,16 +59,8 @@ def camera_sets(
 ) -> list[CameraSet]:
     """Group the cameras of trials: good, bad (``badness`` above the median), and without an estimate.
 
-    Parameters
-    ----------
-    rows
-        Rows of the run, one for each trial.
-    badness
-        (n,) error measure of each trial, in the order of the rows.
-    describe
-        Formats an error measure.
-    places
-        Returns the camera positions (n, 3) of a trial.
+    ``badness`` (n,) is the error measure of each of the rows, one for each trial, and ``describe`` formats it.
+    ``places`` returns the camera positions (n, 3) of a trial.
     """
     values = pd.Series(badness, index=rows.index)
     solved = rows["status"] == "ok"

@@ -126,12 +126,7 @@ def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Reco
 class StoredComparison:
     """Result of comparing a recomputed trial with the stored one.
 
-    Parameters
-    ----------
-    values
-        Number of compared values.
-    differences
-        One line for each table and column that differs.
+    ``values`` is the number of compared values; ``differences`` has a line for each table and column that differs.
     """
 
     values: int

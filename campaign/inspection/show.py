@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from typing import Any, cast
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.campaign.inspection.case import Case
@@ -27,19 +26,11 @@ from boresight.scenarios.geometry import Camera, Pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """One image of a trajectory.
+    """One image of a trajectory: file name, epoch (s; the trial number for images without), and poses T_cam_world.
 
-    Parameters
-    ----------
-    name
-        Name of its file.
-    time_s
-        Epoch, s; the trial number for images without an epoch.
-    true, estimated
-        T_cam_world. The world frame is the body frame for single images; for sequences it is inertial in a trajectory
-        and the believed body frame in a model.
-    landmarks, uv_px
-        (n,) numbers of the observed landmarks, and (n, 2) their positions.
+    The world frame is the body frame for single images; for sequences it is inertial in a trajectory and the believed
+    body frame in a model. ``landmarks`` (n,) are the numbers of the observed landmarks, ``uv_px`` (n, 2) their
+    positions.
     """
 
     name: str
@@ -114,9 +105,6 @@ class Show:
         Returns the camera poses of a recomputed case in body axes.
     trajectory
         Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
-    faults
-        Counts the missed and the wrong craters of each row of a run, in order, by which trials are
-        ranked.
     pooled
         Whether the poses of all trials refer to the same fixed body, and form one model.
     long
@@ -129,7 +117,6 @@ class Show:
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[Any, Case], PosedFrames] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None
-    faults: Callable[[RunData], pd.Series | None] | None = None
     pooled: bool = False
     long: Callable[[ResolvedCampaign], bool] = lambda campaign: False
 

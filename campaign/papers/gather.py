@@ -24,15 +24,7 @@ from boresight.scenarios.reading import plain_json
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A stored run that contains all requested trials.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    manifest
-        Content of its manifest.
-    """
+    """A stored run that contains all requested trials."""
 
     folder: RunFolder
     manifest: dict[str, Any]
@@ -74,15 +66,7 @@ class FinishedRun:
 
 @dataclass(frozen=True, slots=True)
 class GatheredRuns:
-    """Runs found for some campaigns.
-
-    Parameters
-    ----------
-    found
-        The newest readable finished run of each campaign that has one.
-    refused
-        A line for each run that was skipped because it is damaged or of another format.
-    """
+    """The newest readable finished run of each campaign that has one, and a line for each run that cannot be read."""
 
     found: dict[str, FinishedRun]
     refused: tuple[str, ...]

@@ -39,21 +39,10 @@ from boresight.scenarios.spec.body import STAND_INS
 
 @dataclass(frozen=True, slots=True)
 class PaperFigure:
-    """A figure of a paper.
+    """A figure of a paper, with the names of the campaigns that it can be drawn from.
 
-    Parameters
-    ----------
-    number
-        Its number.
-    campaigns
-        Names of the campaigns that it can be drawn from.
-    draw
-        Draws a finished run; with ``together``, all of them by their campaigns.
-    together
-        Whether one drawing shows the runs of all campaigns.
-    rebuilds
-        Whether ``draw`` is also given the number of workers for what it builds again, None for one for each core or
-        GPU.
+    ``draw`` draws a finished run or, ``together``, those of all campaigns by their names. If it ``rebuilds`` something,
+    it is also given the number of workers, None for one for each core or GPU.
     """
 
     number: str
@@ -67,18 +56,8 @@ class PaperFigure:
 class Paper:
     """Definition of a paper's page.
 
-    Parameters
-    ----------
-    title
-        Heading of the page.
-    campaigns
-        Names of its campaigns, in the order of its sections; those missing from the catalogue are ignored.
-    methods
-        Names of the methods of the paper; other estimators of a run are not compared with it.
-    figures
-        Its figures.
-    grids
-        Returns further tables of a run.
+    ``campaigns`` are in the order of its sections; those missing from the catalogue are ignored. ``methods`` are the
+    names of the paper's; other estimators of a run are not compared with it. ``grids`` returns further tables of a run.
     """
 
     title: str

@@ -62,14 +62,9 @@ class Loss:
 class Guard:
     """Limits and records for method calls.
 
-    Parameters
-    ----------
-    limit_s
-        Time limit of a method in a trial; None for no limit.
-    note
-        File in which the current call is recorded for the parent process; None where there is no parent to read it.
-    lost
-        Calls that ended their process before; they are not made again.
+    ``limit_s`` is the time limit of a method in a trial, None for no limit. The current call is recorded in the file
+    ``note`` for the parent process, None where there is no parent to read it. ``lost`` are calls that ended their
+    process before; they are not made again.
     """
 
     limit_s: float | None = None

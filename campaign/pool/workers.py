@@ -146,13 +146,7 @@ def _wait_for_one(workers: Sequence[_Worker]) -> None:
 
 
 class _Worker:
-    """One worker process: started with its first call, replaced when it has ended.
-
-    Parameters
-    ----------
-    index
-        Its index among the workers, from 0, which selects its GPU.
-    """
+    """One worker process: started with its first call, replaced when it has ended. Its index from 0 selects its GPU."""
 
     def __init__(self, index: int) -> None:
         self.index = index

@@ -117,24 +117,11 @@ def _built(handle: EstimatorAssets) -> BuiltAssets:
 class BuiltAssets:
     """Assets of the estimators of a scenario: camera, shape, renderers of meshes, and products in the run folder.
 
-    All of them come from the believed scenario, which equals the truth except for the section ``onboard``.
-
-    Parameters
-    ----------
-    scenario
-        The true scenario.
-    folder
-        ``RUN/products``, with one folder for each product, so that a run is self-contained.
-    jobs
-        Number of workers for builds; None: nothing is built, and a missing product is an error (in a worker).
-    variant
-        The Mitsuba variant.
-    report
-        Called with a message before and after each build.
-    draft
-        Fraction of the images of data bases, see `campaign.draft`.
-    database
-        Number of the data base, see `campaign.products.databases`.
+    All of them come from the believed scenario, which equals the true ``scenario`` except for the section ``onboard``.
+    ``folder`` is ``RUN/products``, with a folder for each product, so that a run is self-contained. With ``jobs`` None,
+    in a worker, nothing is built, and a missing product is an error. ``report`` is called with a message before and
+    after each build. ``draft`` is the fraction of the images of data bases, see `campaign.draft`, ``database`` the
+    number of the data base, see `campaign.products.databases`.
     """
 
     def __init__(

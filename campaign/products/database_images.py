@@ -30,16 +30,8 @@ _CHUNK_IMAGES = 10
 def map_images(jobs: int | None, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
     """Apply ``function(*arguments, numbers)`` to chunks of image numbers in workers; return all results in order.
 
-    Parameters
-    ----------
-    jobs
-        Number of workers; None: in this process, a worker with its number of threads already set.
-    images
-        Number of images, which are numbered from 0.
-    function
-        A module-level function, so that it can be pickled; it returns one result for each number.
-    arguments
-        Its first arguments, the same for all chunks.
+    Numbers are from 0. The function is one of a module, so that it can be pickled, and returns one result for each
+    number. With ``jobs`` None it runs in this process, a worker with its number of threads already set.
     """
     chunks = [range(i, min(i + _CHUNK_IMAGES, images)) for i in range(0, images, _CHUNK_IMAGES)]
     if jobs is None:
@@ -83,25 +75,13 @@ def database_images(
     range_m: float | None = None,
     camera: CameraSpec | None = None,
 ) -> Iterator[DatabaseImage]:
-    """Yield noise-free images of the scenario's believed body and BRDF.
+    """Yield noise-free images of the believed body and BRDF of a scenario, as the spacecraft believes it to be.
 
     Directions are random, the camera has no distortion, and the phase angle is uniform in an interval (Rowell et al.
     2015, section 4.1). If the scenario aims its images at lit ground, so do these: a camera pointed at the centre would
     never see the ends of a long body from a short range. The images are stored, so that another data base of the same
-    views renders nothing again.
-
-    Parameters
-    ----------
-    scenario
-        As the spacecraft believes it to be.
-    images
-        Numbers of the images, from 0.
-    phase_deg, seed
-        Interval of the phase angle, and seed of the views.
-    variant
-        The Mitsuba variant.
-    range_m, camera
-        Range and camera; None for those of the scenario, where the range may be an altitude.
+    views renders nothing again. They are numbered from 0; range and camera are those of the scenario if left out, where
+    the range may be an altitude.
     """
     world, camera = open_world(scenario, variant), camera or scenario.spec.camera
     spec = scenario.spec.viewpoint

@@ -28,18 +28,9 @@ SEED_STEP = 10_000
 
 
 def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, versions: Sequence[int], variant: str) -> str:
-    """Return the hash of everything that determines a product.
+    """Return the hash of everything that determines a product of a scenario as the spacecraft believes it to be.
 
-    Parameters
-    ----------
-    scenario
-        As the spacecraft believes it to be.
-    kind, options
-        Kind of product, and its options.
-    versions
-        Versions of all code that it depends on, except the renderer.
-    variant
-        The Mitsuba variant.
+    ``versions`` are those of all code that it depends on, except the renderer.
     """
     spec = scenario.spec
     above = spec.viewpoint is not None and spec.viewpoint.altitude_m is not None
@@ -60,21 +51,9 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
 class ProductKind(Generic[Options, Product]):
     """A kind of product: built once from the believed scenario, stored in a folder, and used by estimators.
 
-    Parameters
-    ----------
-    options
-        Model of the options that an estimator gives.
-    versions
-        Returns the versions of all code that the product depends on, except the renderer.
-    announce
-        Describes the effort of a build.
-    build
-        Builds the product of a scenario into an empty folder with a number of workers and a Mitsuba variant; returns
-        facts about the build to report, if any.
-    load
-        Reads a stored product.
-    about
-        Describes a product for the manifest, in plain values.
+    ``versions`` returns those of all code that it depends on, except the renderer. ``announce`` describes the effort of
+    a build. ``build`` builds it into an empty folder with a number of workers and a Mitsuba variant, and returns facts
+    to report, if any. ``about`` describes it for the manifest, in plain values.
     """
 
     options: type[Options]

@@ -31,14 +31,9 @@ CANDIDATES_VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkCandidates:
-    """Candidate landmarks: de-projected corners of rendered images.
+    """Candidate landmarks: de-projected corners of rendered images, (C, 3) for each image, body frame, m.
 
-    Parameters
-    ----------
-    by_image
-        (C, 3) points for each image, body frame, m.
-    images_from_store
-        Number of images that came from the store; None if the candidates came from the cache.
+    ``images_from_store`` is the number of images from the store; None if the candidates came from the cache.
     """
 
     by_image: tuple[FloatArray, ...]
@@ -48,20 +43,10 @@ class LandmarkCandidates:
 def landmark_candidates(
     scenario: LoadedScenario, options: CandidateOptions, jobs: int | None, variant: str
 ) -> LandmarkCandidates:
-    """Return the candidates of ``scenario``, from the cache if they are there.
+    """Return the candidates of ``scenario``, as the spacecraft believes it to be, from the cache if they are there.
 
-    The images (`database_images`) are stored as well, so that other corner options render nothing again.
-
-    Parameters
-    ----------
-    scenario
-        As the spacecraft believes it to be.
-    options
-        Options of images and corners; further fields of a derived model are ignored.
-    jobs
-        Number of workers; None: in this process, see `map_images`.
-    variant
-        The Mitsuba variant.
+    The images (`database_images`) are stored as well, so that other corner options render nothing again. Further fields
+    of a derived model of options are ignored. For ``jobs`` see `map_images`.
     """
     options = CandidateOptions.model_validate({name: getattr(options, name) for name in CandidateOptions.model_fields})
     stored: list[int] = []

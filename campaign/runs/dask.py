@@ -165,14 +165,9 @@ def asset_file(sha256: str, fetch: Fetch) -> Path:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
-    """Files by SHA-256, and an index that names them.
+    """Files by SHA-256, and an index that maps relative paths to SHA-256 and is one of them.
 
-    Parameters
-    ----------
-    digest
-        SHA-256 of the index.
-    assets
-        SHA-256 to content: every file, and the index, which maps relative paths to SHA-256.
+    ``digest`` is the SHA-256 of the index; ``assets`` maps SHA-256 to content.
     """
 
     digest: str
@@ -222,19 +217,11 @@ def _portable(name: str, scenario: LoadedScenario) -> str:
 
 
 def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float | None) -> Records:
-    """Run every trial of a block with what the bundle holds.
+    """Run every trial of a block with the bundle of that digest, which the scheduler holds.
 
-    Parameters
-    ----------
-    bundle
-        Digest of the bundle, which the scheduler holds.
-    block
-        The trials.
-    images_kept
-        Whether rendered images go to the store of this worker's machine.
-    limit_s
-        How long a method may work at a trial. With a limit the block runs in a process of its own, which can be ended
-        where the method does not stop, while the worker stays.
+    ``images_kept`` says whether rendered images go to the store of this worker's machine. With a limit of a method's
+    time the block runs in a process of its own, which can be ended where the method does not stop, while the worker
+    stays.
     """
     with _ALONE, store_switched(images_kept):
         this = get_worker()

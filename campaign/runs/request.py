@@ -21,22 +21,10 @@ class Cluster:
 class RunRequest:
     """Settings of a run. Of them only ``trials``, and ``limit_s`` if a method exceeds it, change the stored rows.
 
-    Parameters
-    ----------
-    out
-        The run folder; kept as an absolute path, because a method may change the working directory.
-    trials
-        Trials of each scenario.
-    jobs
-        Worker processes.
-    keep_images
-        Whether every image is kept.
-    command
-        The command line, for the manifest.
-    cluster
-        The Dask cluster whose workers run the trials; None for processes of this machine.
-    limit_s
-        How long an estimator may work at a trial before it is stopped, which is an error; None for as long as it likes.
+    ``out`` is kept as an absolute path, because a method may change the working directory. ``trials`` are those of each
+    scenario, ``jobs`` worker processes. ``command`` is the command line, for the manifest. Without a ``cluster``,
+    processes of this machine run the trials. An estimator that works at a trial for ``limit_s`` is stopped, which is an
+    error; None: no limit.
     """
 
     out: Path

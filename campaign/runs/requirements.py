@@ -28,16 +28,9 @@ _OF_DATA = ("body", "onboard", "images")
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """A file or a folder, as a scenario names it, or a package.
+    """A file or a folder, as a scenario names it, or a package, and whether it is there.
 
-    Parameters
-    ----------
-    name
-        Its name in the scenario.
-    found
-        Whether it is there.
-    kind
-        Folder below the data folder where it is looked for first; '' for a package.
+    ``kind`` is the folder below the data folder where it is looked for first; '' for a package.
     """
 
     name: str

@@ -53,12 +53,8 @@ def check_listed(scenario: LoadedScenario) -> None:
 class DetectionMatches:
     """Classification of each of m detections.
 
-    Parameters
-    ----------
-    crater
-        (m,) row of the true crater that it stands for; -1 for a false alarm.
-    duplicate
-        (m,) false alarms that fit a crater which a more confident detection stands for.
+    ``crater`` (m,) is the row of the true crater that it stands for, -1 for a false alarm. ``duplicate`` (m,) marks
+    false alarms that fit a crater which a more confident detection stands for.
     """
 
     crater: IndexArray

@@ -74,18 +74,9 @@ class WorkerContext:
 class Trials(ABC):
     """The trials of one scenario in a worker, with one of its data bases; a subclass is a kind of trial.
 
-    Parameters
-    ----------
-    scenario
-        Name of the scenario.
-    methods
-        Label to method (an estimator, a detector); of one that cannot be built, why.
-    seed
-        Seed of the campaign.
-    inspector
-        Shown the trials of all methods; or None.
-    database
-        Number of its data base, by the labels of the methods that have one.
+    ``methods`` maps a label to a method (an estimator, a detector), or to why it cannot be built. The ``inspector`` is
+    shown the trials of all methods. ``database`` is the number of the data base, by the labels of the methods that have
+    one.
     """
 
     name: ClassVar[str]

@@ -30,17 +30,7 @@ class _InvalidResultError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A method in a trial.
-
-    Parameters
-    ----------
-    call
-        The trial and the label of the method.
-    method
-        Its sort, for messages: an estimator, a detector.
-    row
-        Columns of the trial's row that do not depend on the result.
-    """
+    """A method in a trial: its call, its sort for messages, and the columns of the row that no result changes."""
 
     call: Call
     method: str
@@ -55,16 +45,9 @@ class Work:
     ) -> Records:
         """Run the method, then validate and score its result; its output is stored in the table ``said``.
 
-        Parameters
-        ----------
-        work
-            Calls the method; may raise `GaveUpError`.
-        check
-            Raises if the result breaks the contract. Scoring must not fail on a result that passes.
-        score
-            Returns the records of a result, without their key.
-        show
-            Called with the result at the end; with None if there is none, or an invalid one.
+        ``work`` calls the method and may raise `GaveUpError`. ``check`` raises if the result breaks the contract;
+        scoring must not fail on a result that passes. ``score`` returns the records of a result, without their key.
+        ``show`` is called with the result at the end, with None if there is none, or an invalid one.
 
         Raises
         ------

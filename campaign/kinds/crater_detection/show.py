@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.inspection.case import Case, crater_faults
+from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
@@ -106,7 +106,7 @@ def look_at_detections(scene: EstimatorRun) -> View3D:
         for trial in rows["trial"]
     }
     return crater_look(
-        scene, rows, marks, experiment.world.body.mesh, (views, "missed or false craters", crater_faults(run))
+        scene, rows, marks, experiment.world.body.mesh, (views, "missed or false craters", missed_or_wrong(run))
     )
 
 
@@ -135,4 +135,4 @@ def kept(shown: DetectedImage) -> CaseFiles:
     return CaseFiles({"image": shown.observation.frame.image})
 
 
-SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples, faults=missed_or_wrong)
+SHOW = Show(draw=draw_detection, kept=kept, look=look_at_detections, examples=crater_examples)

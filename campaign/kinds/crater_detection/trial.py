@@ -52,12 +52,7 @@ class TimedDetections:
 class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetections]):
     """Trials of crater detectors; a trial is an image, and all see the same.
 
-    Parameters
-    ----------
-    world
-        The scenario in this process, with craters.
-    folder
-        Where the images of all trials are kept; None to keep none.
+    ``world`` has craters. ``folder`` keeps the images of all trials; None to keep none.
     """
 
     name = "crater-detection"

@@ -53,14 +53,9 @@ class MatcherGround(Handle):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePairDraw:
-    """A trial before any detector has seen it.
+    """A trial before any detector has seen it: the first of the two true views, and a function of a detector's name.
 
-    Parameters
-    ----------
-    first
-        The first of the two true views.
-    seen_by
-        Lets the detector of a name look for craters in both images; what it raises is raised.
+    ``seen_by`` lets that detector look for craters in both images; what it raises is raised.
     """
 
     first: View

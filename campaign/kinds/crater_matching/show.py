@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.case import Case, crater_faults
+from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
@@ -53,7 +53,7 @@ def look_at_matches(scene: EstimatorRun) -> View3D:
     words = ("matched when in both looks", "in both looks", "matched rightly")
     marks = [outcome_marks(places_of(*_craters_of(experiment.source), counts), counts, words)]
     look = crater_look(
-        scene, rows, marks, experiment.known.mesh, (views, "missed or wrong matches", crater_faults(run))
+        scene, rows, marks, experiment.known.mesh, (views, "missed or wrong matches", missed_or_wrong(run))
     )
     more = len(select(run.rows, scene.scenario, scene.label)) - len(rows)
     return replace(look, note=f"{look.note} {more} further trials are left out.") if more else look
@@ -156,4 +156,4 @@ def kept(shown: MatchedPair) -> CaseFiles:
     )
 
 
-SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples, faults=missed_or_wrong)
+SHOW = Show(draw=draw_pair_case, kept=kept, look=look_at_matches, examples=matching_examples)

@@ -69,16 +69,8 @@ class TimedMatches:
 class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
     """Trials of crater matchers; all see the same two images.
 
-    Parameters
-    ----------
-    source
-        Where pairs of looks come from.
-    camera
-        An ideal pinhole: rims come after the correction of a lens.
-    known
-        The a priori shape.
-    detectors
-        Label to the name of the detector whose craters the matcher sees, `pairs.BY_GEOMETRY` for none.
+    ``camera`` is an ideal pinhole: rims come after the correction of a lens. ``known`` is the a priori shape.
+    ``detectors`` maps a label to the name of the detector whose craters the matcher sees, `pairs.BY_GEOMETRY` for none.
     """
 
     name = "crater-matching"

@@ -150,20 +150,10 @@ class SearchedImage:
 
 @dataclass(eq=False)
 class NavigationTrial:
-    """One arc.
+    """One arc: the ``task`` of the chain, and its images, as planned and as telemetry reports them.
 
-    Parameters
-    ----------
-    task
-        What the chain is given.
-    plan
-        The images, as planned and as telemetry reports them.
-    flown, views, rotation
-        The true motion, the true view of each image, and how the body truly turns: for the sights and the score alone.
-    sights
-        What is seen from there.
-    address
-        Of the trial; its ``image`` has no meaning.
+    The true motion ``flown``, the true view of each image and the true ``rotation`` of the body are for the sights and
+    the score alone. ``address`` is that of the trial; its ``image`` has no meaning.
     """
 
     task: NavigationTask

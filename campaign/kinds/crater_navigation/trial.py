@@ -81,12 +81,7 @@ class NavigationAnswer:
 class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, NavigationAnswer]):
     """Trials of chains of crater navigation; all see the same images.
 
-    Parameters
-    ----------
-    world, sights
-        The truth, and what a camera sees of it.
-    folder
-        Where the stages leave their files, a folder for each trial. Those that are there are read back.
+    ``folder`` has a folder for each trial, where the stages leave their files; those that are there are read back.
     """
 
     name = "crater-navigation"

@@ -82,12 +82,7 @@ def coverage(views: Sequence[View], ground: GroundModel) -> Coverage:
 class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
     """Trials of the planner; a trial is an arc, which is counted as it was drawn: there is nothing to ask.
 
-    Parameters
-    ----------
-    world, sights
-        The truth, and the craters that are seen of it.
-    folder
-        Where plans are left.
+    Plans are left in ``folder``.
     """
 
     name = "image-survey"

@@ -36,12 +36,7 @@ class DatabaseDraw:
 class DatabaseTrials(TrialRunner[DatabaseOptions, DatabaseDraw, LandmarkDatabaseBuild]):
     """Trials of ways to make a data base; trial t takes the images of seed + t.
 
-    Parameters
-    ----------
-    believed
-        The scenario as the spacecraft believes it to be; its world is opened with the first image.
-    variant
-        The Mitsuba variant.
+    The world of the ``believed`` scenario is opened with the first image.
     """
 
     name = "landmark-database"

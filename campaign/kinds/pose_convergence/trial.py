@@ -46,18 +46,9 @@ _TESTED_AT_ONCE = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkDraw:
-    """One trial.
+    """One trial: the true view, the disturbed pose, and where landmarks are observed.
 
-    Parameters
-    ----------
-    view
-        The true view.
-    prior
-        The disturbed pose.
-    chosen
-        (10,) landmarks, or fewer where fewer can be seen.
-    uv_px
-        Where they are observed.
+    ``chosen`` (10,) are indices of landmarks, fewer where fewer can be seen; ``uv_px`` (10, 2) are their positions.
     """
 
     view: View
@@ -119,12 +110,7 @@ def problem_stack(draws: Sequence[LandmarkDraw], database: LandmarkDatabase, cam
 class PoseConvergence(Trials):
     """Trials of pose solvers; every one gets the same observations, and a block of trials is solved at once.
 
-    Parameters
-    ----------
-    spec
-        Camera, viewpoint and pose errors; nothing is rendered.
-    landmarks
-        The landmark database.
+    Of ``spec``, camera, viewpoint and pose errors count; nothing is rendered.
     """
 
     name = "pose-convergence"

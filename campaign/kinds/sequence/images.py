@@ -50,16 +50,9 @@ class Pairs:
 class OrbitImages:
     """Images every step of one revolution about a body at rest, the Sun along the orbit's normal, or of a trajectory.
 
-    The exposures of one realisation at a time are held, with their features.
-
-    Parameters
-    ----------
-    views
-        Of the images, by their slot: the camera with its lens, the pose and the Sun.
-    camera
-        The pinhole that images are resampled to.
-    seed
-        Of the detector's noise.
+    The exposures of one realisation at a time are held, with their features. ``views`` are those of the images by their
+    slot, with the camera's lens; images are resampled to the pinhole ``camera``. ``seed`` is that of the detector's
+    noise.
     """
 
     spec: ImageVisionSpec

@@ -47,16 +47,8 @@ FollowedSequence = InspectedTrial[SequenceTruth, TrackSequence, SequenceEstimate
 class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstimate]):
     """Trials of estimators of sequences; all see the same tracks, unless an estimator guides the vision layer.
 
-    Parameters
-    ----------
-    spec
-        The sequence section of the scenario.
-    camera
-        An ideal pinhole: tracks come after the correction of a lens.
-    ground
-        What the landmarks lie on.
-    images
-        The vision layer that sees images; None where it is simulated.
+    ``camera`` is an ideal pinhole: tracks come after the correction of a lens. Landmarks lie on ``ground``. ``images``
+    is the vision layer that sees images; None where it is simulated.
     """
 
     name = "sequence"

@@ -209,16 +209,10 @@ def crater_marks(craters: Landmarks) -> PointSet:
 
 
 def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.DataFrame) -> list[PointSet]:
-    """Colour landmarks by how often they are recognised and by how far they then are from what is seen.
+    """Colour landmarks (N, 3) by how often they are recognised and by how far they then are from what is seen.
 
-    Parameters
-    ----------
-    places_m
-        (N, 3).
-    in_view
-        (N,) in how many trials each is in view.
-    recognised
-        Rows of the stored table ``landmarks``.
+    ``in_view`` (N,) counts the trials in which each is in view; ``recognised`` are rows of the stored table
+    ``landmarks``.
     """
     numbers = np.arange(len(places_m))
     times = recognised.groupby("landmark").size().reindex(numbers).fillna(0).to_numpy(dtype=np.float64)

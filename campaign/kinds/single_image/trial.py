@@ -41,12 +41,7 @@ EstimatedImage = InspectedTrial[View, Observation, Estimate]
 class SingleImage(TrialRunner[Estimator, ImageDraw, Estimate]):
     """Trials of estimators that refine the pose of one image; every one sees the same observation.
 
-    Parameters
-    ----------
-    world
-        The scenario in this process.
-    folder
-        Where the images of all trials are kept; None to keep none.
+    ``folder`` keeps the images of all trials; None to keep none.
     """
 
     name = "single-image"
