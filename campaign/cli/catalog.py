@@ -148,10 +148,7 @@ def _previewed(read: CampaignFiles | LoadedScenario) -> list[str]:
 def _is_estimator(name: str) -> bool:
     """Return whether a name is that of an estimator of any kind.
 
-    Raises
-    ------
-    BoresightError
-        If there is nothing of that name, and an estimator has the most similar one.
+    Raise BoresightError if there is nothing of that name, and an estimator has the most similar one.
     """
     files = {*campaign_names(), *scenario_names()}
     if name in files or Path(name).suffix in (".yaml", ".yml"):

@@ -70,10 +70,7 @@ def digests(report: Path, files: Iterable[Path]) -> dict[str, str]:
 def printed_before(folder: RunFolder, source: str) -> Printed | None:
     """Return what a report printed; None if it was made of anything else, or a file of it is not as it was written.
 
-    Raises
-    ------
-    BoresightError
-        If a stored table is damaged.
+    Raise BoresightError if a stored table is damaged.
     """
     report = folder.path / "report"
     try:

@@ -18,10 +18,7 @@ _APOPHIS_KM = 0.375
 def icq(raw: Path) -> bytes:
     """Write the vertices of a PLY, six faces of a cube of (Q + 1)**2 vertices each, as an ICQ of the same unit.
 
-    Raises
-    ------
-    BoresightError
-        If the file is no PLY or its vertices are not those of six such faces.
+    Raise BoresightError if the file is no PLY or its vertices are not those of six such faces.
     """
     vertices = read_shape(raw, "ply").vertices
     side = round(np.sqrt(len(vertices) / 6.0))
@@ -34,10 +31,7 @@ def icq(raw: Path) -> bytes:
 def apophis(raw: Path) -> bytes:
     """Scale an OBJ to a volume-equivalent diameter of 0.375 km, with the origin at the centre of volume.
 
-    Raises
-    ------
-    BoresightError
-        If the file is no OBJ or its faces enclose no volume.
+    Raise BoresightError if the file is no OBJ or its faces enclose no volume.
     """
     vertices, faces = read_shape(raw, "obj")
     a, b, c = (vertices[faces[:, k]] for k in range(3))

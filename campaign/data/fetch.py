@@ -69,13 +69,9 @@ def fetch(dataset: DataSet, root: Path, progress: Progress, source: str = "") ->
     """Bring the missing files of a data set, verify those present, and store credit and licence next to them.
 
     ``progress`` is called with the file name, the bytes received and the size of the file. ``source`` is the URL or the
-    folder of a mirror, which has the files under their paths in the data folder; '' for the repository.
-
-    Raises
-    ------
-    BoresightError
-        If the network, the server or the disk fails, or a checksum differs. Complete files remain, and a partial file
-        from which the next call resumes.
+    folder of a mirror, which has the files under their paths in the data folder; '' for the repository. Raise
+    BoresightError if the network, the server or the disk fails, or a checksum differs. Complete files remain, and a
+    partial file from which the next call resumes.
     """
     folder = root / dataset.folder
     for file in dataset.files:

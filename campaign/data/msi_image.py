@@ -46,10 +46,7 @@ class MsiImage:
 def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiImage:
     """Open an image by its label or FITS file, by default the one in ``$BORESIGHT_DATA``.
 
-    Raises
-    ------
-    BoresightError
-        If a file is missing, the header has no pose, or the size of the image is not one of MSI's.
+    Raise BoresightError if a file is missing, the header has no pose, or the size of the image is not one of MSI's.
     """
     product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
     msi = INSTRUMENTS["near-msi"]
@@ -89,12 +86,8 @@ def _numbers(product: ImageProduct, keys: Sequence[int]) -> FloatArray:
 def camera_of_lines(camera: Camera, shape: tuple[int, ...], path: Path) -> Camera:
     """Return the camera of an image (lines, samples): the detector's, or the same with its lines resampled to squares.
 
-    MSI's pixels are 1.7 times as high as wide; products of 412 lines have square pixels, with distortion.
-
-    Raises
-    ------
-    BoresightError
-        If the image is of neither size.
+    MSI's pixels are 1.7 times as high as wide; products of 412 lines have square pixels, with distortion. Raise
+    BoresightError if the image is of neither size.
     """
     square = round(camera.height_px * camera.fx_px / camera.fy_px)
     if shape not in {(lines, camera.width_px) for lines in (camera.height_px, square)}:

@@ -60,13 +60,7 @@ class PredictedCraters:
 
 
 def read_gazetteer(search_dirs: Sequence[Path] = ()) -> tuple[NamedCrater, ...]:
-    """Read the gazetteer in ``$BORESIGHT_DATA``.
-
-    Raises
-    ------
-    BoresightError
-        If it is missing or a row is invalid.
-    """
+    """Read the gazetteer in ``$BORESIGHT_DATA``; raise BoresightError if it is missing or a row is invalid."""
     path = find_data_file(GAZETTEER, search_dirs, ".", "craters")
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -152,10 +146,7 @@ class RealDetection:
 def detect_real(detector: CraterDetector, path: Path | None = None) -> RealDetection:
     """Open an image of NEAR's MSI, detect craters, and match them with the named ones.
 
-    Raises
-    ------
-    BoresightError
-        If a file is missing or the image shows nothing.
+    Raise BoresightError if a file is missing or the image shows nothing.
     """
     image = open_msi(path)
     predicted = predict(read_gazetteer(), load_body(EROS).mesh, image.view)

@@ -288,13 +288,7 @@ class Imager:
         return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
 
     def craters(self, view: View) -> CraterTruth:
-        """Find the craters that a view shows.
-
-        Raises
-        ------
-        BoresightError
-            If the body has none.
-        """
+        """Find the craters that a view shows; raise BoresightError if the body has none."""
         if self.ground is None or not isinstance(self.renderer, TiledRenderer):
             raise BoresightError("craters: missing, so no crater is seen")
         return crater_truth(self.ground.rims, view, self.renderer)

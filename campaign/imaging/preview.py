@@ -49,12 +49,8 @@ class _Sight:
 def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
     """Describe field of view, pixel, body, signal and craters in the images of a scenario, a line each.
 
-    The body is taken without its detail unless it is wanted: that may take a minute to make.
-
-    Raises
-    ------
-    BoresightError
-        If the sphere about the body is out of the frame in all views that are drawn.
+    The body is taken without its detail unless it is wanted: that may take a minute to make. Raise BoresightError if
+    the sphere about the body is out of the frame in all views that are drawn.
     """
     spec, camera = scenario.spec, scenario.spec.camera.camera()
     mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
@@ -162,11 +158,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     """Look at points that are spread over the surface in some views that are drawn as those of trials.
 
     What one part of the body hides or shades of another is not taken into account, nor is relief smaller than a facet.
-
-    Raises
-    ------
-    BoresightError
-        If the sphere about the body is out of the frame in all of these views.
+    Raise BoresightError if the sphere about the body is out of the frame in all of these views.
     """
     spec, camera, rng = scenario.spec, scenario.spec.camera.camera(), np.random.default_rng(0)
     areas = np.cumsum(np.linalg.norm(mesh.area_vectors_m2, axis=1))

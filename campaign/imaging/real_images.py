@@ -21,10 +21,7 @@ def images_digest(scenario: LoadedScenario) -> str:
 def open_images(scenario: LoadedScenario) -> ImageSet:
     """Open the usable real images of a scenario.
 
-    Raises
-    ------
-    BoresightError
-        If the scenario has none, or a file is missing or wrong.
+    Raise BoresightError if the scenario has none, or a file is missing or wrong.
     """
     # The digests are part of the cache's key, as a file may change under the same name.
     return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))

@@ -91,10 +91,7 @@ class Inspected:
 def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path, pdf: bool) -> Inspected:
     """Recompute one case, write its data to a folder below ``out``, and draw its stages.
 
-    Raises
-    ------
-    BoresightError
-        If its world cannot be rebuilt, or a file cannot be written.
+    Raise BoresightError if its world cannot be rebuilt, or a file cannot be written.
     """
     again, place, show = recompute(campaign, folder, case), out / case.stem, show_of(campaign.spec.experiment)
     _keep(again, show, place)

@@ -50,10 +50,7 @@ class Choice:
 def chosen_rows(rows: pd.DataFrame, choice: Choice, run: str) -> pd.DataFrame:
     """Return the rows of a choice.
 
-    Raises
-    ------
-    BoresightError
-        If the run has no such scenario or estimator; the message lists the existing ones.
+    Raise BoresightError if the run has no such scenario or estimator; the message lists the existing ones.
     """
     for column, wanted in (("scenario", choice.scenario), ("estimator", choice.estimator)):
         there = list(dict.fromkeys(rows[column].astype(str)))
@@ -72,10 +69,7 @@ def unknown(column: str, wanted: str, there: Sequence[str], run: str) -> Boresig
 def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Case]:
     """Return the cases of given trials, for all estimators of one scenario.
 
-    Raises
-    ------
-    BoresightError
-        If the rows are of several scenarios, or a trial is not stored.
+    Raise BoresightError if the rows are of several scenarios, or a trial is not stored.
     """
     scenarios = list(dict.fromkeys(rows["scenario"].astype(str)))
     if len(scenarios) > 1:
@@ -85,13 +79,7 @@ def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Cas
 
 
 def checked_trials(rows: pd.DataFrame, trials: Sequence[int] | None, run: str) -> list[int]:
-    """Return the requested trials, or all stored ones for None.
-
-    Raises
-    ------
-    BoresightError
-        If one is not stored.
-    """
+    """Return the requested trials, or all stored ones for None; raise BoresightError if one is not stored."""
     there = sorted({int(trial) for trial in rows["trial"]})
     for trial in trials or ():
         if trial not in there:

@@ -27,10 +27,7 @@ _NEAR = 1.8
 def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> View3D:
     """Collect the view of one scenario and estimator.
 
-    Raises
-    ------
-    BoresightError
-        If the choice leaves several scenarios or estimators, or the kind of trial has no such view.
+    Raise BoresightError if the choice leaves several scenarios or estimators, or the kind of trial has no such view.
     """
     scenario, label = _one(run, choice)
     kind = campaign.spec.experiment

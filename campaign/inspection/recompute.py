@@ -63,10 +63,7 @@ class Recomputed:
 def reopened(folder: RunFolder) -> ResolvedCampaign:
     """Resolve the campaign of a stored run, to recompute its trials.
 
-    Raises
-    ------
-    BoresightError
-        If there is no run, or code or data differ from those that it was made with.
+    Raise BoresightError if there is no run, or code or data differ from those that it was made with.
     """
     manifest = folder.read_manifest()
     if manifest is None:

@@ -47,10 +47,7 @@ class FinishedRun:
     def campaign(self) -> ResolvedCampaign:
         """Resolve its campaign, to draw what is not stored.
 
-        Raises
-        ------
-        BoresightError
-            If code or data have changed since, or the data are gone.
+        Raise BoresightError if code or data have changed since, or the data are gone.
         """
         campaign = reload(self.manifest)
         if campaign is None:

@@ -70,10 +70,7 @@ class Paper:
 def paper_called(name: str) -> Paper:
     """Return the paper of that name, one of `campaign.papers.PAPERS`.
 
-    Raises
-    ------
-    BoresightError
-        If there is none of that name.
+    Raise BoresightError if there is none of that name.
     """
     if name not in PAPERS:
         raise BoresightError(f"{name!r} is no paper: choose one of {', '.join(PAPERS)}")
@@ -156,12 +153,7 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     """Draw one figure of the paper for each of its campaigns that has been run.
 
     The first drawing is named by the number, further ones also by campaign, or by their stem if it begins with an
-    underscore.
-
-    Raises
-    ------
-    BoresightError
-        If none of its campaigns has been run, or a run can no longer be drawn.
+    underscore. Raise BoresightError if none of its campaigns has been run, or a run can no longer be drawn.
     """
     runs = {name: found[name] for name in figure.campaigns if name in found}
     if not runs:

@@ -30,10 +30,7 @@ class Wanted:
 def wanted(name: str) -> Wanted:
     """Return the data sets of a name: a data set, a campaign or its file, a paper, or ``all``.
 
-    Raises
-    ------
-    BoresightError
-        If there is nothing of that name, or it is a data set that cannot be fetched.
+    Raise BoresightError if there is nothing of that name, or it is a data set that cannot be fetched.
     """
     known = datasets()
     if name == ALL:

@@ -46,13 +46,7 @@ _KINDS = ("landmark-database", "maplets", "descriptors", "crater-database")
 
 
 def product_kind(name: str) -> ProductKind[SpecModel, object]:
-    """Look up a kind.
-
-    Raises
-    ------
-    BoresightError
-        If there is none of that name.
-    """
+    """Look up a kind; raise BoresightError if there is none of that name."""
     if name not in _KINDS:
         raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
     module = import_module(f"boresight.campaign.products.{name.replace('-', '_')}")

@@ -48,10 +48,7 @@ class Losses:
     def after(self, lost: Sequence[tuple[Any, ...]], note: Path) -> list[tuple[Any, ...]]:
         """Return the arguments of `run_block` to go on with.
 
-        Raises
-        ------
-        BoresightError
-            If a block loses its process again and again and no method is to blame.
+        Raise BoresightError if a block loses its process again and again and no method is to blame.
         """
         blocks = [BlockCall(*arguments) for arguments in lost]
         found = last_call(note)

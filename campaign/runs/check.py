@@ -38,11 +38,8 @@ _KINDS = {
 def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
     """Read all that a run of so many trials of each scenario reads, and refuse what could not run.
 
-    Raises
-    ------
-    BoresightError
-        If a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an option is wrong,
-        there are no such published values, or more trials are asked for than there are real images.
+    Raise BoresightError if a shape or an image is missing or wrong, a scenario does not suit the kind of trial, an
+    option is wrong, there are no such published values, or more trials are asked for than there are real images.
     """
     check_data(campaign)
     if campaign.spec.report is not None:

@@ -64,10 +64,7 @@ def blocks_in_order(
 ) -> Iterator[Records]:
     """Yield the records of each block, in order, holding only what is in flight.
 
-    Raises
-    ------
-    BoresightError
-        If there is no such scheduler, no worker comes, or the cluster gives a block up.
+    Raise BoresightError if there is no such scheduler, no worker comes, or the cluster gives a block up.
     """
     bundle = bundle_of(campaign, run)
     with _opened(cluster) as client:
@@ -148,10 +145,7 @@ def from_scheduler(sha256: str) -> bytes:
 def asset_file(sha256: str, fetch: Fetch) -> Path:
     """Return the file of an asset in this machine's cache, fetched first where it is not there.
 
-    Raises
-    ------
-    BoresightError
-        If what was fetched is not what its hash says.
+    Raise BoresightError if what was fetched is not what its hash says.
     """
 
     def build(folder: Path) -> None:
@@ -177,10 +171,7 @@ class Bundle:
 def bundle_of(campaign: ResolvedCampaign, run: Path) -> Bundle:
     """Gather the campaign, the data that its scenarios read, and the products of its run folder.
 
-    Raises
-    ------
-    BoresightError
-        If a file is named by an absolute path, which means nothing on another machine.
+    Raise BoresightError if a file is named by an absolute path, which means nothing on another machine.
     """
     _ = campaign.digest  # worked out here once: where the bundle is opened it holds for both
     contents = {CAMPAIGN: pickle.dumps(campaign, protocol=5)}

@@ -42,10 +42,7 @@ class Listener(Protocol):
 def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> RunFolder:
     """Run what is not stored yet and return the run folder.
 
-    Raises
-    ------
-    BoresightError
-        If the folder holds another run, is in use, or cannot be written.
+    Raise BoresightError if the folder holds another run, is in use, or cannot be written.
     """
     folder = RunFolder(request.out)
     with run_lock(request.out):

@@ -35,10 +35,7 @@ def newest_first(folders: Iterable[Path]) -> list[Path]:
 def find_run(name: str) -> RunFolder:
     """Find a run by its folder, or by a campaign's name under ``runs/`` (the newest of several).
 
-    Raises
-    ------
-    BoresightError
-        If there is none, or it has no manifest that this version of boresight reads.
+    Raise BoresightError if there is none, or it has no manifest that this version of boresight reads.
     """
     prefix = f"{name}-"
     named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []

@@ -49,12 +49,8 @@ class CampaignFiles:
 def read_campaign(name_or_path: str, overrides: Sequence[str] = (), *, embedded: bool = False) -> CampaignFiles:
     """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
 
-    With ``embedded``, built-in bodies replace the shape files that they stand for, but for real images.
-
-    Raises
-    ------
-    BoresightError
-        If a file, a key or a value is wrong, or two scenarios share a name.
+    With ``embedded``, built-in bodies replace the shape files that they stand for, but for real images. Raise
+    BoresightError if a file, a key or a value is wrong, or two scenarios share a name.
     """
     loaded = load_campaign(name_or_path, CATALOG)
     found = [read_source(loaded, source, overrides, embedded=embedded) for source in sources(loaded.spec)]

@@ -27,13 +27,9 @@ def resolve(
 ) -> ResolvedCampaign:
     """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
 
-    ``variant`` is the Mitsuba variant of a run: images of two variants agree closely, but not bit for bit.
-    ``embedded`` takes built-in bodies in place of shape files.
-
-    Raises
-    ------
-    BoresightError
-        If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
+    ``variant`` is the Mitsuba variant of a run: images of two variants agree closely, but not bit for bit. ``embedded``
+    takes built-in bodies in place of shape files. Raise BoresightError if a file, a key or a value is wrong, an
+    estimator is unknown or two scenarios share a name.
     """
     read = read_campaign(name_or_path, overrides, embedded=embedded)
     loaded, scenarios = read.loaded, read.scenarios
@@ -129,10 +125,7 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     """Resolve a stored run's campaign again from its manifest; None where code or data have changed since.
 
-    Raises
-    ------
-    BoresightError
-        If the data that it needs are gone.
+    Raise BoresightError if the data that it needs are gone.
     """
     campaign = _read_again(manifest)
     return campaign if campaign is not None and campaign.digest == manifest["digest"] else None

@@ -77,10 +77,7 @@ def make_design(
 ) -> Design:
     """Make the scenarios of a design from one scenario of a campaign: the ``chosen`` one, or the only one.
 
-    Raises
-    ------
-    BoresightError
-        If it is unknown or not chosen, a key is unknown or named twice, or a value not allowed.
+    Raise BoresightError if it is unknown or not chosen, a key is unknown or named twice, or a value not allowed.
     """
     names = [one.spec.name for one in resolved.scenarios]
     if chosen is not None and chosen not in names:

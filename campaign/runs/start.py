@@ -157,10 +157,8 @@ def start(
 ) -> Start:
     """Read a campaign and say how it is to run; what is left out is as the campaign, or the machine, says.
 
-    Raises
-    ------
-    BoresightError
-        If a file, a key, a value or a name is wrong, or more trials are asked for than there are real images.
+    Raise BoresightError if a file, a key, a value or a name is wrong, or more trials are asked for than there are real
+    images.
     """
     chosen = choose_variant(variant)
     campaign = resolve(name, overrides, seed, chosen.name, embedded=embedded)

@@ -94,10 +94,8 @@ class _Entries(BaseModel):
 def read_manifest(path: Path) -> dict[str, Any]:
     """Read the manifest of a run as it is.
 
-    Raises
-    ------
-    BoresightError
-        If it is none that boresight writes, or that of a run that another version stored in another way.
+    Raise BoresightError if it is none that boresight writes, or that of a run that another version stored in another
+    way.
     """
     try:
         found = plain_json(path)
@@ -185,11 +183,8 @@ class RunFolder:
     def read_manifest(self) -> dict[str, Any] | None:
         """Return the manifest, or None where no run has started.
 
-        Raises
-        ------
-        BoresightError
-            If the file is there but cannot be read as a manifest, or is that of a run that another version of
-            boresight stored in another way.
+        Raise BoresightError if the file is there but cannot be read as a manifest, or is that of a run that another
+        version of boresight stored in another way.
         """
         path = self.path / "manifest.json"
         return read_manifest(path) if path.exists() else None
@@ -240,10 +235,7 @@ class RunFolder:
     def table(self, name: str) -> pd.DataFrame:
         """Read one stored table whole; an empty frame with its columns where nothing is stored.
 
-        Raises
-        ------
-        BoresightError
-            If it is not what was stored, or cannot be read as such a table.
+        Raise BoresightError if it is not what was stored, or cannot be read as such a table.
         """
         frame: pd.DataFrame = self.arrow(name).to_pandas(ignore_metadata=True)
         return frame
@@ -258,10 +250,7 @@ class RunFolder:
     def of_trial(self, name: str, scenario: str, estimator: str, trial: int) -> pa.Table:
         """Read what one stored table holds of a trial, in the order in which it was stored.
 
-        Raises
-        ------
-        BoresightError
-            If the table is damaged.
+        Raise BoresightError if the table is damaged.
         """
         # Names sort in the order of trials, and files may be many.
         files = sorted(

@@ -30,10 +30,8 @@ NONE = -1
 def check_listed(scenario: LoadedScenario) -> None:
     """Refuse a truth that leaves most detectable craters out: when found, they would count as false alarms.
 
-    Raises
-    ------
-    BoresightError
-        If more than half of the craters that are large enough at the range of the views are not listed.
+    Raise BoresightError if more than half of the craters that are large enough at the range of the views are not
+    listed.
     """
     craters, m_per_px = scenario.spec.craters, scenario.spec.m_per_px
     if craters is None or m_per_px is None:

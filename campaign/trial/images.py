@@ -48,10 +48,7 @@ def draw_image(world: World, seed: int, trial: int, folder: Path | None) -> Imag
 def write_image(path: Path, image: NDArray[np.float32]) -> None:
     """Write an image (H, W) as TIFF; every bit comes back.
 
-    Raises
-    ------
-    BoresightError
-        If it cannot be encoded or written.
+    Raise BoresightError if it cannot be encoded or written.
     """
     ok, encoded = cv2.imencode(".tiff", image)
     if not ok:

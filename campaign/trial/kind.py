@@ -255,13 +255,7 @@ def kind_names() -> list[str]:
 
 
 def kind_named(name: str) -> type[Trials]:
-    """Look up a kind of trial.
-
-    Raises
-    ------
-    BoresightError
-        If there is none of that name.
-    """
+    """Look up a kind of trial; raise BoresightError if there is none of that name."""
     if name not in kind_names():
         near = difflib.get_close_matches(name, kind_names(), n=1)
         hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(kind_names())}"

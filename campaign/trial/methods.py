@@ -69,10 +69,7 @@ def try_build(
 ) -> T | Unbuilt:
     """Build a method for a scenario; return the reason if it cannot be built.
 
-    Raises
-    ------
-    BoresightError
-        If ``make`` raises one of the kind ``refused``, which ends the run.
+    Raise BoresightError if ``make`` raises one of the kind ``refused``, which ends the run.
     """
     try:
         with unmoved():

@@ -151,10 +151,7 @@ def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
 def check_detector(scenario: LoadedScenario, section: CraterPairsSpec, label: str, name: str) -> None:
     """Refuse a matcher, by its label, whose detector ``name`` cannot see the looks of a scenario.
 
-    Raises
-    ------
-    BoresightError
-        If a detector is to look where nothing is rendered, or none where something is, or is unknown.
+    Raise BoresightError if a detector is to look where nothing is rendered, or none where something is, or is unknown.
     """
     if section.images is None and name != BY_GEOMETRY:
         raise BoresightError(

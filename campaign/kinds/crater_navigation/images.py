@@ -119,10 +119,7 @@ CraterSights = DrawnSights | RenderedSights
 def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> CraterSights:
     """Make ready what the section asks for.
 
-    Raises
-    ------
-    BoresightError
-        If images are to be rendered of a body without craters.
+    Raise BoresightError if images are to be rendered of a body without craters.
     """
     whole = scenario.spec
     if spec.detections == "drawn":

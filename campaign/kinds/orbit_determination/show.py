@@ -30,10 +30,7 @@ _NOTE = (
 def look_at_orbits(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one; also solutions that were rejected.
 
-    Raises
-    ------
-    BoresightError
-        If neither came to an orbit.
+    Raise BoresightError if neither came to an orbit.
     """
     marks, seen, world = [], [], None
     for name, colour, case in middle_and_worst(scene):
