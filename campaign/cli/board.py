@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders
 from boresight.campaign.runs.newest import newest_first
 from boresight.reports.pages.board import write_board
-from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
 
 _IN_PART = 3
@@ -19,10 +18,8 @@ def board_command(arguments: argparse.Namespace) -> int:
     folders = newest_first(run_folders(arguments.folder))
     if not folders:
         raise BoresightError(f"{arguments.folder}: no run in that folder: give one that holds run folders")
-    try:
+    with writing(arguments.folder):
         page, refused = write_board(folders, arguments.folder, arguments.command)
-    except OSError as error:
-        raise BoresightError(explain_write_error(error.filename or arguments.folder, error)) from error
     out = console()
     for line in refused:
         out.print(f"not read: {line}")

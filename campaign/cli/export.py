@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.progress import track
 
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.export.poses import (
     check_posed,
     posed,
@@ -22,16 +22,13 @@ from boresight.campaign.inspection.case import Case, Choice, cases_of, checked_t
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.runs.newest import find_run
 from boresight.reports.run.data import read_run
-from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 
 
 def export_command(arguments: argparse.Namespace) -> int:
     """Write trajectories, landmarks or tables of a run."""
-    try:
+    with writing(arguments.out):
         written = _tables(arguments) if arguments.to in ("csv", "parquet", "latex") else _poses(arguments)
-    except OSError as error:
-        raise BoresightError(explain_write_error(error.filename or arguments.out, error)) from error
     if not written:
         raise BoresightError(f"{arguments.run}: nothing to export: no chosen trial has an estimate")
     console().print(

@@ -13,7 +13,7 @@ from pathlib import Path
 from boresight.campaign.cli.arguments import ALL_PAPERS
 from boresight.campaign.cli.fetch import bring_missing
 from boresight.campaign.cli.progress import NamedLines, ProgressListener
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.draft import as_draft, kept
 from boresight.campaign.machine import sharing_cores
 from boresight.campaign.papers import PAPERS
@@ -31,7 +31,6 @@ from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.rich_tables import FittedTable
 from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, verdict_tally, write_paper
 from boresight.reports.schema.labels import count_of
-from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load import load_campaign
 
@@ -155,10 +154,8 @@ def _written(
     """Write the page of a paper."""
     with sharing_cores(among):
         page = paper_page(paper_called(name), runs, jobs, scale, embedded=embedded)
-    try:
+    with writing(folder):
         place = write_paper(page, folder)
-    except OSError as error:
-        raise BoresightError(explain_write_error(error.filename or folder, error)) from error
     return _Written(name, place, page.runs, page.lines, len(page.document.figures), page.refused, page.missing)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from boresight.campaign.cli.arguments import WORST
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case, order_of
 from boresight.campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
@@ -15,7 +15,6 @@ from boresight.campaign.runs.newest import find_run
 from boresight.reports.pages.view3d import write_view3d
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.named_figure import file_stem
-from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
 
 
@@ -57,12 +56,10 @@ def _cases(arguments: argparse.Namespace) -> int:
     # Images are rendered anew: one that is kept would prove nothing.
     with store_switched(False):
         for case in order_of(cases):
-            try:
-                found = inspect_case(campaign, folder, case, out, arguments.pdf)
-            except OSError as error:
-                raise BoresightError(explain_write_error(error.filename or out, error)) from error
+            with writing(out):
+                found, page = inspect_case(campaign, folder, case, out, arguments.pdf)
             same = same and not found.comparison.differences
             reason = f" ({found.row['reason']})" if found.row["reason"] else ""
             printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")
-            printer.print(f"  {display(found.page)}")
+            printer.print(f"  {display(page)}")
     return 0 if same else 1

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 
 from boresight.campaign.cli.progress import ProgressListener
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RUNS, RunRequest
@@ -22,7 +22,6 @@ from boresight.reports.pages.rich_tables import rich_parts
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.tables import kind_schema
-from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError, display
 
 
@@ -51,10 +50,8 @@ def sensitivity_command(arguments: argparse.Namespace) -> int:
     labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
     found = analyse(run, design, metric, statistic, labels)
     grid = replace(sensitivity_grid(found, varied, metric, statistic.name), known=short_line(run))
-    try:
+    with writing(folder.path):
         page = write_sensitivity(run, found, grid, design.varied, design.samples, metric)
-    except OSError as error:
-        raise BoresightError(explain_write_error(error.filename or folder.path, error)) from error
     out.print(*rich_parts(grid))
     for one in found:
         for key in one.unmoved:

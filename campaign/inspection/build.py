@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -14,12 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.campaign.inspection.case import CONTROLS, ORDER, Case, Choice, worst_cases
-from boresight.campaign.inspection.recompute import Recomputed, StoredComparison, recompute
+from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.images import write_image
-from boresight.campaign.trial.kind import Record
 from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.document import CasePage, write_document
 from boresight.reports.run.data import read_run
@@ -78,30 +77,22 @@ def _keep(again: Recomputed, show: Show | None, folder: Path) -> None:
         write_text(folder / "estimate.json", json.dumps(shown.estimate, indent=1) + "\n")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inspected:
-    """An inspected case with its row, its comparison with the stored one, and its page."""
-
-    case: Case
-    row: Record
-    comparison: StoredComparison
-    page: Path
-
-
-def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path, pdf: bool) -> Inspected:
-    """Recompute one case, write its data to a folder below ``out``, and draw its stages.
+def inspect_case(
+    campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path, pdf: bool
+) -> tuple[Recomputed, Path]:
+    """Recompute one case, write its data to a folder below ``out``, and draw its stages; also return its page.
 
     Raise BoresightError if its world cannot be rebuilt, or a file cannot be written.
     """
     again, place, show = recompute(campaign, folder, case), out / case.stem, show_of(campaign.spec.experiment)
     _keep(again, show, place)
     drawn = draw_case(again, show, campaign.spec.experiment)
-    comparison, row, manifest = again.comparison, again.row, folder.read_manifest() or {}
+    row, manifest = again.row, folder.read_manifest() or {}
     facts = (
         ("Run", str(folder.path)),
         ("Campaign", campaign.spec.title or campaign.spec.name),
         ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
-        ("Recomputed", str(comparison)),
+        ("Recomputed", str(again.comparison)),
         ("Seed", str(campaign.seed)),
         ("Commit", str(manifest.get("commit") or "")),
         ("Image", str(row.get("image") or "")),
@@ -119,8 +110,8 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         said=again.said,
         credits=drawn.credits,
     )
-    path = write_document(page, place, "index.html", kinds=("png", "pdf") if pdf else ("png",))
-    return Inspected(case, again.row, comparison, path)
+    kinds = ("png", "pdf") if pdf else ("png",)
+    return again, write_document(page, place, "index.html", kinds=kinds)
 
 
 def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:

@@ -83,10 +83,7 @@ def camera_scale(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
     """
     middle = float(np.median(np.linalg.norm(places_m, axis=1))) if len(places_m) else 0.0
     factor = max(middle / (_NEAR * radius_m), 1.0)
-    return (
-        factor,
-        f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else "",
-    )
+    return (factor, f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else "")
 
 
 def finite_or_dash(value: float, unit: str) -> str:

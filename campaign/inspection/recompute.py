@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import pyarrow as pa
@@ -25,7 +26,7 @@ NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
 """Tables not compared: times vary, tracebacks contain file paths, and the output of methods is arbitrary."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Recomputed:
     """A recomputed case: the trials of its estimator alone, its tables, and the `InspectedTrial`.
 
@@ -39,7 +40,7 @@ class Recomputed:
     shown: Any
     folder: RunFolder
 
-    @property
+    @cached_property
     def comparison(self) -> StoredComparison:
         """Comparison with the stored tables."""
         return compare_with_stored(self.folder, self.case, self.records)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.geometry import Pose
+from boresight.scenarios.geometry import Pose, View
 
 _QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 
@@ -61,6 +61,12 @@ def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
         "position_error_y_m": float(in_camera[1]),
         "position_error_z_m": float(in_camera[2]),
     }
+
+
+def view_columns(view: View) -> dict[str, float]:
+    """Describe a view: the distance of the camera from the body's origin, and the phase angle there."""
+    range_m = float(np.linalg.norm(view.T_cam_body.translation_m))
+    return {"range_m": range_m, "phase_deg": float(np.degrees(view.phase_angle_rad))}
 
 
 def pose_columns(pose: Pose, prefix: str = "") -> dict[str, float]:

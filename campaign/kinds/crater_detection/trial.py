@@ -17,6 +17,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
 from boresight.campaign.trial.images import ImageDraw, draw_image
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.pose_score import view_columns
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.work import GaveUpError
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
@@ -107,11 +108,7 @@ class CraterDetection(MethodRunner[CraterDetector, DetectionDraw, TimedDetection
 
     def row(self, drawn: DetectionDraw) -> Record:
         trial_image = drawn.image.trial_image
-        return {
-            "image": trial_image.image_name,
-            "range_m": float(np.linalg.norm(trial_image.view.T_cam_body.translation_m)),
-            "phase_deg": float(np.degrees(trial_image.view.phase_angle_rad)),
-        }
+        return {"image": trial_image.image_name, **view_columns(trial_image.view)}
 
     def ask(self, method: CraterDetector, drawn: DetectionDraw) -> TimedDetections:
         """Let a detector look for craters."""

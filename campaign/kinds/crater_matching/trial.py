@@ -23,13 +23,9 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import check_array, check_indices, check_reason
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.methods import Unbuilt, located
+from boresight.campaign.trial.pose_score import view_columns
 from boresight.campaign.trial.runner import MethodRunner
-from boresight.estimators.craters.contract import (
-    CraterDetections,
-    CraterImage,
-    CraterMatcher,
-    CraterMatches,
-)
+from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from boresight.estimators.craters.matching.context import epipolar_offsets
 from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from boresight.scenarios.bodies import load_body
@@ -148,11 +144,7 @@ class CraterMatching(MethodRunner[CraterMatcher, MatchingDraw, TimedMatches]):
         return MatchingDraw(drawn.images, self.detectors[label])
 
     def row(self, drawn: MatchingDraw) -> Record:
-        view = drawn.images.first
-        return {
-            "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
-            "phase_deg": float(np.degrees(view.phase_angle_rad)),
-        }
+        return dict(view_columns(drawn.images.first))
 
     def ask(self, method: CraterMatcher, drawn: MatchingDraw) -> TimedMatches:
         """Let the detector look at both images, and the matcher at what it finds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class DrawnSights:
         """Expose nothing."""
         return np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
 
-    def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
+    def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray]:
         """Project the craters in view and let a simulated detector err: detections, and the crater that each is.
 
         Heights are the same in all images.
@@ -77,10 +78,6 @@ class DrawnSights:
         rng = address.stream(Stream.ORBIT_DETECTIONS, self.spec.epochs)
         found = detect_simulated(real, in_view(self.craters, self.ground, view, LIMITS_DEG), view, errors, rng)
         return CraterDetections(found.ellipses, np.ones(len(found.crater))), found.crater
-
-    def which(self, found: Ellipses, view: View) -> IndexArray:
-        """Do nothing: drawn detections carry their craters."""
-        raise TypeError("drawn detections carry their craters")
 
     def flush(self) -> None:
         """Do nothing."""
@@ -99,10 +96,6 @@ class RenderedSights:
         noise = address.stream(Stream.DETECTOR, self.spec.epochs)
         return self.imager.image(view, address.seed, number, noise)[0]
 
-    def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
-        """Return None: a detector has to look."""
-        return None
-
     def which(self, found: Ellipses, view: View) -> IndexArray:
         """Return the crater of each detection; ``NO_CRATER`` where it is none."""
         return identified(found, self.imager.craters(view))
@@ -113,7 +106,7 @@ class RenderedSights:
 
 
 CraterSights = DrawnSights | RenderedSights
-"""Gives images, and says which craters detections are."""
+"""Gives images, and detections with their craters, or which craters a detector has found."""
 
 
 def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> CraterSights:
@@ -215,7 +208,7 @@ class NavigationTrial:
         pixels, attitude = self._images[number], planned.actual_R_cam_inertial.copy()
         turn = self.rotation.at(np.array([planned.time_s]))[0]
         sun_dir_cam = attitude @ turn.T @ view.sun_dir_body
-        drawn = self.sights.drawn(view, address)
+        drawn = self.sights.drawn(view, address) if isinstance(self.sights, DrawnSights) else None
 
         def detect(path: Path) -> None:
             frame = Frame(pixels, sun_dir_cam, Pose(attitude, np.zeros(3)), np.eye(6), planned.time_s)
@@ -233,7 +226,7 @@ class NavigationTrial:
             return SearchedImage(exposure, found.reason, drawn[1][: len(found.detections.ellipses)])
 
         def tell(path: Path) -> None:
-            which = self.sights.which(found.detections.ellipses, view)
+            which = cast("RenderedSights", self.sights).which(found.detections.ellipses, view)
             write_atomically(path, lambda place: _save(place, which))
 
         return SearchedImage(exposure, found.reason, own.cached(f"{name}-truth.npy", "scoring", tell, np.load))

@@ -143,10 +143,8 @@ class ImageSurvey(TrialRunner[None, NavigationTrial, NavigationTrial]):
 
     def score(self, answer: NavigationTrial, drawn: NavigationTrial) -> Records:
         """Count what the images of an arc have in common, and the craters that they show."""
-        crater = []
-        for number, view in enumerate(drawn.views):
-            seen = self.sights.drawn(view, Address(self.seed, drawn.address.trial, number))
-            crater.append(seen[1] if seen is not None else np.zeros(0, dtype=np.int64))
+        addresses = [Address(self.seed, drawn.address.trial, number) for number in range(len(drawn.views))]
+        crater = [self.sights.drawn(*seen)[1] for seen in zip(drawn.views, addresses, strict=True)]
         numbers, hits = np.unique(np.concatenate(crater), return_counts=True)
         known = numbers != NO_CRATER
         covered = coverage(drawn.views, self.sights.ground)

@@ -116,7 +116,7 @@ def open_orbit_world(scenario: LoadedScenario, seed: int, number: int = 0) -> Or
     # Only what the body and its craters depend on, so that scenarios share them.
     part = OrbitSpec(asteroid=section.asteroid, sightings={"craters": section.sightings.craters})
     asteroid = _asteroid(_Body(scenario), part, seed)
-    believed = _believed(asteroid, section.knowledge.shape_degree, part)
+    believed = _believed(asteroid, part, section.knowledge.shape_degree)
     cratered = _other_craters(asteroid, part, seed, number) if number else asteroid
     return OrbitWorld(section, scenario.spec.camera.camera().pinhole, cratered, believed)
 
@@ -165,14 +165,8 @@ def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
     return Asteroid.of(mesh, spec, seed)
 
 
-@lru_cache(maxsize=16)
-def _other_craters(asteroid: Asteroid, spec: OrbitSpec, seed: int, number: int) -> Asteroid:
-    return asteroid.with_craters(spec, seed, number)
-
-
-@lru_cache(maxsize=16)
-def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> OnboardShape:
-    return OnboardShape.of(asteroid, spec, degree)
+_other_craters = lru_cache(maxsize=16)(Asteroid.with_craters)
+_believed = lru_cache(maxsize=16)(OnboardShape.of)
 
 
 def _section(scenario: LoadedScenario) -> OrbitSpec:

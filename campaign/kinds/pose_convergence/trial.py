@@ -13,7 +13,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, Trials, WorkerContext, check_only_method
 from boresight.campaign.trial.methods import located
-from boresight.campaign.trial.pose_score import pose_errors
+from boresight.campaign.trial.pose_score import pose_errors, view_columns
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import inverse_2x2
 from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
@@ -188,8 +188,7 @@ class PoseConvergence(Trials):
                 **{f"prior_{name}": float(values[i]) for name, values in priors.items()},
                 "n_landmarks": len(draw.chosen),
                 "image": "",
-                "range_m": float(np.linalg.norm(draw.view.T_cam_body.translation_m)),
-                "phase_deg": float(np.degrees(draw.view.phase_angle_rad)),
+                **view_columns(draw.view),
             }
             reason = f"{len(draw.chosen)} landmarks are visible, {LANDMARKS} needed"
             unseen: Record = {"status": "failed", "reason": reason}

@@ -10,12 +10,7 @@ import numpy as np
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.world import check_outside
 from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.score import (
-    check_sequence,
-    parameter_errors,
-    score_epochs,
-    summary,
-)
+from boresight.campaign.kinds.sequence.score import check_sequence, parameter_errors, score_epochs, summary
 from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext

@@ -22,13 +22,7 @@ from boresight.campaign.inspection.show import (
     plain,
     plain_pose,
 )
-from boresight.campaign.kinds.single_image.examples import (
-    SecondLook,
-    alignment_of,
-    credit_lines,
-    fit_figures,
-    fit_of,
-)
+from boresight.campaign.kinds.single_image.examples import SecondLook, alignment_of, credit_lines, fit_figures, fit_of
 from boresight.campaign.kinds.single_image.trial import EstimatedImage, SingleImage
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.contract import Estimate
