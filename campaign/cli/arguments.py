@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from boresight.campaign.papers import PAPERS
+from boresight.campaign.catalog import PAPERS
 from boresight.campaign.runs.request import RUNS
 
 if TYPE_CHECKING:

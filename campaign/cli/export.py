@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import pandas as pd
 from rich.progress import track
 
 from boresight.campaign.cli.terminal import console, writing
@@ -21,14 +22,16 @@ from boresight.campaign.export.tables import write_latex, write_tables
 from boresight.campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.runs.newest import find_run
+from boresight.campaign.store import RunFolder
 from boresight.reports.run.data import read_run
 from boresight.scenarios.errors import BoresightError
 
 
 def export_command(arguments: argparse.Namespace) -> int:
     """Write trajectories, landmarks or tables of a run."""
+    write = _tables if arguments.to in ("csv", "parquet", "latex") else _poses
     with writing(arguments.out):
-        written = _tables(arguments) if arguments.to in ("csv", "parquet", "latex") else _poses(arguments)
+        written = write(find_run(arguments.run), arguments)
     if not written:
         raise BoresightError(f"{arguments.run}: nothing to export: no chosen trial has an estimate")
     console().print(
@@ -38,26 +41,26 @@ def export_command(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _tables(arguments: argparse.Namespace) -> list[Path]:
-    folder = find_run(arguments.run)
+def _tables(folder: RunFolder, arguments: argparse.Namespace) -> list[Path]:
     if arguments.to == "latex":
         for name in ("trial", "scenario", "estimator"):
             if getattr(arguments, name) is not None:
                 raise BoresightError(f"--{name}: the tables of a report are of the whole run: leave it out")
         return write_latex(folder, arguments.out)
-    choice = Choice(arguments.scenario, arguments.estimator)
-    rows = chosen_rows(read_run(folder.path).rows, choice, str(folder.path))
-    checked_trials(rows, arguments.trial, str(folder.path))
-    only = {name: value for name, value in (("scenario", choice.scenario), ("estimator", choice.estimator)) if value}
+    _chosen(folder, arguments)
+    only = {name: getattr(arguments, name) for name in ("scenario", "estimator") if getattr(arguments, name)}
     return write_tables(folder, arguments.to, arguments.trial, only, arguments.out)
 
 
-def _poses(arguments: argparse.Namespace) -> list[Path]:
-    folder = find_run(arguments.run)
-    choice = Choice(arguments.scenario, arguments.estimator)
-    rows = chosen_rows(read_run(folder.path).rows, choice, str(folder.path))
-    trials = checked_trials(rows, arguments.trial, str(folder.path))
-    rows, written = rows[rows["trial"].isin(trials)], []
+def _chosen(folder: RunFolder, arguments: argparse.Namespace) -> pd.DataFrame:
+    """Return the rows of the chosen scenario, estimator and trials."""
+    choice, run = Choice(arguments.scenario, arguments.estimator), str(folder.path)
+    rows = chosen_rows(read_run(folder.path).rows, choice, run)
+    return rows[rows["trial"].isin(checked_trials(rows, arguments.trial, run))]
+
+
+def _poses(folder: RunFolder, arguments: argparse.Namespace) -> list[Path]:
+    rows, written = _chosen(folder, arguments), []
     stored = stored_images(rows) if arguments.to == "tum" else None
     if stored is not None:
         return [path for name, frames in stored for path in write_trajectory(name, frames, arguments.out)]

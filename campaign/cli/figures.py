@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.arguments import ALL_PAPERS
 from boresight.campaign.cli.fetch import bring_missing
 from boresight.campaign.cli.progress import NamedLines, ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.draft import as_draft, kept
 from boresight.campaign.machine import sharing_cores
-from boresight.campaign.papers import PAPERS
 from boresight.campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign

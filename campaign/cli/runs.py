@@ -25,24 +25,17 @@ def run_command(arguments: argparse.Namespace) -> int:
 
         bring_missing([arguments.name], arguments)
     begun = start(
-        arguments.name,
-        overrides=arguments.overrides,
-        seed=arguments.seed,
-        trials=arguments.trials,
-        until=arguments.until,
-        jobs=arguments.jobs,
-        out=arguments.out,
-        variant=arguments.variant,
-        keep_images=arguments.keep_images,
-        cluster=_cluster(arguments),
-        trial_limit_s=arguments.trial_limit,
-        embedded=arguments.embedded,
-        command=arguments.command,
-    )
+        arguments.name, overrides=arguments.overrides, seed=arguments.seed, trials=arguments.trials,
+        until=arguments.until, jobs=arguments.jobs, out=arguments.out, variant=arguments.variant,
+        keep_images=arguments.keep_images, cluster=_cluster(arguments), trial_limit_s=arguments.trial_limit,
+        embedded=arguments.embedded, command=arguments.command,
+    )  # fmt: skip
     campaign, request = begun.campaign, begun.request
     out = console()
     name, variant = campaign.spec.name, campaign.variant
-    where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
+    where, cluster = f"{request.jobs} job(s)", request.cluster
+    if cluster is not None:
+        where = f"Dask at {cluster.scheduler}" if cluster.scheduler else f"{cluster.local} Dask worker(s)"
     out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
     for line in preflight(campaign.scenarios, campaign.spec):
         out.print(line)
@@ -81,7 +74,3 @@ def _cluster(arguments: argparse.Namespace) -> Cluster | None:
     if bool(arguments.scheduler) == bool(arguments.local):
         raise BoresightError("--backend dask: give either --scheduler ADDRESS or --local N")
     return Cluster(arguments.scheduler or "", arguments.local or 0)
-
-
-def _named(cluster: Cluster) -> str:
-    return f"Dask at {cluster.scheduler}" if cluster.scheduler else f"{cluster.local} Dask worker(s)"

@@ -35,17 +35,10 @@ _Track = list[tuple[int, int, float]]
 
 
 def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) -> Iterator[tuple[str, PosedFrames]]:
-    """Recompute cases and yield their poses in body axes: one model for each sequence, or one for all single images.
+    """Recompute cases; yield name and poses in body axes of a model for each sequence, or of one for all single images.
 
-    Yields
-    ------
-    name, frames
-        Name of the model, from scenario and estimator (and trial, for a sequence), and its frames.
-
-    Raises
-    ------
-    BoresightError
-        If recomputed and stored rows differ.
+    Names are made of scenario and estimator, and of the trial of a sequence. Raise BoresightError if recomputed and
+    stored rows differ.
     """
     show = check_posed(campaign)
     together: dict[tuple[str, str], list[PosedFrames]] = {}

@@ -274,12 +274,9 @@ class Imager:
         return replace(self, detector=detector, brightness=spec.lighting.brightness)
 
     def image(self, view: View, seed: int, index: int, noise: np.random.Generator) -> tuple[Image, bool]:
-        """Image a view, exposed with the generator ``noise``; ``seed`` and ``index`` number the image in the store.
+        """Return the image (H, W) float32 of a view, and whether it came from the store.
 
-        Returns
-        -------
-        image, from_store
-            (H, W) float32, and whether the image came from the store.
+        ``seed`` and ``index`` number it in the store; ``noise`` is the random generator of the detector.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
         factor = drawn(self.brightness, noise)

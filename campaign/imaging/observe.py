@@ -20,9 +20,7 @@ T = TypeVar("T", bound=np.generic)
 def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> RangeReading | None:
     """Measure the distance from the camera along its boresight to the true surface.
 
-    Returns
-    -------
-    The reading; None if the scenario has no altimeter or the boresight misses the body.
+    The reading is None if the scenario has no altimeter or the boresight misses the body.
     """
     altimeter = world.scenario.spec.sensors.altimeter
     if altimeter is None:

@@ -34,24 +34,12 @@ _LEAST_PX = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialImage:
-    """Image of one trial with its true view. Only experiments may use it, never an estimator.
+    """Image (H, W) of one trial with its true view. Only experiments may use it, never an estimator.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32.
-    view
-        The true view; for real images that of the reference pose.
-    further
-        Views of other poses to score against, by name.
-    image_name
-        File name of a real image, else ''.
-    time_s
-        Epoch of a real image or of a state of a trajectory, else 0.
-    from_store
-        Whether the image was rendered in an earlier run.
-    velocity_m_s
-        (3,) velocity of the camera about the body, body axes, of a trajectory that has it.
+    The view of a real image is that of the reference pose; ``further`` has those of other poses to score against, by
+    name, and ``image_name`` is its file, else ''. ``time_s`` is the epoch of a real image or of a state of a
+    trajectory, else 0, and ``velocity_m_s`` (3,) the velocity of the camera about the body, body axes, of a trajectory
+    that has it. ``from_store`` says whether the image was rendered in an earlier run.
     """
 
     image: NDArray[np.float32]

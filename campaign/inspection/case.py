@@ -94,17 +94,10 @@ def cases_of(rows: pd.DataFrame) -> list[Case]:
 
 
 def worst_cases(run: RunData, count: int, choice: Choice, metric: str | None) -> tuple[list[Case], str]:
-    """Rank the trials of a run, the worst first.
+    """Return the ``count`` worst trials of a run, the worst first, or all if they are fewer, and the metric's name.
 
     Errors come first, then failures, both by decreasing prior error, then solved trials without the metric, then solved
     trials by decreasing metric; ties by trial number. `CONTROLS` are left out unless ``choice`` names one.
-
-    Returns
-    -------
-    cases
-        ``count`` cases, or all if there are fewer.
-    name
-        Name of the metric.
     """
     rows = run.rows.reset_index(drop=True)
     values, name = _badness(run, metric)

@@ -91,24 +91,11 @@ class EstimatorRun:
 class Show:
     """Displays of a kind of trial; None for those that it lacks.
 
-    Parameters
-    ----------
-    draw
-        Draws a recomputed case whose `InspectedTrial` is known.
-    kept
-        Returns the files to write of the `InspectedTrial` of a case.
-    look
-        Collects the three-dimensional view of a run.
-    examples
-        Draws typical trials for the report of a run.
-    posed
-        Returns the camera poses of a recomputed case in body axes.
-    trajectory
-        Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
-    pooled
-        Whether the poses of all trials refer to the same fixed body, and form one model.
-    long
-        Whether recomputing a case of a campaign takes minutes.
+    ``draw`` draws a recomputed case whose `InspectedTrial` is known, ``kept`` returns the files to write of that trial,
+    and ``posed`` its camera poses in body axes. ``trajectory`` returns the trajectory of a stored case without running
+    an estimator; None if ``posed`` gives it. ``pooled`` says whether the poses of all trials refer to the same fixed
+    body, and form one model. ``look`` collects the three-dimensional view of a run, ``examples`` draws typical trials
+    for its report. ``long`` says whether recomputing a case of a campaign takes minutes.
     """
 
     draw: Callable[[Recomputed], CaseFigures]

@@ -102,13 +102,9 @@ def finished_runs(
 ) -> tuple[list[FinishedRun], list[str]]:
     """Return the finished runs of a campaign among some folders, the most recently started first.
 
-    ``draft`` selects drafts of that scale (fewer trials and smaller data bases). Runs with ``--set`` are ignored, as
-    they differ from the paper's, and runs on embedded bodies unless ``embedded`` selects them alone.
-
-    Returns
-    -------
-    finished, refused
-        The runs, and a line for each run that may be of the campaign but cannot be read.
+    Also return a line for each run that may be of the campaign but cannot be read. ``draft`` selects drafts of that
+    scale (fewer trials and smaller data bases). Runs with ``--set`` are ignored, as they differ from the paper's, and
+    runs on embedded bodies unless ``embedded`` selects them alone.
     """
     finished, refused = [], []
     for path in runs:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from boresight.campaign.papers import PAPERS
+from boresight.campaign.catalog import PAPERS
 from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.request import RUNS

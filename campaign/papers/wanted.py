@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from boresight.campaign.papers import PAPERS
+from boresight.campaign.catalog import PAPERS
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.requirements import needs
 from boresight.scenarios.data.datasets import DataSet, datasets, datasets_providing

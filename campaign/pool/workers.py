@@ -69,25 +69,10 @@ def in_order(
 ) -> Iterator[T]:
     """Yield ``function(*call)`` for each call, in order, keeping only results that wait for an earlier one.
 
-    Parameters
-    ----------
-    jobs
-        Number of worker processes; with one, the calls are made in this process.
-    function
-        A module-level function, so that it can be pickled.
-    calls
-        Arguments of each call.
-    apart
-        Whether a single job runs in a worker process too, so that this process survives a crash.
-    renew_after
-        Number of calls after which a worker process is replaced, which releases memory leaked by libraries.
-    after_death
-        Decides which calls replace those whose process has ended.
-
-    Raises
-    ------
-    BoresightError
-        If a worker ends and ``after_death`` raises it. Exceptions of a call are re-raised unchanged.
+    The function is one of a module, so that it can be pickled. With one job, the calls are made in this process or, if
+    ``apart``, in a worker process too, so that this process survives a crash. A worker process is replaced after
+    ``renew_after`` calls, which releases memory leaked by libraries. ``after_death`` decides which calls replace those
+    whose process has ended, and may raise BoresightError. Exceptions of a call are re-raised unchanged.
     """
     if jobs == 1 and not apart:
         return (function(*call) for call in calls)

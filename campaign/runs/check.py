@@ -95,9 +95,7 @@ def check_data(campaign: ResolvedCampaign) -> None:
 def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int | None, tuple[Body, Body]]:
     """Read images and bodies of a scenario, and check it for a kind of trial, by default the one of its own section.
 
-    Returns
-    -------
-    How many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
+    Return how many trials its real images allow, None if images are rendered; and its bodies, see `check_bodies`.
     """
     limit, bodies = trial_limit(scenario), check_bodies(scenario)
     kind_named(experiment or kind_of(scenario)).check_scenario(scenario)

@@ -44,17 +44,9 @@ def resolve(
     versions = _versions(spec, loaded)
     for entry in spec.estimators:
         _check_sensors(entry, scenarios)
-    return ResolvedCampaign(
-        spec,
-        scenarios,
-        spec.seed if seed is None else seed,
-        versions,
-        variant,
-        read.variations,
-        tuple(overrides),
-        root=loaded.root,
-        embedded=_replaced(files, scenarios),
-    )
+    decides = (spec, scenarios, spec.seed if seed is None else seed, versions, variant)
+    embedded_bodies = _replaced(files, scenarios)
+    return ResolvedCampaign(*decides, read.variations, tuple(overrides), root=loaded.root, embedded=embedded_bodies)
 
 
 def _replaced(files: Sequence[LoadedScenario], embedded: Sequence[LoadedScenario]) -> tuple[str, ...]:
@@ -171,12 +163,5 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         variant = str(machine["variant"])
     except (KeyError, IndexError, TypeError, AttributeError, ValueError):
         return None
-    return ResolvedCampaign(
-        spec,
-        scenarios,
-        seed,
-        _versions(spec),
-        variant,
-        draft=float(manifest.get("draft", 1.0)),
-        embedded=tuple(manifest.get("embedded", ())),
-    )
+    draft, embedded = float(manifest.get("draft", 1.0)), tuple(manifest.get("embedded", ()))
+    return ResolvedCampaign(spec, scenarios, seed, _versions(spec), variant, draft=draft, embedded=embedded)

@@ -98,18 +98,10 @@ def run(
         If anything that is asked for is wrong, or the folder holds another run, is in use or cannot be written.
     """
     begun = start(
-        str(name),
-        overrides=overrides,
-        seed=seed,
-        trials=trials,
-        until=until,
-        jobs=jobs,
-        out=None if out is None else Path(out),
-        variant=variant,
-        keep_images=keep_images,
-        trial_limit_s=trial_limit_s,
+        str(name), overrides=overrides, seed=seed, trials=trials, until=until, jobs=jobs,
+        out=None if out is None else Path(out), variant=variant, keep_images=keep_images, trial_limit_s=trial_limit_s,
         embedded=embedded,
-    )
+    )  # fmt: skip
     folder = begun.go(listener or _Logged())
     stored = folder.table("rows")
     rows = stored[stored["trial"] < begun.request.trials].reset_index(drop=True)

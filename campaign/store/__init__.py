@@ -5,7 +5,6 @@ before its rows, and only a block whose rows are complete counts as done.
 """
 
 from boresight.campaign.store.folder import RunFolder, run_lock
-from boresight.reports.schema.column import Column
 from boresight.reports.schema.tables import TABLES
 
-__all__ = ["TABLES", "Column", "RunFolder", "run_lock"]
+__all__ = ["TABLES", "RunFolder", "run_lock"]

@@ -18,16 +18,8 @@ _QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 def nees(error: FloatArray, covariance: FloatArray | None) -> float | None:
     """Return e^T P^-1 e, which has a chi-square distribution with as many degrees of freedom as e has components.
 
-    Parameters
-    ----------
-    error
-        (n,) in any units.
-    covariance
-        (n, n) in the same.
-
-    Returns
-    -------
-    The number; None where the covariance is missing or not positive definite, as where something is known perfectly.
+    The error (n,) is in any units, the covariance (n, n) in the same. The result is None where the covariance is
+    missing or not positive definite, as where something is known perfectly.
     """
     if covariance is None:
         return None
