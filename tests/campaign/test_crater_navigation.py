@@ -144,7 +144,7 @@ def test_a_black_and_a_saturated_image_have_no_craters_and_a_reason(tmp_path, sh
 def test_exposures_have_the_sun_of_their_attitude_and_the_shape_is_where_its_model_is(tmp_path):
     world, stages = _world(imaging={"epochs": 2}), StageFiles(tmp_path)
     taken = NavigationTrial.take(world, _trials(tmp_path, world).sights, 5, 0, stages)
-    searched = taken.search(CraterNavigation.from_options({"matcher": "vote"}), taken.task, stages)
+    searched = taken.search(CraterNavigation.from_options({"matcher": "vote"}), taken.task)
     sun = np.array(world.spec.light.sun_dir) / np.linalg.norm(world.spec.light.sun_dir)
     assert len(searched) == 2
     for image, planned in zip(searched, taken.plan, strict=True):

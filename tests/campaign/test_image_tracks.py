@@ -7,8 +7,7 @@ import pytest
 from mission_data import data_file, needs_data
 
 from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import ImageTracks
-from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError
@@ -30,8 +29,7 @@ def seen(tmp_path_factory):
     file.write_text(SCENE)
     scenario = load_scenario(str(file))
     images = OrbitImages.open(scenario, choose_variant().name, 5)
-    tracks = ImageTracks(scenario.spec.sequence, ground_of(scenario), images)
-    return tracks, tracks.see(5, 0), tracks.see(5, 1)
+    return images, Watch(images, 5, 0).whole(), Watch(images, 5, 1).whole()
 
 
 def on_sphere(camera, pose, uv_px):
@@ -42,9 +40,9 @@ def on_sphere(camera, pose, uv_px):
 
 
 def test_landmarks_are_where_the_first_line_of_sight_meets_the_sphere(seen):
-    tracks, one, _ = seen
+    images, one, _ = seen
     first = one.sequence.frames[0]
-    points = on_sphere(tracks.images.camera, one.truth.poses[0], first.uv_px)
+    points = on_sphere(images.camera, one.truth.poses[0], first.uv_px)
     np.testing.assert_allclose(one.truth.points_m[first.tracks], points, atol=0.1)
     # The Sun stands over the north of the orbit: nothing is tracked on the other side.
     assert one.truth.points_m[:, 2].min() > 0.0
@@ -52,9 +50,9 @@ def test_landmarks_are_where_the_first_line_of_sight_meets_the_sphere(seen):
 
 @pytest.mark.parametrize("start", [0, 1])
 def test_tracks_are_seen_where_their_landmarks_are(seen, start):
-    tracks, one = seen[0], seen[1 + start]
+    images, one = seen[0], seen[1 + start]
     for frame, pose, wrong in zip(one.sequence.frames, one.truth.poses, one.truth.wrong, strict=True):
-        place = tracks.images.camera.project(pose.transform(one.truth.points_m[frame.tracks]))
+        place = images.camera.project(pose.transform(one.truth.points_m[frame.tracks]))
         assert (np.linalg.norm(place - frame.uv_px, axis=1) > 3.0).tolist() == wrong.tolist()
         assert np.median(np.linalg.norm(place - frame.uv_px, axis=1)) < 0.3
     shared = np.intersect1d(one.sequence.frames[0].tracks, one.sequence.frames[1].tracks)
@@ -85,8 +83,8 @@ def test_vision_is_told_as_it_was(seen):
 
 
 def test_the_same_address_gives_the_same_tracks(seen):
-    tracks, one, _ = seen
-    again = tracks.see(5, 0)
+    images, one, _ = seen
+    again = Watch(images, 5, 0).whole()
     for first, second in zip(one.sequence.frames, again.sequence.frames, strict=True):
         np.testing.assert_array_equal(first.uv_px, second.uv_px)
         np.testing.assert_array_equal(first.motion_m, second.motion_m)
@@ -124,7 +122,7 @@ def test_landmarks_of_a_shape_are_where_the_line_of_sight_meets_its_first_facet(
     file.write_text("\n".join([body, *SCENE.splitlines()[2:]]).replace("{step_deg", "{radius_m: 1150, step_deg"))
     scenario = load_scenario(str(file))
     images = OrbitImages.open(scenario, choose_variant().name, 5)
-    one = ImageTracks(scenario.spec.sequence, ground_of(scenario), images).see(5, 0)
+    one = Watch(images, 5, 0).whole()
     first, pose = one.sequence.frames[0], one.truth.poses[0]
     rays, origin = images.camera.unproject(first.uv_px) @ pose.rotation, pose.camera_position_m
     corners = load_body(scenario.spec.body, scenario.search_dirs).mesh.corners_m

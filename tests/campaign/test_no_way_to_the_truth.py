@@ -21,7 +21,7 @@ from boresight.campaign.imaging.image_store import Imager, ImageStore
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
 from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import ImageTracks, Watch
+from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.campaign.kinds.single_image import trial as single_image
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
@@ -63,7 +63,7 @@ INPUTS = (
 """Modules of the classes of what methods are given."""
 
 TRUTH = (
-    *(TrialImage, World, LoadedScenario, ImageStore, Imager, BuiltAssets, RunFolder, Path, OrbitImages, ImageTracks),
+    *(TrialImage, World, LoadedScenario, ImageStore, Imager, BuiltAssets, RunFolder, Path, OrbitImages),
     *(Watch, SequenceTruth, CameraTrajectory, CraterTruth, CraterPair, CraterView, LabelledDetections, OrbitTruth),
     *(OrbitWorld, Asteroid, TrueOrbit),
 )

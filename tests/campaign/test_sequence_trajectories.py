@@ -10,8 +10,7 @@ import trimesh
 from boresight.campaign.cli.main import main
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.score import track_axes
-from boresight.campaign.kinds.sequence.tracks import ImageTracks
-from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.load import load_scenario
 
@@ -112,8 +111,7 @@ def test_images_of_a_flyby_over_a_rotating_body_are_tracked_from_its_first_state
     (tmp_path / "scene.yaml").write_text(SEEN)
     scenario = load_scenario(str(tmp_path / "scene.yaml"))
     images = OrbitImages.open(scenario, choose_variant().name, 5)
-    tracks = ImageTracks(scenario.spec.sequence, ground_of(scenario), images)
-    one, other = tracks.see(5, 0), tracks.see(5, 1)
+    one, other = Watch(images, 5, 0).whole(), Watch(images, 5, 1).whole()
     assert len(images.views) == len(one.sequence.frames) == 3
     for frame, pose, wrong in zip(one.sequence.frames, one.truth.poses, one.truth.wrong, strict=True):
         place = images.camera.project(pose.transform(one.truth.points_m[frame.tracks]))

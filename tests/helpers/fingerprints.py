@@ -15,7 +15,7 @@ from boresight.campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pai
 from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
 from boresight.campaign.kinds.orbit_determination.trial import open_orbit_world
 from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import ImageTracks
+from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.campaign.kinds.sequence.trial import ground_of
 from boresight.campaign.products import BuiltAssets
 from boresight.estimators.craters.navigation.rounds import CraterNavigation
@@ -94,7 +94,7 @@ def _navigation(scenario: LoadedScenario, variant: str) -> Iterator[object]:
         stages = StageFiles(Path(folder))
         taken = NavigationTrial.take(world, open_sights(scenario, imaging_of(world), variant), 3, 0, stages)
         yield taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m, taken.views
-        yield from taken.search(CraterNavigation.from_options({}), taken.task, stages)
+        yield from taken.search(CraterNavigation.from_options({}), taken.task)
 
 
 def _sequences(scenario: LoadedScenario, variant: str) -> Iterator[object]:
@@ -104,9 +104,9 @@ def _sequences(scenario: LoadedScenario, variant: str) -> Iterator[object]:
             truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
             yield truth.points_m, truth.poses, sequence
         return
-    tracks = ImageTracks(spec.sequence, ground, OrbitImages.open(scenario, variant, 3))
+    images = OrbitImages.open(scenario, variant, 3)
     for trial in range(2):
-        watch = tracks.watch(3, trial)
+        watch = Watch(images, 3, trial)
         sequence_estimator_class("ba-slam").from_options({"connectivity": 2}).follow(watch.sequence)
         seen = watch.seen()
         yield seen.truth.points_m, seen.sequence, seen.sequence.frames[0].sigma_px

@@ -143,7 +143,8 @@ class NavigationTrial:
     """One arc: the ``task`` of the chain, and its images, as planned and as telemetry reports them.
 
     The true motion ``flown``, the true view of each image and the true ``rotation`` of the body are for the sights and
-    the score alone. ``address`` is that of the trial; its ``image`` has no meaning.
+    the score alone. ``address`` is that of the trial; its ``image`` has no meaning. The stages of its chains leave
+    their files in ``stages``.
     """
 
     task: NavigationTask
@@ -153,6 +154,7 @@ class NavigationTrial:
     rotation: UniformRotation
     sights: CraterSights
     address: Address
+    stages: StageFiles
     _images: dict[int, Image] = field(default_factory=dict)
 
     @classmethod
@@ -185,24 +187,22 @@ class NavigationTrial:
         reported = np.stack([image.actual_R_cam_inertial for image in plan])
         views = true_views(world, flown, reported, seed, trial)
         task = NavigationTask(knowledge, shape, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
-        return cls(task, plan, flown, views, world.rotation, sights, Address(seed, trial, 0))
+        return cls(task, plan, flown, views, world.rotation, sights, Address(seed, trial, 0), stages)
 
-    def search(self, navigator: CraterNavigation, task: NavigationTask, stages: StageFiles) -> list[SearchedImage]:
+    def search(self, navigator: CraterNavigation, task: NavigationTask) -> list[SearchedImage]:
         """Look for craters in all images, or read what was found before; ``task`` is the chain's own copy."""
         found = []
         for number in range(len(self.plan)):
-            found.append(self._searched(number, navigator, task, stages))
+            found.append(self._searched(number, navigator, task))
             report_progress("images of a trial", number + 1, len(self.plan))
         self.sights.flush()
         return found
 
-    def _searched(
-        self, number: int, navigator: CraterNavigation, task: NavigationTask, stages: StageFiles
-    ) -> SearchedImage:
-        planned, view, own = self.plan[number], self.views[number], searched_in(navigator, stages)
+    def _searched(self, number: int, navigator: CraterNavigation, task: NavigationTask) -> SearchedImage:
+        planned, view, own = self.plan[number], self.views[number], searched_in(navigator, self.stages)
         address = Address(self.address.seed, self.address.trial, number)
         if number not in self._images:
-            with stages.timed("imaging"):
+            with self.stages.timed("imaging"):
                 self._images[number] = self.sights.image(view, address)
                 self._images[number].setflags(write=False)
         pixels, attitude = self._images[number], planned.actual_R_cam_inertial.copy()

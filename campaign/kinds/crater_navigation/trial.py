@@ -59,14 +59,6 @@ from boresight.scenarios.orbits.world import OrbitWorld
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NavigationDraw:
-    """The images of a trial, and where the stages of its chains leave their files."""
-
-    taken: NavigationTrial
-    stages: StageFiles
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class NavigationAnswer:
     """Result of a chain: its images and their folder, all rounds, and the last round's orbit at the scored times."""
 
@@ -78,7 +70,7 @@ class NavigationAnswer:
 
 
 @dataclass(frozen=True, eq=False)
-class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, NavigationAnswer]):
+class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationTrial, NavigationAnswer]):
     """Trials of chains of crater navigation; all see the same images.
 
     ``folder`` has a folder for each trial, where the stages leave their files; those that are there are read back.
@@ -134,49 +126,48 @@ class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationDraw, Navi
         folder = context.run / "chain" / scenario.spec.name
         return cls.made(campaign, scenario, number, world=world, sights=sights, folder=folder)
 
-    def draw(self, trial: int) -> NavigationDraw:
+    def draw(self, trial: int) -> NavigationTrial:
         """Plan the images of a trial and take them; there may be no arc."""
-        stages = StageFiles(self.folder / f"{trial:07d}")
-        return NavigationDraw(NavigationTrial.take(self.world, self.sights, self.seed, trial, stages), stages)
+        return NavigationTrial.take(self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}"))
 
-    def row(self, drawn: NavigationDraw) -> Record:
-        return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.taken.flown.wanted_states[0, :3]))}
+    def row(self, drawn: NavigationTrial) -> Record:
+        return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.flown.wanted_states[0, :3]))}
 
-    def ask(self, method: CraterNavigation, drawn: NavigationDraw) -> NavigationAnswer:
+    def ask(self, method: CraterNavigation, drawn: NavigationTrial) -> NavigationAnswer:
         """Let a chain search its images and solve for the orbit."""
-        task, stages = own_copy(drawn.taken.task), drawn.stages
-        searched = drawn.taken.search(method, task, stages)
+        task, stages = own_copy(drawn.task), drawn.stages
+        searched = drawn.search(method, task)
         try:
             navigation = method.navigate([image.exposure for image in searched], task, stages)
         except OrbitLostError as error:
             raise GaveUpError(f"the a priori orbit: {error}") from error
         last = navigation.rounds[-1]
-        scored = at_times(last.estimate, last.data, drawn.taken.task.wanted_s)
+        scored = at_times(last.estimate, last.data, drawn.task.wanted_s)
         return NavigationAnswer(searched, searched_in(method, stages), navigation, *scored)
 
-    def check(self, answer: NavigationAnswer, drawn: NavigationDraw) -> None:
+    def check(self, answer: NavigationAnswer, drawn: NavigationTrial) -> None:
         check_orbit(answer.estimate, answer.data)
 
-    def score(self, answer: NavigationAnswer, drawn: NavigationDraw) -> Records:
+    def score(self, answer: NavigationAnswer, drawn: NavigationTrial) -> Records:
         """Score images, matches, landmarks and the orbit, with the times of all starts of the trial."""
         searched, estimate, data = answer.searched, answer.estimate, answer.data
-        truth, taken = self._truth(answer, drawn), drawn.taken
+        truth = self._truth(answer, drawn)
         used = estimate.orbit.used if estimate.status == "ok" and estimate.orbit is not None else None
         spent = {**drawn.stages.seconds(), **answer.searched_in.seconds(), **answer.navigation.seconds}
         return {
             "navigation": [navigation_summary(answer.navigation, searched, len(epochs_s(self.world)))],
-            "navigated_images": image_records(taken, searched, answer.navigation.rounds[-1]),
+            "navigated_images": image_records(drawn, searched, answer.navigation.rounds[-1]),
             "navigated_landmarks": landmark_records(data, truth.crater, used),
             "timings": [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()],
-            **scored_orbit(estimate, truth, data, with_residuals=taken.address.trial == 0),
+            **scored_orbit(estimate, truth, data, with_residuals=drawn.address.trial == 0),
         }
 
-    def shown(self, answer: NavigationAnswer | None, drawn: NavigationDraw) -> DeterminedOrbit | None:
+    def shown(self, answer: NavigationAnswer | None, drawn: NavigationTrial) -> DeterminedOrbit | None:
         """Return the orbit that a chain has determined; None where there is none."""
         if answer is None:
             return None
         return InspectedTrial(self._truth(answer, drawn), answer.data, answer.estimate)
 
-    def _truth(self, answer: NavigationAnswer, drawn: NavigationDraw) -> OrbitTruth:
+    def _truth(self, answer: NavigationAnswer, drawn: NavigationTrial) -> OrbitTruth:
         crater = [image.crater for image in answer.searched]
-        return truth_of_sightings(self.world, drawn.taken, answer.navigation.rounds[-1], crater)
+        return truth_of_sightings(self.world, drawn, answer.navigation.rounds[-1], crater)

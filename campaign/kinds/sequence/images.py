@@ -18,8 +18,8 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.sequences import MeshGround, camera_trajectory, nominal_trajectory
-from boresight.scenarios.spec.sequence import ImageVisionSpec
+from boresight.scenarios.sequences import CameraTrajectory, MeshGround, camera_trajectory, nominal_trajectory
+from boresight.scenarios.spec.sequence import ImageVisionSpec, SequenceSpec
 
 REPEATED_PX = 2.0
 WRONG_PX = 3.0
@@ -52,9 +52,11 @@ class OrbitImages:
 
     The exposures of one realisation at a time are held, with their features. ``views`` are those of the images by their
     slot, with the camera's lens; images are resampled to the pinhole ``camera``. ``seed`` is that of the detector's
-    noise.
+    noise. ``spec`` is the vision layer of the ``section`` of the scenario, with one start on a trajectory.
     """
 
+    section: SequenceSpec
+    ground: MeshGround
     spec: ImageVisionSpec
     views: tuple[View, ...]
     camera: Camera
@@ -72,19 +74,25 @@ class OrbitImages:
         spec, section = scenario.spec, scenario.spec.sequence
         if section is None or section.images is None:
             raise BoresightError(f"{scenario.path}: sequence.images: missing, so there is no image to render")
-        mesh = load_body(spec.body, scenario.search_dirs).mesh
-        camera = spec.camera.camera()
+        ground, camera = MeshGround(load_body(spec.body, scenario.search_dirs).mesh), spec.camera.camera()
         if section.trajectory is not None:
-            path = nominal_trajectory(section, MeshGround(mesh))
+            path = nominal_trajectory(section, ground)
             imager = Imager.open(scenario, variant, Stream.TRUTH, section.trajectory)
             alike = section.images.model_copy(update={"starts": 1})  # every trial begins at the first state
-            return cls(alike, path.views(camera), camera.pinhole, imager, seed)
+            return cls(section, ground, alike, path.views(camera), camera.pinhole, imager, seed)
         circle = section.orbit.model_copy(update={"revolutions": 1.0})
-        path = camera_trajectory(
-            section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3))
-        )
+        path = camera_trajectory(section.model_copy(update={"orbit": circle}), ground, np.zeros((circle.frames - 1, 3)))
         imager = Imager.open(scenario, variant, Stream.TRUTH, circle)
-        return cls(section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
+        return cls(section, ground, section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
+
+    def path(self, start: int) -> CameraTrajectory:
+        """Return the way of the camera from a start."""
+        if self.section.trajectory is not None:
+            return nominal_trajectory(self.section, self.ground)
+        orbit = self.section.orbit
+        turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.spec.starts})
+        still = np.zeros((orbit.frames - 1, 3))
+        return camera_trajectory(self.section.model_copy(update={"orbit": turned}), self.ground, still)
 
     def image(self, realisation: int, slot: int) -> Image:
         """(H, W) exposure of a slot, resampled to the pinhole."""

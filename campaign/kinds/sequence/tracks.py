@@ -20,14 +20,10 @@ from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.sequences import (
     CameraTrajectory,
     FrameTracks,
-    LandmarkGround,
     SequenceTruth,
-    camera_trajectory,
     measured_ranges,
-    nominal_trajectory,
     onboard_sequence,
 )
-from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 _NOTHING = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
@@ -84,21 +80,23 @@ def _watch(front_end: GuidedFrontEnd) -> Watch:
 
 
 class Watch:
-    """A vision layer at work on the images of a trial."""
+    """A vision layer at work on the images of a trial.
 
-    def __init__(self, tracks: ImageTracks, seed: int, trial: int) -> None:
-        self._tracks, self._images = tracks, tracks.images
-        self._realisation, start = divmod(trial, self._images.spec.starts)
-        turn, spec = len(self._images.views), tracks.spec
-        first = start * turn // self._images.spec.starts
-        self._slots = [(first + i) % turn for i in range(spec.frames)]
+    Trial t begins at start t modulo the number of starts, on exposures t // that number.
+    """
+
+    def __init__(self, images: OrbitImages, seed: int, trial: int) -> None:
+        self._images = images
+        self._realisation, start = divmod(trial, images.spec.starts)
+        turn = len(images.views)
+        first = start * turn // images.spec.starts
+        self._slots = [(first + i) % turn for i in range(images.section.frames)]
         self._address = (seed, trial)
-        self.path = tracks.path(start)
-        self._blind = onboard_sequence(
-            spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address
-        )
+        self.path = images.path(start)
+        blind = [_NOTHING] * len(self._slots)
+        self._blind = onboard_sequence(images.section, images.camera, self.path, blind, self._address)
         self._rng = generator(seed, Stream.RANGES, trial)
-        self._tracker = Tracker(self._images.camera, self._images.spec, estimator_generator(seed, trial))
+        self._tracker = Tracker(images.camera, images.spec, estimator_generator(seed, trial))
         self._made: list[TrackFrame] = []
         self._tracked: list[TrackedFrame] = []
         self._points_m = np.empty((0, 3))
@@ -106,7 +104,7 @@ class Watch:
 
     def anew(self) -> Watch:
         """Return another vision layer on the same images, of which no frame is made yet."""
-        return Watch(self._tracks, *self._address)
+        return Watch(self._images, *self._address)
 
     @property
     def sequence(self) -> TrackSequence:
@@ -142,12 +140,18 @@ class Watch:
         fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
         self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
         here = FrameTracks(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
-        knowledge = self._tracks.spec.knowledge
+        knowledge = self._images.section.knowledge
         ranges: tuple[TrackRange, ...] = ()
         if index == 0 or (knowledge.range_every and index % knowledge.range_every == 0):
             ranges = measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, self._rng)
         self._tracked.append(seen)
         self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
+
+    def whole(self) -> Seen:
+        """Let the vision layer track all images by itself."""
+        for index in range(len(self._slots)):
+            self.frame(index, None)
+        return self.seen()
 
     def seen(self) -> Seen:
         """Return what was seen of the frames so far, collected once for the last of them."""
@@ -159,7 +163,7 @@ class Watch:
             for slot, seen in zip(slots, self._tracked, strict=True)
         ]
         wrong = tuple(~(np.linalg.norm(error, axis=1) <= WRONG_PX) for error in errors)
-        truth = SequenceTruth(self.path.poses, points, wrong, self.path, self._tracks.spec.gm_m3_s2)
+        truth = SequenceTruth(self.path.poses, points, wrong, self.path, self._images.section.gm_m3_s2)
         records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
         self._seen = Seen(truth, replace(self._blind, frames=tuple(self._made)), records, self._seconds())
         return self._seen
@@ -210,40 +214,6 @@ class Watch:
             "matching": float(np.mean(matching)) if matching else 0.0,
             "tracking": float(np.mean([frame.seconds for frame in self._tracked])),
         }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageTracks:
-    """Draws trials: trial t begins at start t modulo the number of starts, on exposures t // that number."""
-
-    spec: SequenceSpec
-    ground: LandmarkGround
-    images: OrbitImages
-
-    @property
-    def guided(self) -> bool:
-        """Whether tracks depend on who follows them."""
-        return self.images.spec.guided
-
-    def watch(self, seed: int, trial: int) -> Watch:
-        """Begin a trial whose frames are made while an estimator follows them."""
-        return Watch(self, seed, trial)
-
-    def see(self, seed: int, trial: int) -> Seen:
-        """Let the vision layer track the images of a trial by itself."""
-        watch = self.watch(seed, trial)
-        for index in range(self.spec.frames):
-            watch.frame(index, None)
-        return watch.seen()
-
-    def path(self, start: int) -> CameraTrajectory:
-        """Return the way of the camera from a start."""
-        orbit = self.spec.orbit
-        if self.spec.trajectory is not None:
-            return nominal_trajectory(self.spec, self.ground)
-        turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.images.spec.starts})
-        still = np.zeros((orbit.frames - 1, 3))
-        return camera_trajectory(self.spec.model_copy(update={"orbit": turned}), self.ground, still)
 
 
 def _share(flags: BoolArray) -> float | None:

@@ -11,7 +11,7 @@ from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.world import check_outside
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.score import check_sequence, parameter_errors, score_epochs, summary
-from boresight.campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
+from boresight.campaign.kinds.sequence.tracks import Seen, Watch
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
@@ -54,7 +54,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     spec: SequenceSpec
     camera: Camera
     ground: LandmarkGround
-    images: ImageTracks | None = None
+    images: OrbitImages | None = None
 
     @classmethod
     def method_class(cls, name: str) -> type[SequenceEstimator]:
@@ -79,18 +79,20 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         """Lay the ground and build the estimators."""
         section, ground, images = _section(scenario), ground_of(scenario), None
         if section.images is not None:
-            images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
+            images = OrbitImages.open(scenario, campaign.variant, campaign.seed)
         camera = scenario.spec.camera.camera().pinhole
         return cls.made(campaign, scenario, number, spec=section, camera=camera, ground=ground, images=images)
 
     def flush(self) -> None:
         if self.images is not None:
-            self.images.images.flush()
+            self.images.flush()
 
     def draw(self, trial: int) -> Seen | Watch:
         """Draw a path and its tracks, simulated or of images; chance may lead it into the body."""
         if self.images is not None:
-            return self.images.watch(self.seed, trial) if self.images.guided else self.images.see(self.seed, trial)
+            watch = Watch(self.images, self.seed, trial)
+            # A vision layer that is guided makes its frames while an estimator follows them.
+            return watch if self.images.spec.guided else watch.whole()
         return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
 
     def given(self, drawn: Seen | Watch, label: str) -> Seen | Watch:
@@ -146,7 +148,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
             If chance leads the orbit into the body.
         """
         if self.images is not None:
-            watch = self.images.watch(self.seed, trial)
+            watch = Watch(self.images, self.seed, trial)
             return watch.path, watch.sequence
         truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
         return truth.trajectory, sequence
