@@ -131,7 +131,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
     ),
     "status": ("status:status_command", "say how far a run is", _RUN),
     "report": ("report:report_command", "write the report of a run", _RUN, *_REPORT),
-    "board": ("board:board_command", "write an index page of all runs in a folder",
+    "board": ("compare:board_command", "write an index page of all runs in a folder",
         _a("folder", f"where the runs are (default: {RUNS})", _FILE, nargs="?", default=RUNS),
     ),
     "inspect": ("inspect:inspect_command", "recompute single trials of a run, keep all of them and draw them",

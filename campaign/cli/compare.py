@@ -1,17 +1,20 @@
-"""``compare``: compare estimators, scenarios or runs after they have been run."""
+"""``compare`` and ``board``: compare estimators, scenarios or runs after they have been run, and list runs."""
 
 from __future__ import annotations
 
 import argparse
 
 from boresight.campaign.cli.arguments import COMPARISONS
-from boresight.campaign.cli.terminal import console
-from boresight.campaign.runs.newest import find_run
+from boresight.campaign.cli.terminal import console, writing
+from boresight.campaign.papers.gather import run_folders
+from boresight.campaign.runs.newest import find_run, newest_first
 from boresight.reports.compare import compare_runs
+from boresight.reports.pages.board import write_board
 from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.pages.rich_tables import rich_parts
-from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.errors import BoresightError, display
 
+_IN_PART = 3
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 """Columns that the files have and the terminal has no room for."""
 
@@ -35,3 +38,17 @@ def compare_command(arguments: argparse.Namespace) -> int:
         printer.print(*rich_parts(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
     printer.print(f"comparison: {files.html}")
     return 0
+
+
+def board_command(arguments: argparse.Namespace) -> int:
+    """Write the index page of the runs in a folder."""
+    folders = newest_first(run_folders(arguments.folder))
+    if not folders:
+        raise BoresightError(f"{arguments.folder}: no run in that folder: give one that holds run folders")
+    with writing(arguments.folder):
+        page, refused = write_board(folders, arguments.folder, arguments.command)
+    out = console()
+    for line in refused:
+        out.print(f"not read: {line}")
+    out.print(f"board of {len(folders) - len(refused)} of {len(folders)} runs: {display(page)}")
+    return _IN_PART if refused else 0

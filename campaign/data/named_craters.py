@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.campaign.data.msi_image import MsiImage, open_msi
@@ -188,11 +188,9 @@ def write_real(found: RealDetection, folder: Path) -> list[Path]:
 def _table(found: RealDetection) -> str:
     """CSV of the detections by decreasing confidence, with the named crater matched with each."""
     names = {int(row): name for row, name in zip(found.nearest, found.predicted.names, strict=True) if row >= 0}
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["u_px", "v_px", "a_px", "b_px", "angle_deg", "confidence", "name"])
     rims = found.detections.ellipses
-    for k in range(len(rims)):
-        numbers = [*rims.centre_px[k], *rims.semi_axes_px[k], np.degrees(rims.angle_rad[k])]
-        writer.writerow([*(f"{x:.2f}" for x in numbers), f"{found.detections.confidence[k]:.4f}", names.get(k, "")])
-    return out.getvalue()
+    numbers = np.column_stack([rims.centre_px, rims.semi_axes_px, np.degrees(rims.angle_rad)])
+    table = pd.DataFrame(numbers, columns=["u_px", "v_px", "a_px", "b_px", "angle_deg"]).map("{:.2f}".format)
+    table["confidence"] = [f"{value:.4f}" for value in found.detections.confidence]
+    table["name"] = [names.get(k, "") for k in range(len(rims))]
+    return table.to_csv(index=False, lineterminator="\n")

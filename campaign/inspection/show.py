@@ -113,16 +113,6 @@ def plain_pose(pose: Pose) -> dict[str, object]:
     return {"T_cam_body_quat_wxyz": pose.quat_wxyz.tolist(), "T_cam_body_translation_m": pose.translation_m.tolist()}
 
 
-def listed(matrix: NDArray[np.float64] | None) -> object:
-    """Return a matrix as lists."""
-    return None if matrix is None else np.asarray(matrix).tolist()
-
-
-def plain(value: float | str) -> object:
-    """Return a number or a text for JSON."""
-    return value if isinstance(value, str) else float(value)
-
-
 def show_of(kind: str) -> Show | None:
     """Return the displays of a kind of trial; None if it has none."""
     module = f"{module_of(kind)}.show"

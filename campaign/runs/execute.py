@@ -28,15 +28,12 @@ class Listener(Protocol):
 
     def message(self, text: str) -> None:
         """Hear of a step."""
-        ...
 
     def started(self, done: int, total: int) -> None:
         """Hear how many trials are stored already and how many there are in all."""
-        ...
 
     def block(self, records: Records, trials: int) -> None:
         """Hear of a block that is now stored."""
-        ...
 
 
 def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> RunFolder:

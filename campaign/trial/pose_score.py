@@ -92,22 +92,13 @@ def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:
 def consistency(
     estimated: Pose, true: Pose, covariance: FloatArray | None, bound: FloatArray | None
 ) -> dict[str, float | None]:
-    """Compare an estimate's covariance with its error.
+    """Compare an estimate's covariance with its error, of poses T_cam_body.
 
-    Parameters
-    ----------
-    estimated, true
-        T_cam_body.
-    covariance, bound
-        (6, 6) [rotation_rad, translation_m] in camera axes: the estimator's covariance and the Cramer-Rao bound of its
-        observations; None where it gives none.
-
-    Returns
-    -------
-    dict
-        ``nees``: e^T P^-1 e with 6 degrees of freedom, for e in est = true.perturbed(e);
-        ``position_sigma_m``, ``attitude_sigma_deg``: RMS errors of the camera in the body and of the attitude that the
-        covariance foretells; ``position_bound_m``, ``attitude_bound_deg``: the same of the bound.
+    ``covariance`` and ``bound`` are (6, 6) [rotation_rad, translation_m] in camera axes: the estimator's covariance and
+    the Cramer-Rao bound of its observations; None where it gives none. Of the result, ``nees`` is e^T P^-1 e with 6
+    degrees of freedom, for e in est = true.perturbed(e); ``position_sigma_m`` and ``attitude_sigma_deg`` are the RMS
+    errors of the camera in the body and of the attitude that the covariance foretells, and ``position_bound_m`` and
+    ``attitude_bound_deg`` those of the bound.
     """
     rotation = Rotation.from_matrix(estimated.rotation @ true.rotation.T).as_rotvec()
     error = np.concatenate([rotation, estimated.translation_m - true.translation_m])

@@ -17,7 +17,6 @@ from boresight.campaign.inspection.show import (
     PosedFrame,
     PosedFrames,
     Show,
-    listed,
 )
 from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame, track_axes
 from boresight.campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
@@ -235,7 +234,7 @@ def kept(shown: FollowedSequence) -> CaseFiles:
     frames = [
         {
             "position_body_m": frame.position_m.tolist(),
-            "covariance_m2": listed(frame.covariance_m2),
+            "covariance_m2": None if frame.covariance_m2 is None else frame.covariance_m2.tolist(),
             "tracks": frame.tracks.tolist(),
             "points_body_m": frame.points_m.tolist(),
         }

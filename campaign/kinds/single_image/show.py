@@ -18,8 +18,6 @@ from boresight.campaign.inspection.show import (
     PosedFrame,
     PosedFrames,
     Show,
-    listed,
-    plain,
     plain_pose,
 )
 from boresight.campaign.kinds.single_image.examples import SecondLook, alignment_of, credit_lines, fit_figures, fit_of
@@ -235,9 +233,11 @@ def _estimate(estimate: Estimate) -> dict[str, object]:
         "status": estimate.status,
         "reason": estimate.reason,
         "pose": None if estimate.pose is None else plain_pose(estimate.pose),
-        "covariance": listed(estimate.covariance),
+        "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
         "stages": {stage.name: plain_pose(stage.T_cam_body) for stage in estimate.stages},
-        "diagnostics": {name: plain(value) for name, value in estimate.diagnostics.items()},
+        "diagnostics": {
+            name: value if isinstance(value, str) else float(value) for name, value in estimate.diagnostics.items()
+        },
         "details": {
             name: {column: np.asarray(values).tolist() for column, values in table.items()}
             for name, table in estimate.details.items()
