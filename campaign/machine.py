@@ -44,11 +44,6 @@ def memory_gib() -> float:
     return installed_memory_bytes() / 2**30
 
 
-def load() -> float:
-    """Mean number of runnable processes in the last minute; 0 if the system does not provide it."""
-    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0
-
-
 @lru_cache(maxsize=1)
 def processor() -> str:
     """Name of the processor."""

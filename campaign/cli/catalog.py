@@ -91,12 +91,12 @@ def _grouped() -> dict[str, list[str]]:
 
 def _row(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> tuple[str, ...]:
     """Describe a campaign: name, size, cost here, what is missing in one word, title."""
-    from boresight.campaign.runs.requirements import needs, rate_of
+    from boresight.campaign.runs.requirements import core_seconds, in_words, needs
 
-    spec, rate = loaded.spec, rate_of(loaded.spec.name)
+    spec, core_s = loaded.spec, core_seconds(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))
     size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
-    time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
+    time = "-" if core_s is None else in_words(core_s * spec.trials * scenarios / cores())
     missing = {need.word for need in needs(loaded, known) if not need.found}
     word = next((one for one in ("images", "data") if one in missing), ", ".join(sorted(missing)) or "-")
     return spec.name, size, time, word, spec.title

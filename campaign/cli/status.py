@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.runs.newest import find_run
+from boresight.campaign.runs.newest import find_run, run_words
 from boresight.campaign.store import RunFolder
 from boresight.scenarios.errors import BoresightError, display
 
@@ -43,12 +43,8 @@ def status_command(arguments: argparse.Namespace) -> int:
 
 def _again(manifest: Mapping[str, Any], folder: RunFolder) -> str:
     """Say how a run goes on: as it was started last, but for all of the trials that it was ever asked for, and here."""
-    trials = str(manifest["trials"])
-    try:
-        words = shlex.split(manifest.get("command") or "")
-    except ValueError:  # a quotation that has no end
-        words = []
-    if words[:2] != ["boresight", "run"]:
+    trials, words = str(manifest["trials"]), run_words(manifest)
+    if not words:
         return f"run the campaign again into the same folder, with {trials} trials of each scenario"
     # Of an option that is given twice the last counts.
     asked = ["--out", display(folder.path), *([] if "--until" in words else ["--trials", trials])]

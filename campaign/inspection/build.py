@@ -43,13 +43,13 @@ def case_figures(campaign: ResolvedCampaign, folder: RunFolder, worst: int) -> I
     run = read_run(folder.path)
     label = next((label for label in campaign.labels if label not in CONTROLS), campaign.labels[0])
     cases, ranked_by = worst_cases(run, len(run.rows), Choice(campaign.scenarios[0].spec.name, label), None)
-    for figure in _first_figure(recompute(campaign, folder, cases[len(cases) // 2]), show, campaign):
+    for figure in islice(draw_case(recompute(campaign, folder, cases[len(cases) // 2]), show, campaign).figures, 1):
         rank = f"In the middle of {len(cases)}, from the worst to the best by {measure_label(ranked_by)}"
         yield replace(figure, stem=LEAD, caption=f"{rank}: {figure.caption}")
     cases, ranked_by = worst_cases(run, worst, Choice(), None)
     for place, case in enumerate(cases, start=1):
         again = recompute(campaign, folder, case)
-        for figure in _first_figure(again, show, campaign):
+        for figure in islice(draw_case(again, show, campaign).figures, 1):
             reason = f" ({again.row['reason']})" if again.row["reason"] else ""
             words = (
                 f"Worst {place} of {len(cases)} by {ORDER} {measure_label(ranked_by)}: {again.row['status']}{reason};"
@@ -58,10 +58,6 @@ def case_figures(campaign: ResolvedCampaign, folder: RunFolder, worst: int) -> I
                 f" --trial {case.trial}"
             )
             yield replace(figure, stem=f"worst_{place}", caption=words)
-
-
-def _first_figure(again: Recomputed, show: Show, campaign: ResolvedCampaign) -> Iterator[NamedFigure]:
-    return islice(draw_case(again, show, campaign.spec.experiment).figures, 1)
 
 
 def _keep(again: Recomputed, show: Show | None, folder: Path) -> None:
@@ -86,7 +82,7 @@ def inspect_case(
     """
     again, place, show = recompute(campaign, folder, case), out / case.stem, show_of(campaign.spec.experiment)
     _keep(again, show, place)
-    drawn = draw_case(again, show, campaign.spec.experiment)
+    drawn = draw_case(again, show, campaign)
     row, manifest = again.row, folder.read_manifest() or {}
     facts = (
         ("Run", str(folder.path)),
@@ -114,10 +110,11 @@ def inspect_case(
     return again, write_document(page, place, "index.html", kinds=kinds)
 
 
-def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
+def draw_case(again: Recomputed, show: Show | None, campaign: ResolvedCampaign) -> CaseFigures:
     """Draw the completed stages of a case, or return a note that there is nothing to draw."""
     if show is not None and again.shown is not None:
         return show.draw(again)
+    kind = campaign.spec.experiment
     why = f"trials of {kind} hold numbers alone" if show is None else "the trial ended before an estimator saw anything"
     return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 

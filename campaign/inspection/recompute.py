@@ -14,6 +14,7 @@ from boresight.campaign.inspection.case import Case
 from boresight.campaign.pool.guard import STOPPED, Call, Loss, guarding
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import trials_of
+from boresight.campaign.runs.newest import run_words
 from boresight.campaign.runs.resolve import reload, unlike
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
@@ -88,11 +89,8 @@ def _why(manifest: Mapping[str, Any]) -> str:
 
 def _remake(manifest: Mapping[str, Any]) -> str:
     """Return the command that runs the campaign of a manifest with the present code."""
-    try:
-        began = shlex.split(manifest.get("command") or "")
-    except ValueError:  # a quotation that has no end
-        began = []
-    given = began[:2] == ["boresight", "run"] and len(began) > 2 and not began[2].startswith("-")
+    began = run_words(manifest)
+    given = len(began) > 2 and not began[2].startswith("-")
     name = began[2] if given else str(manifest.get("name", "NAME"))
     words = ["boresight", "run", name, "--trials", str(manifest.get("trials")), "--seed", str(manifest.get("seed"))]
     return shlex.join([*words, *(part for change in manifest.get("overrides", ()) for part in ("--set", change))])

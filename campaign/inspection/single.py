@@ -18,7 +18,7 @@ from boresight.campaign.imaging.world import check_views, open_world
 from boresight.campaign.inspection.build import draw_case
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import Recomputed, recompute, reopened
-from boresight.campaign.inspection.show import show_of
+from boresight.campaign.inspection.show import CaseFigures, show_of
 from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign, kind_of
@@ -91,11 +91,14 @@ class Trial:
     observation: object
     estimate: object | None
     _again: Recomputed
-    _kind: str
+    _campaign: ResolvedCampaign
+
+    def _drawn(self) -> CaseFigures:
+        return draw_case(self._again, show_of(self._campaign.spec.experiment), self._campaign)
 
     def figures(self) -> list[NamedFigure]:
         """Draw its stages, as ``boresight inspect`` does: figures with captions."""
-        return list(draw_case(self._again, show_of(self._kind), self._kind).figures)
+        return list(self._drawn().figures)
 
     def plot(self) -> Figure:
         """Draw the first of its figures; of a single image, the body at the prior, the estimate and the truth.
@@ -105,7 +108,7 @@ class Trial:
         BoresightError
             If the trial ended before there was anything to draw.
         """
-        found = draw_case(self._again, show_of(self._kind), self._kind)
+        found = self._drawn()
         for first in found.figures:
             return first.figure
         raise BoresightError(f"{self._again.case}: {' '.join(found.notes)}")
@@ -203,4 +206,4 @@ def _trial(campaign: ResolvedCampaign, found: Recomputed) -> Trial:
     tables = {name: pd.DataFrame(records) for name, records in found.records.items() if records and name != "rows"}
     seen = found.shown or InspectedTrial(None, None, None)
     shown = (seen.image, seen.truth, seen.observation, seen.estimate)
-    return Trial(found.row, tables, *shown, found, campaign.spec.experiment)
+    return Trial(found.row, tables, *shown, found, campaign)

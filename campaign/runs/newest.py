@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import shlex
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from boresight.campaign.runs.request import RUNS
 from boresight.campaign.store import RunFolder
@@ -30,6 +32,15 @@ def start_of(folder: Path) -> int:
 def newest_first(folders: Iterable[Path]) -> list[Path]:
     """Sort run folders by their last start; those of earlier versions come after, by when they changed last."""
     return sorted(folders, key=lambda path: (start_of(path), path.stat().st_mtime), reverse=True)
+
+
+def run_words(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the words of the command that started a run, ``boresight run ...``; none if it was started otherwise."""
+    try:
+        words = shlex.split(manifest.get("command") or "")
+    except ValueError:  # a quotation that has no end
+        return []
+    return words if words[:2] == ["boresight", "run"] else []
 
 
 def find_run(name: str) -> RunFolder:

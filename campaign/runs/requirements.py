@@ -83,17 +83,10 @@ def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
             yield Need(name, is_there(name, dirs, kind), kind)
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """Core seconds of a trial: of one scenario, with all estimators."""
-
-    core_s: float
-
-    def describe(self, trials: int, cores: int) -> str:
-        """Say how long so many trials take with all cores busy, data bases aside."""
-        seconds = self.core_s * trials / cores
-        scale, unit = next(((s, u) for s, u in ((3600.0, "h"), (60.0, "min")) if seconds >= 1.5 * s), (1.0, "s"))
-        return f"{max(seconds / scale, 1.0):.2g} {unit}"
+def in_words(seconds: float) -> str:
+    """Write a time in hours, minutes or seconds, of which it is one at least."""
+    scale, unit = next(((s, u) for s, u in ((3600.0, "h"), (60.0, "min")) if seconds >= 1.5 * s), (1.0, "s"))
+    return f"{max(seconds / scale, 1.0):.2g} {unit}"
 
 
 def remember(name: str, trials: int, seconds: float, jobs: int) -> None:
@@ -103,10 +96,13 @@ def remember(name: str, trials: int, seconds: float, jobs: int) -> None:
         default_cache().put(_KIND, name, lambda folder: (folder / _FILE).write_text(told, encoding="utf-8"))
 
 
-def rate_of(name: str) -> Rate | None:
-    """Return the rate of a campaign; None if it has no readable run here."""
+def core_seconds(name: str) -> float | None:
+    """Return the core seconds of a trial of a campaign, of one scenario with all estimators.
+
+    Data bases are left aside. None if it has no readable run here.
+    """
     kept = default_cache().find(_KIND, name) if _NAME.fullmatch(name) else None
     try:
-        return None if kept is None else Rate(float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"]))
+        return None if kept is None else float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

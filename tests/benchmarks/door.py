@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -19,7 +20,7 @@ from benchmarks.rays import ray_ratios
 from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
 from benchmarks.timing import Settings
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.machine import describe, load, package_versions
+from boresight.campaign.machine import describe, package_versions
 from boresight.campaign.runs.benchmark import benchmark
 from boresight.campaign.runs.manifest import commit_here, now
 from boresight.campaign.runs.resolve import resolve
@@ -104,7 +105,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
 def speed_table(names: Sequence[str], settings: Settings, tell: Callable[[str], None]) -> SpeedTable:
     """Do works, keys of ``WORKS``, one after the other, and gather the ratios; ``tell`` is called as each begins."""
     found: list[Ratio | Absent] = []
-    before = load()
+    before = os.getloadavg()[0]
     for name in names:
         tell(name)
         found += WORKS[name](settings)
@@ -113,7 +114,7 @@ def speed_table(names: Sequence[str], settings: Settings, tell: Callable[[str], 
         tuple(item for item in found if isinstance(item, Absent)),
         commit_here(),
         now(),
-        {**describe(), "load_before": before, "load_after": load()},
+        {**describe(), "load_before": round(before, 2), "load_after": round(os.getloadavg()[0], 2)},
         package_versions()
         | {name: _version(lambda name=name: version(name)) for name in ("gtsam", "embreex")}
         | {"Ceres": _version(ceres.version)},

@@ -9,7 +9,7 @@ from tiny_campaign import run
 from tiny_sequences import write_sequences
 
 from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.requirements import Need, Rate, needs, rate_of, remember
+from boresight.campaign.runs.requirements import Need, core_seconds, in_words, needs, remember
 from boresight.scenarios.load import load_campaign
 
 
@@ -23,29 +23,29 @@ def own_cache(tmp_path, monkeypatch):
     [(0.001, 10, 2, "1 s"), (0.5, 100, 2, "25 s"), (2.0, 200, 2, "3.3 min"), (36.0, 1000, 2, "5 h")],
 )
 def test_a_rate_is_said_in_a_unit_that_one_can_read(core_s, trials, cores, said):
-    assert Rate(core_s).describe(trials, cores) == said
+    assert in_words(core_s * trials / cores) == said
 
 
 def test_the_last_run_counts_and_one_trial_tells_nothing():
-    assert rate_of("mine") is None
+    assert core_seconds("mine") is None
     remember("mine", trials=100, seconds=50.0, jobs=2)
     remember("mine", trials=1, seconds=50.0, jobs=2)
-    assert rate_of("mine") == Rate(1.0)
+    assert core_seconds("mine") == 1.0
     remember("mine", trials=10, seconds=20.0, jobs=1)
-    assert rate_of("mine") == Rate(2.0)
+    assert core_seconds("mine") == 2.0
 
 
 def test_a_run_leaves_its_rate_but_not_one_of_a_changed_world_or_of_nothing_new(tmp_path):
     file, out = write_sequences(tmp_path, 10), tmp_path / "run"
     name = load_campaign(str(file), CATALOG).spec.name
     assert run(file, tmp_path / "changed", "--trials", 10, "--set", "camera.fov_deg=12") == 0
-    assert rate_of(name) is None
+    assert core_seconds(name) is None
     assert run(file, out, "--trials", 10) == 0
-    first = rate_of(name)
+    first = core_seconds(name)
     assert first is not None
     assert 0.0 < first.core_s < 60.0
     assert run(file, out, "--trials", 10) == 0
-    assert rate_of(name) == first
+    assert core_seconds(name) == first
 
 
 def test_data_that_are_not_there_are_named_as_missing(tmp_path, monkeypatch):
