@@ -15,6 +15,7 @@ from boresight.estimators.landmark.signal import extract_signal
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import pixel_from_opencv
 from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.length import number
 
 
 class CornerOptions(SpecModel):
@@ -24,7 +25,9 @@ class CornerOptions(SpecModel):
         "harris",
         description="Corners by first derivatives, or blobs by SURF's detector, to which k and windows are nothing",
     )
-    count: int = Field(100, ge=4, le=100_000, description="At most this many corners an image, the strongest first")
+    count: int = number(
+        100, "At most this many corners an image, the strongest first", each_px2=65_000, ge=4, le=100_000
+    )
     block_px: int = Field(3, ge=2, le=31, description="Side of the window over which gradients are summed")
     aperture_px: Literal[1, 3, 5, 7] = Field(3, description="Aperture of the Sobel derivative")
     k: float = Field(0.04, gt=0, lt=0.25, description="Harris' free parameter")

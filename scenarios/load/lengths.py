@@ -1,4 +1,4 @@
-"""Fill in lengths that are left out, from the scale of a scenario."""
+"""Fill in lengths and numbers that are left out, from the scale of a scenario."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
 from boresight.scenarios.spec.craters import CraterPairsSpec
-from boresight.scenarios.spec.length import Scale, rule_of
+from boresight.scenarios.spec.length import Scale, Sides, rule_of
 
 Model = TypeVar("Model", bound=SpecModel)
 
 _ADDED_TO_SHAPE = ("detail", "height_error", "even_facets")
 
 
-def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale) -> Plain:
-    """Return the lengths that a plain mapping leaves out, in its own form: sections within sections.
+def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale, default: SpecModel | None = None) -> Plain:
+    """Return the lengths and numbers that a plain mapping leaves out, in its own form: sections within sections.
 
     Parameters
     ----------
@@ -34,17 +34,20 @@ def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale) -> 
         Values of a file or of a campaign.
     scale
         The scale of the scenario.
+    default
+        The section where nothing is given, if its keys differ from the defaults of its model.
     """
     model = meant_model(models, given)
     found: Plain = {}
     for key, field in ({} if model is None else model.model_fields).items():
-        value = given.get(key)
+        value, usual = given.get(key), getattr(default, key, field.default)
+        section = usual if isinstance(usual, SpecModel) else None
         if value is None and (rule := rule_of(field)) is not None:
-            found[key] = scale.length_m(rule)
+            found[key] = scale.value(rule, usual)
         elif isinstance(value, Mapping):
-            found[key] = lengths_left_out(field_models(models, key), value, scale)
-        elif key not in given and isinstance(field.default, SpecModel):
-            found[key] = lengths_left_out((type(field.default),), {}, scale)
+            found[key] = lengths_left_out(field_models(models, key), value, scale, section)
+        elif key not in given and section is not None:
+            found[key] = lengths_left_out((type(section),), {}, scale, section)
     return {key: value for key, value in found.items() if value is not None and value != {}}
 
 
@@ -55,7 +58,7 @@ def with_lengths(given: Mapping[str, Any], lengths: Mapping[str, Any]) -> Plain:
 
 
 def dotted(lengths: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, float]]:
-    """Yield each length with its key, dotted."""
+    """Yield each value with its key, dotted."""
     for key, value in lengths.items():
         if isinstance(value, Mapping):
             yield from dotted(value, f"{where}{key}.")
@@ -76,15 +79,15 @@ def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> S
         except (ValidationError, BoresightError):
             return None
 
-    def body_m() -> float | None:
+    def sides_m() -> Sides | None:
         given = plain.get("body") or {}
         try:
             body = part(BodySpec, {key: given[key] for key in given if key not in _ADDED_TO_SHAPE})
         except (ValidationError, TypeError):
             return None
-        return body_length_m(body.embedded() if embedded else body, folders)
+        return body_sides_m(body.embedded() if embedded else body, folders)
 
-    return Scale(m_per_px, body_m)
+    return Scale(m_per_px, sides_m, lambda: None)  # no key of a scenario is a number that follows from the image
 
 
 def without_detail(body: BodySpec) -> BodySpec:
@@ -92,8 +95,8 @@ def without_detail(body: BodySpec) -> BodySpec:
     return body.model_copy(update=dict.fromkeys(_ADDED_TO_SHAPE))
 
 
-def body_length_m(body: BodySpec, search_dirs: Sequence[Path]) -> float | None:
-    """Return the longest side of the box of a shape without its detail, m; None if it cannot be read."""
+def body_sides_m(body: BodySpec, search_dirs: Sequence[Path]) -> Sides | None:
+    """Return the sides of the box of a shape without its detail, m; None if it cannot be read."""
     # Imported here: most scenarios are read without their shape, and data sets of shapes are read by this package.
     from boresight.scenarios.bodies import body_digest
 
@@ -105,7 +108,8 @@ def body_length_m(body: BodySpec, search_dirs: Sequence[Path]) -> float | None:
 
 
 @lru_cache(maxsize=8)
-def _measured_m(coarse: BodySpec, search_dirs: tuple[Path, ...], _digest: str) -> float:
+def _measured_m(coarse: BodySpec, search_dirs: tuple[Path, ...], _digest: str) -> Sides:
     from boresight.scenarios.bodies import load_body
 
-    return float(np.ptp(load_body(coarse, search_dirs).mesh.vertices_m, axis=0).max())
+    x_m, y_m, z_m = np.ptp(load_body(coarse, search_dirs).mesh.vertices_m, axis=0).tolist()
+    return x_m, y_m, z_m

@@ -19,9 +19,10 @@ from boresight.scenarios.load import load_scenario
 from boresight.scenarios.load.lengths import dotted
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import DetectorSpec
-from boresight.scenarios.spec.length import rule_of
+from boresight.scenarios.spec.length import Scale, rule_of
 
 NO_DETAIL = "body.detail=null"
+CORNERS_GIVEN = {"database": {"corners": {"count": 50}}}
 UNUSED = {"motion_position_sigma_m"}
 """Lengths that no campaign of the catalogue makes use of: those with ``motion: constant-gain``."""
 
@@ -46,6 +47,32 @@ def test_clusters_are_as_many_pixels_at_any_range(range_m, fov_deg):
     # A maplet of 25 nodes is no wider than a quarter of the body, which is 560 m long.
     spacing_m = lengths(given, "lmaps", {})["maplets.spacing_m"]
     assert spacing_m == pytest.approx(min(1.9 * m_per_px, 5.6), rel=1e-3)
+
+
+@pytest.mark.parametrize(("range_m", "times"), [(4000.0, None), (2000.0, None), (1000.0, 4), (100.0, 4)])
+def test_corners_are_as_many_for_each_area_of_the_body_in_the_image(range_m, times):
+    """100 of the contact binary at 2 km, which covers 65,000 of 512 x 512 px; at 100 m it fills the frame."""
+    found = lengths((f"viewpoint.range_m={range_m}", NO_DETAIL), "landmark-ransac", {"corners": {"block_px": 5}})
+    assert found.get("database.corners.count") == (times and 100 * times)
+    # Its default is another than that of the data base.
+    assert found.get("corners.count") == (times and 250 * times)
+
+
+def test_given_corners_stay():
+    assert not [key for key in lengths(("viewpoint.range_m=1000",), "landmark-harris", CORNERS_GIVEN) if "count" in key]
+
+
+def test_the_area_of_a_body_is_the_mean_of_its_silhouettes():
+    rule = {"each_px2": 1.0, "most": 10**9}
+    for sides_m, area_m2 in (
+        ((200.0, 200.0, 200.0), np.pi * 100.0**2),
+        # A prolate spheroid of eccentricity e has the surface 2 pi b^2 (1 + a / (b e) arcsin e).
+        ((400.0, 200.0, 200.0), 0.5 * np.pi * 100.0**2 * (1.0 + 4.0 / np.sqrt(3.0) * np.arcsin(np.sqrt(0.75)))),
+    ):
+        scale = Scale(lambda: 2.0, lambda sides_m=sides_m: sides_m, lambda: 1e9)
+        assert scale.value(rule, 1) == pytest.approx(area_m2 / 4.0, rel=0.011)
+    assert scale.value({**rule, "most": 50}, 1) == 50
+    assert Scale(lambda: 2.0, lambda: None, lambda: 1e9).value(rule, 1) is None
 
 
 def test_a_given_length_stays_and_null_stands_for_the_default():
