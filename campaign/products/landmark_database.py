@@ -78,11 +78,13 @@ def build(
 ) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
     candidates = landmark_candidates(scenario, options, jobs, variant)
-    database_from_candidates(candidates.by_image, options).save(folder)
-    images = {"images": len(candidates.by_image)}
+    database = database_from_candidates(candidates.by_image, options)
+    database.save(folder)
     if candidates.images_from_store is None:
-        return {**images, "candidates_from_cache": sum(map(len, candidates.by_image))}
-    return {**images, "images_from_store": candidates.images_from_store}
+        source = {"candidates_from_cache": sum(map(len, candidates.by_image))}
+    else:
+        source = {"images_from_store": candidates.images_from_store}
+    return {"images": len(candidates.by_image), **source, "landmarks": len(database.means_m)}
 
 
 PRODUCT = ProductKind(

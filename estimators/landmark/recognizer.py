@@ -234,6 +234,10 @@ class LandmarkRecognizer:
     worse than the prior, in 21.2 % with exact knowledge and in 70.6 % with that of a mission. The covariance is far too
     small: mean NEES 387 with exact knowledge, 6 expected.
 
+    Far from the body a good prior is better. Corners are off by a pixel, so that they alone fix the attitude relative
+    to the body to 0.02 to 0.1 deg at best, and the position to the range times that. In 50 images of
+    ``vesta-approach``, 15 lengths of the body away, the median error is 28 km, with a prior of 4.6 km and 0.03 deg.
+
     Cost
     ----
     0.10 s an image of ``quickstart``.

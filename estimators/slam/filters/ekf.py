@@ -48,6 +48,12 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
     ``delpech2015-comparison`` 96, 100 and 100 of 100 runs of 10, 15 and 20 landmarks a frame ended, with a mean NEES of
     294, 226 and 198, 3 expected.
 
+    Each update has one linearisation, at the predicted position. Where that is off along the line of sight, as in a
+    descent, the filter soon takes the scale for known. In 13 steps of 20 m from 310 to 50 m above a sphere, with
+    predicted motions off by half their length, the last position is off by 6.7 m at a standard deviation of 0.9 m;
+    ``iterated-ekf-slam`` has 2.6 and 4.4 m (medians of 98 and 99 of 100 runs). With motions off by 2 % all filters
+    have 0.6 m (24 runs).
+
     Cost
     ----
     0.26 s a revolution of ``apophis-sphere-sequence`` (181 frames).
