@@ -17,6 +17,10 @@ from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.vectors import Law3
 
 ALBEDO = "albedo variation"
+REAL_TRACKS = (
+    "The tracks are real: errors are against reference poses, which are not exact, and what is told beside the tracks"
+    " is drawn about them"
+)
 THRESHOLDS = (
     "The thresholds of the crater detectors were chosen in the world of eros-like-msi (its body, reflectance, camera,"
     " noise, renderer and crater statistics) on other craters and views; the network of crater-learned was trained on"
@@ -133,7 +137,8 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         The kind of the trials, which determines the data given to estimators.
     """
     if spec.sequence is not None:
-        return Known(tuple(_of_sequences(spec.sequence)))
+        real = () if spec.sequence.tracks is None else (REAL_TRACKS,)
+        return Known(tuple(_of_sequences(spec.sequence)), real)
     if spec.orbit is not None:
         rendered = spec.orbit.imaging is not None and spec.orbit.imaging.detections != "drawn"
         if experiment == "image-survey" or not rendered:
@@ -327,8 +332,12 @@ def _of_orbits(section: OrbitSpec, planning: bool = False) -> Iterator[Item]:
 
 def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
     """Yield the knowledge of sequence estimators, which get tracks, attitudes, predicted motion and ranges."""
-    known, forces, vision, images = section.knowledge, section.orbit.forces, section.vision, section.images
-    yield from _exacts("camera")
+    known, forces, vision = section.knowledge, section.orbit.forces, section.vision
+    sighted = section.images or section.tracks
+    if section.tracks is None:
+        yield from _exacts("camera")
+    else:
+        yield Item("camera", "not", "as calibrated")
     sigmas = {"each": known.attitude_sigma_deg, "the camera's alignment": known.misalignment_sigma_deg}
     yield _wrong("attitude", *(f"{name} {sigma:g} deg" for name, sigma in sigmas.items() if sigma))
     yield _spin(known.pole_sigma_deg, known.spin_sigma)
@@ -347,10 +356,10 @@ def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
         exact = known.noise_m_s2 is None or known.noise_m_s2 == forces.noise_m_s2
         noise = f"{known.noise_m_s2} for {forces.noise_m_s2:g} m/s2"
         yield _item("size of what is not modelled", exact, noise)
-    yield from _exacts("laws of all errors" + (" but those of pixels" if images else ""))
-    if images is not None:
+    yield from _exacts("laws of all errors" + (" but those of pixels" if sighted else ""))
+    if sighted is not None:
         yield Item("which landmark is which", "not", "matched in images")
-        yield Item("pixel noise", "not", f"{images.sigma_px:g} px are told, a number of the scenario")
+        yield Item("pixel noise", "not", f"{sighted.sigma_px:g} px are told, a number of the scenario")
     else:
         shares = {"mismatches": vision.mismatch_share, "outliers": vision.outlier_share, "mistaken": vision.mistaken}
         yield _wrong("which landmark is which", *(_share(share, f" {name}") for name, share in shares.items()))

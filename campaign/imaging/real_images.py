@@ -1,4 +1,4 @@
-"""Real images of a scenario, with poses from a table or from SPICE kernels."""
+"""Real images or tracks of a scenario, with poses from a table or from SPICE kernels."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from boresight.renderers.mitsuba3.rays import outline_points
 from boresight.scenarios.bodies import body_digest, load_body
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.sequences.track_table import TrackTable, track_files, track_files_digest
 
 
 def images_digest(scenario: LoadedScenario) -> str:
-    """Digest the real images of a scenario; '' if images are rendered."""
+    """Digest the real images or tracks of a scenario; '' if they are rendered or simulated."""
+    if scenario.spec.sequence is not None and scenario.spec.sequence.tracks is not None:
+        return track_files_digest(scenario.spec.sequence.tracks, scenario.search_dirs)
     return "" if scenario.spec.images is None else _all_images(scenario).content_digest()
 
 
@@ -27,9 +30,28 @@ def open_images(scenario: LoadedScenario) -> ImageSet:
     return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))
 
 
+def open_tracks(scenario: LoadedScenario) -> TrackTable | None:
+    """Read the real tracks of a scenario; None if it has none.
+
+    Raises
+    ------
+    BoresightError
+        If a file is missing or wrong.
+    """
+    section = scenario.spec.sequence
+    if section is None or section.tracks is None:
+        return None
+    try:
+        return TrackTable.open(section.tracks, scenario.spec.camera.camera().pinhole, scenario.search_dirs)
+    except BoresightError as error:
+        raise BoresightError(f"{scenario.path}: {error}") from error
+
+
 def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
-    """Yield the files of a scenario's real images: name in the scenario, and path."""
-    spec = scenario.spec.images
+    """Yield the files of a scenario's real images or tracks: name in the scenario, and path."""
+    spec, sequence = scenario.spec.images, scenario.spec.sequence
+    if sequence is not None and sequence.tracks is not None:
+        yield from track_files(sequence.tracks, scenario.search_dirs)
     if spec is None:
         return
     files = _all_images(scenario).files

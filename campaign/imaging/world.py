@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.image_store import Imager, open_ground, open_renderer
-from boresight.campaign.imaging.real_images import images_digest, open_images
+from boresight.campaign.imaging.real_images import images_digest, open_images, open_tracks
 from boresight.renderers.images import ImageSet, keep_clear_violation
 from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.scenarios.arrays import FloatArray
@@ -218,6 +218,8 @@ def _known_ranges_m(scenario: LoadedScenario) -> list[float]:
     sequence = scenario.spec.sequence
     if sequence is not None:
         states = None if sequence.trajectory is None else sequence.trajectory.states
+        if (tracks := open_tracks(scenario)) is not None:
+            states = tracks.states
         return [sequence.orbit.radius_m] if states is None else list(np.linalg.norm(states.position_m, axis=1))
     images = open_images(scenario)
     return [float(np.linalg.norm(images.view(i).T_cam_body.translation_m)) for i in range(len(images))]
@@ -297,7 +299,7 @@ def _check_range(scenario: LoadedScenario, mesh: TriangleMesh) -> None:
             f" shorter range, or a narrower camera.fov_deg; the body is {size_m:.4g} m long (if wrong: body.unit)"
         )
     sequence = spec.sequence
-    about = sequence is not None and sequence.sphere_radius_m is None and sequence.trajectory is None
+    about = sequence is not None and (sequence.sphere_radius_m, sequence.trajectory, sequence.tracks) == (None,) * 3
     if (spec.orbit is not None or about) and shortest_m <= (inner_m := _inner_radius_m(mesh)):
         raise BoresightError(
             f"{scenario.path}: {key}: the camera comes to {shortest_m:g} m from the origin of the body, all of whose"

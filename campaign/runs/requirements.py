@@ -72,12 +72,14 @@ def _change_data(overrides: Iterable[str]) -> bool:
 
 
 def needs_of_scenario(scenario: LoadedScenario) -> Iterator[Need]:
-    """Yield the shapes, images and kernels that a scenario reads, whether they are there or not."""
+    """Yield the shapes, images, tracks and kernels that a scenario reads, whether they are there or not."""
     spec, dirs = scenario.spec, scenario.search_dirs
     named = [("shapes", spec.body.shape), ("shapes", onboard_spec(spec).body.shape)]
     if spec.images is not None:
         named.append(("images", spec.images.folder))
         named += [("spice", kernel) for kernel in (spec.images.spice.kernels if spec.images.spice else ())]
+    if spec.sequence is not None and spec.sequence.tracks is not None:
+        named += [("tables", spec.sequence.tracks.table), ("tables", spec.sequence.tracks.poses)]
     for kind, name in dict.fromkeys(named):
         if name not in EMBEDDED_NAMES:
             yield Need(name, is_there(name, dirs, kind), kind)

@@ -25,7 +25,9 @@ _LEAST_MOTION = 1e-6  # of the distance to the body
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTracks:
-    """Tracks of a frame: numbers (n,), pixels (n, 2), and the true landmarks (n, 3), m, body axes.
+    """Tracks of a frame: numbers (n,), pixels (n, 2), and the points (n, 3), m, body axes, that ranges are measured to.
+
+    These are the true landmarks; of real tracks, where their lines of sight meet the shape, NaN where they miss it.
 
     ``again`` are loop closures: pairs (track, older track) identified as the same landmark.
     """
@@ -180,7 +182,8 @@ def measured_ranges(
     lasting = knowledge.range_to == "lasting"
     last = np.sum([np.isin(here.tracks, s.tracks) for s in sightings], axis=0) if lasting else np.zeros(len(off_axis))
     # The last key counts first: most frames to come, then nearest the principal point.
-    rows = np.lexsort((off_axis, -last))[: knowledge.ranges]
+    rows = np.lexsort((off_axis, -last))
+    rows = rows[np.isfinite(here.points_m[rows]).all(axis=1)][: knowledge.ranges]
     true = np.linalg.norm(here.points_m[rows] - pose.camera_position_m, axis=1)
     errors = knowledge.range_sigma_m * rng.normal(size=len(rows))
     return tuple(

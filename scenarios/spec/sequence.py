@@ -1,4 +1,4 @@
-"""Sequence section: orbit or trajectory, forces, body rotation, simulated or image-based tracks, and knowledge."""
+"""Sequence section: orbit, trajectory or real tracks, forces, rotation, simulated or image-based tracks, knowledge."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.tracks import TrackTableSpec
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
 MOST_FRAMES = 1_000_000
@@ -268,9 +269,9 @@ class SequenceKnowledgeSpec(SpecModel):
 
 
 class SequenceSpec(SpecModel):
-    """An image sequence along an orbit or a trajectory, instead of single images."""
+    """An image sequence along an orbit or a trajectory or of real tracks, instead of single images."""
 
-    alternatives: ClassVar = (("orbit", "trajectory"),)
+    alternatives: ClassVar = (("orbit", "trajectory", "tracks"),)
 
     sphere_radius_m: float | None = Field(
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
@@ -278,6 +279,9 @@ class SequenceSpec(SpecModel):
     orbit: SequenceOrbitSpec = SequenceOrbitSpec()
     trajectory: SequenceTrajectorySpec | None = Field(
         None, exclude_if=is_none, description="States of the camera, instead of orbit"
+    )
+    tracks: TrackTableSpec | None = Field(
+        None, exclude_if=is_none, description="Real tracks and reference poses of a file, instead of orbit and vision"
     )
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
@@ -313,6 +317,21 @@ class SequenceSpec(SpecModel):
             raise ValueError("knowledge.dynamics: only orbit and trajectory.flyby have forces: leave it out")
         if self.images is not None and self.images.starts != type(self.images).model_fields["starts"].default:
             raise ValueError("images.starts has no part where trials begin at the first state: leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _real_tracks_have_their_own(self) -> Self:
+        if self.tracks is None:
+            return self
+        if self.sphere_radius_m is not None:
+            raise ValueError(
+                "sphere_radius_m: real tracks are of a body, whose shape ranges are measured to: give body"
+            )
+        idle = {"vision": self.vision != VisionSpec(), "images": self.images is not None}
+        idle |= {"body_motion": self.body_motion != BodyMotionSpec(), "knowledge.dynamics": self.knowledge.dynamics}
+        given = [key for key, is_given in idle.items() if is_given]
+        if given:
+            raise ValueError(f"{given[0]} has no part where tracks have path and sightings, in body axes: leave it out")
         return self
 
     @model_validator(mode="after")
@@ -363,7 +382,7 @@ class SequenceSpec(SpecModel):
     @model_serializer(mode="wrap")
     def _without_an_idle_orbit(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         plain: dict[str, Any] = dump(self)
-        if self.trajectory is not None:
+        if self.trajectory is not None or self.tracks is not None:
             plain.pop("orbit", None)
         return plain
 
@@ -406,4 +425,6 @@ class SequenceSpec(SpecModel):
     @property
     def sigma_px(self) -> float:
         """Standard deviation of a coordinate as given to estimators."""
+        if self.tracks is not None:
+            return self.tracks.sigma_px
         return self.vision.noise_px if self.images is None else self.images.sigma_px

@@ -1,4 +1,4 @@
-"""Tables of numbers that a scenario names: CSV and Parquet files, and ephemerides of the CCSDS."""
+"""Tables of numbers that a scenario names: CSV, Parquet and MATLAB files, and ephemerides of the CCSDS."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.spec.matlab import read_matlab
 
 REF_FRAME = "ref_frame"
 """Column of the name of the frame that states of an ephemeris message are in."""
@@ -20,12 +21,14 @@ _OEM_SECTIONS = {"META_START": "META_STOP", "COVARIANCE_START": "COVARIANCE_STOP
 _OEM_STATE = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
 _OEM_SAME = ("OBJECT_NAME", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM")
 
-Table = Mapping[str, Sequence[object]]
+Table = Mapping[str, Sequence[object] | FloatArray]
 """Values of each column by its name; texts where the file is CSV."""
 
 
 def read_table(file: str, folders: Sequence[Path]) -> Table:
-    """Read a CSV file with a header and comments after #, Parquet or OEM, from ``folders`` or the data folder.
+    """Read a CSV file with a header and comments after #, Parquet, OEM or SONIC's MATLAB file.
+
+    It is looked for in ``folders`` and the data folder.
 
     Raises
     ------
@@ -41,6 +44,8 @@ def read_table(file: str, folders: Sequence[Path]) -> Table:
             return {str(name): values for name, values in parquet.read_table(path).to_pydict().items()}
         except (pa.ArrowException, KeyError, TypeError) as error:
             raise ValueError(f"not readable as Parquet: {error}") from None
+    if path.suffix == ".mat":
+        return read_matlab(path)
     with path.open(encoding="utf-8", newline="") as stream:
         if path.suffix.lower() == ".oem":
             return _ephemeris(stream)

@@ -140,7 +140,8 @@ class FlownSpec(SpecModel):
 
                 states = spice_states(self.spice, folders, spin=self.reads_spin)
             else:
-                states = self._states_of(read_table(str(self.table), folders) if flight is None else flight.states())
+                table = read_table(str(self.table), folders) if flight is None else flight.states()
+                states = states_of(table, self.rotation)
         except (BoresightError, ImportError, OSError, ValueError, TypeError) as error:
             raise ValueError(f"{source} cannot be used: {error}") from None
         return self.model_copy(update={"read_states": states})
@@ -151,41 +152,6 @@ class FlownSpec(SpecModel):
         if self.read_states is None:
             raise ValueError("a trajectory is read when its scenario is")
         return self.read_states
-
-    def _states_of(self, table: Table) -> StatesSpec:
-        """Turn the columns of a table into states in body axes."""
-        frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
-        inertial = frame is not None and frame.upper().startswith(_INERTIAL)
-        if inertial and self.rotation is None:
-            raise ValueError(f"its states are in {frame}, inertial axes: give the body's rotation")
-        if frame is not None and not inertial and self.rotation is not None:
-            raise ValueError(f"its states are in {frame}, taken as body axes: rotation has no part, leave it out")
-        times = columns_of(table, ("time_s",))[:, 0]
-        if not 1 <= len(times) <= MOST_STATES:
-            raise ValueError(f"{len(times)} states are not within [1, {MOST_STATES}]")
-        steps = np.diff(times)
-        if not (steps > 0.0).all():
-            at = int(np.argmin(steps > 0.0)) + 1
-            raise ValueError(
-                f"time_s {times[at]:.10g} of row {at} (from 0) is not after the one before: sort the table"
-            )
-        to_body = np.eye(3)[None] if self.rotation is None else self.rotation.matrices(times)
-        position = _metres(table, "", "_{}")
-        # One column of a group calls for all of it.
-        # Those of a message in rotating axes are relative to them.
-        has_velocity = any(name in table for name in _VELOCITY) and (frame is None or inertial)
-        velocity = _metres(table, "v", "_{}_s") if has_velocity else None
-        quaternions = columns_of(table, _QUATERNION) if any(name in table for name in _QUATERNION) else None
-        sun = columns_of(table, _SUN) if any(name in table for name in _SUN) else None
-        if not np.linalg.norm(position, axis=1).all():
-            raise ValueError("a position is the body's origin")
-        return StatesSpec(
-            time_s=tuple(times.tolist()),
-            position_m=rows_of(_turned(to_body, position)),
-            velocity_m_s=None if velocity is None else rows_of(_turned(to_body, velocity)),
-            attitude=None if quaternions is None else rows_of(_from_body(quaternions, to_body)),
-            sun_dir=None if sun is None else rows_of(_turned(to_body, _unit(sun, "the direction to the Sun"))),
-        )
 
 
 class TrajectorySpec(FlownSpec):
@@ -235,6 +201,46 @@ class SequenceTrajectorySpec(FlownSpec):
         if self.sun_dir is not None and is_zero(self.sun_dir):
             raise ValueError("sun_dir is zero: give the direction to the Sun")
         return self
+
+
+def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
+    """Turn the columns of a table, as `TrajectorySpec` has them, into states in body axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a column is missing or wrong, or the table is not in the order of time.
+    """
+    frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
+    inertial = frame is not None and frame.upper().startswith(_INERTIAL)
+    if inertial and rotation is None:
+        raise ValueError(f"its states are in {frame}, inertial axes: give the body's rotation")
+    if frame is not None and not inertial and rotation is not None:
+        raise ValueError(f"its states are in {frame}, taken as body axes: rotation has no part, leave it out")
+    times = columns_of(table, ("time_s",))[:, 0]
+    if not 1 <= len(times) <= MOST_STATES:
+        raise ValueError(f"{len(times)} states are not within [1, {MOST_STATES}]")
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        at = int(np.argmin(steps > 0.0)) + 1
+        raise ValueError(f"time_s {times[at]:.10g} of row {at} (from 0) is not after the one before: sort the table")
+    to_body = np.eye(3)[None] if rotation is None else rotation.matrices(times)
+    position = _metres(table, "", "_{}")
+    # One column of a group calls for all of it.
+    # Those of a message in rotating axes are relative to them.
+    has_velocity = any(name in table for name in _VELOCITY) and (frame is None or inertial)
+    velocity = _metres(table, "v", "_{}_s") if has_velocity else None
+    quaternions = columns_of(table, _QUATERNION) if any(name in table for name in _QUATERNION) else None
+    sun = columns_of(table, _SUN) if any(name in table for name in _SUN) else None
+    if not np.linalg.norm(position, axis=1).all():
+        raise ValueError("a position is the body's origin")
+    return StatesSpec(
+        time_s=tuple(times.tolist()),
+        position_m=rows_of(_turned(to_body, position)),
+        velocity_m_s=None if velocity is None else rows_of(_turned(to_body, velocity)),
+        attitude=None if quaternions is None else rows_of(_from_body(quaternions, to_body)),
+        sun_dir=None if sun is None else rows_of(_turned(to_body, _unit(sun, "the direction to the Sun"))),
+    )
 
 
 def _metres(table: Table, prefix: str, suffix: str) -> FloatArray:

@@ -6,16 +6,19 @@ The seeds of a reader are in ``seeds/NAME``: small valid files, and what once br
 from __future__ import annotations
 
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from fuzz import recipes, run_folders
+from track_tables import make_world
 
 from boresight.campaign.cli.bench import read_ratios
 from boresight.campaign.data.named_craters import GAZETTEER, read_gazetteer
 from boresight.campaign.imaging.image_store import read_chunk
+from boresight.campaign.imaging.real_images import open_tracks
 from boresight.campaign.runs.read import CATALOG
 from boresight.estimators.craters.database.files import read_detections, read_landmarks, read_matches, read_pictures
 from boresight.estimators.craters.learned.detector import read_network
@@ -140,6 +143,10 @@ KINDS = (
     b"int64", b"int32", b"binary", b"list<float>", b"list<double>", b"string", b"float", b"null", b"8192", b"67108864",
     b"index", b"view", b"height_px", b"width_px", b"lit", b"values", b"0.5|0.25|nan", b"1|", b"|",
 )  # fmt: skip
+MATLAB = (
+    b"Tracks", b"viewIds", b"meas", b"cam_rots", b"\x0f\0\0\0", b"\x0e\0\0\0", b"\xff\xff\xff\x7f", b"\x01\0\0\0",
+    b"\0\0\0\0", b"IM", b"MI", b"\0\x02",
+)  # fmt: skip
 SPICE = (
     b"\\begindata", b"\\begintext", b"KPL/LSK", b"DAF/SPK ", b"DAF/CK  ", b"DAS/DSK ", b"+=", b"( 1, 2 )", b"'x'",
     b"@2005", b"PATH_VALUES", b"KERNELS_TO_LOAD = ( '/etc/passwd' )", b"KPL/MK", b"'" + b"x" * 200,
@@ -259,6 +266,27 @@ def states(name: str, ranges: str = "time_s") -> Callable[[Path], object]:
     return read
 
 
+def tracks(key: str) -> Callable[[Path], object]:
+    """Read a table as the sightings, or as the poses, of real tracks."""
+
+    def read(path: Path) -> object:
+        scene = make_world(4, 12).write(path.parent)
+        return open_tracks(load_scenario(str(scene), [f"sequence.tracks.{key}={path.name}"]))
+
+    return read
+
+
+def matlab(name: str) -> Callable[[], tuple[bytes, ...]]:
+    """Return a writer of the tracks or poses of a small world as a MATLAB file."""
+
+    def written() -> tuple[bytes, ...]:
+        with tempfile.TemporaryDirectory() as folder:
+            make_world(4, 12).write_matlab(Path(folder))
+            return ((Path(folder) / name).read_bytes(),)
+
+    return written
+
+
 READERS = {
     "yaml": Reader(lambda content, _: parse_yaml(text(content), "x.yaml").plain(), YAML, ("scenario", "campaign")),
     "scenario": Reader(in_file("x.yaml", scenario), (*YAML, *KEYS)),
@@ -285,6 +313,9 @@ READERS = {
     "states": Reader(in_file("x.csv", states("x.csv")), (b"1e400", b"nan", b"x_km", b"time_s", b'"', b"#"), cost=2),
     "states-oem": Reader(in_file("x.oem", states("x.oem", "x_km")), OEM, cost=2),
     "states-recipe": Reader(in_file("x.parquet", states("x.parquet"), recipes.parquet), KINDS, cost=2),
+    "tracks": Reader(in_file("x.csv", tracks("table")), (b"1e400", b"nan", b"u_px", b"-1", b'"', b"#")),
+    "tracks-matlab": Reader(in_file("x.mat", tracks("table")), MATLAB, written=matlab("tracks.mat")),
+    "poses-matlab": Reader(in_file("x.mat", tracks("poses")), MATLAB, written=matlab("poses.mat")),
     **{f"landmarks-{name}": landmarks(name) for name in LANDMARKS},
     "maplets": Reader(in_file(MAPLETS, lambda path: MapletDatabase.load(path.parent), recipes.npz), ARRAYS),
     "maplets-bytes": Reader(in_file(MAPLETS, lambda path: MapletDatabase.load(path.parent))),

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.real_images import open_tracks
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
 from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
@@ -27,7 +28,7 @@ from boresight.scenarios.geometry import View, look_at
 from boresight.scenarios.load import LoadedScenario, load_scenario
 from boresight.scenarios.orbits.draw import draw_orbit
 from boresight.scenarios.orbits.imaging import imaging_of
-from boresight.scenarios.sequences import draw_sequence
+from boresight.scenarios.sequences import draw_real_sequence, draw_sequence
 
 
 def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> Iterator[bytes]:
@@ -99,6 +100,12 @@ def _navigation(scenario: LoadedScenario, variant: str) -> Iterator[object]:
 
 def _sequences(scenario: LoadedScenario, variant: str) -> Iterator[object]:
     spec, ground = scenario.spec, ground_of(scenario)
+    if (table := open_tracks(scenario)) is not None:
+        for trial in range(2):
+            camera = spec.camera.camera().pinhole
+            truth, sequence = draw_real_sequence(spec.sequence, table, camera, ground, (3, trial))
+            yield truth.points_m, truth.poses, sequence, sequence.frames[0].sigma_px
+        return
     if spec.sequence.images is None:
         for trial in range(2):
             truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from tiny_mission import make_mission
 from tiny_pairs import PAIRS
+from track_tables import SCENE, make_world
 
 RENDERED = """
 body:
@@ -133,6 +134,8 @@ sequence:
     "free": SEQUENCE.replace("orbit: {step_deg: 6, revolutions: 0.2}", "trajectory: {table: states.csv}").replace(
         "frame: 30}", "frame: 30, lit_only: true}"
     ),
+    # Two of three tracks have no gap; three frames of nine can be the first.
+    "tracks": SCENE.replace("per_frame: 12", "per_frame: 12, frames: 7, first_frame: 1, loops: true"),
     "tumbling": SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n",
     "egg": """
 body: {shape: egg.obj, unit: m}
@@ -189,6 +192,10 @@ def write_scenes(folder: Path) -> None:
         (folder / f"{name}.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *rows]) + "\n")
     for number, name in enumerate(("set", "other")):
         _write_image_set(folder / name, np.random.default_rng(number))
+    for name, radius_m in (("tracks", 790.0), ("more-tracks", 800.0)):
+        world = make_world(radius_m=radius_m)
+        world.sightings.to_csv(folder / f"{name}.csv", index=False)
+        world.poses.to_csv(folder / ("poses.csv" if name == "tracks" else "more-poses.csv"), index=False)
     mission = make_mission(folder / "mission")
     for number, name in enumerate(("a", "b", "c")):
         mission.write_image(name, np.random.default_rng(number).uniform(0, 100, (64, 64)), 600.0 * number)

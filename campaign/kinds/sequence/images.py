@@ -19,12 +19,10 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.sequences import CameraTrajectory, MeshGround, camera_trajectory, nominal_trajectory
+from boresight.scenarios.sequences.track_table import WRONG_PX
 from boresight.scenarios.spec.sequence import ImageVisionSpec, SequenceSpec
 
 REPEATED_PX = 2.0
-WRONG_PX = 3.0
-"""A sighting farther than this from its landmark's true place counts as a wrong association."""
-
 _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is met within this
 
 

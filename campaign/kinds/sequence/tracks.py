@@ -10,7 +10,7 @@ from typing import Self, cast
 import numpy as np
 
 from boresight.campaign.handles import Handle, own_copy, target_of
-from boresight.campaign.kinds.sequence.images import WRONG_PX, OrbitImages
+from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.vision.point_trackers import MatchedImage
@@ -24,6 +24,7 @@ from boresight.scenarios.sequences import (
     measured_ranges,
     onboard_sequence,
 )
+from boresight.scenarios.sequences.track_table import WRONG_PX
 from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 _NOTHING = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.real_images import open_tracks
 from boresight.campaign.imaging.world import check_outside
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.score import check_sequence, parameter_errors, score_epochs, summary
@@ -28,6 +29,8 @@ from boresight.scenarios.sequences import (
     OrbitLostError,
     SequenceTruth,
     SphereGround,
+    TrackTable,
+    draw_real_sequence,
     draw_sequence,
     nominal_trajectory,
 )
@@ -43,7 +46,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     """Trials of estimators of sequences; all see the same tracks, unless an estimator guides the vision layer.
 
     ``camera`` is an ideal pinhole: tracks come after the correction of a lens. Landmarks lie on ``ground``. ``images``
-    is the vision layer that sees images; None where it is simulated.
+    is the vision layer that sees images, and ``table`` has real tracks; both are None where tracks are simulated.
     """
 
     name = "sequence"
@@ -55,6 +58,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     camera: Camera
     ground: LandmarkGround
     images: OrbitImages | None = None
+    table: TrackTable | None = None
 
     @classmethod
     def method_class(cls, name: str) -> type[SequenceEstimator]:
@@ -63,9 +67,10 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
         """Refuse a missing section, states inside the body, and an orbit that leads into it by known forces."""
-        section, ground = _section(scenario), ground_of(scenario)
-        if section.trajectory is not None and isinstance(ground, MeshGround):
-            check_outside(scenario, ground.mesh, section.trajectory.states, "sequence")
+        section, ground, table = _section(scenario), ground_of(scenario), open_tracks(scenario)
+        flown = table or section.trajectory
+        if flown is not None and isinstance(ground, MeshGround):
+            check_outside(scenario, ground.mesh, flown.states, "sequence")
         if section.orbit.model == "propagated":
             try:
                 nominal_trajectory(section, ground)
@@ -81,19 +86,26 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         if section.images is not None:
             images = OrbitImages.open(scenario, campaign.variant, campaign.seed)
         camera = scenario.spec.camera.camera().pinhole
-        return cls.made(campaign, scenario, number, spec=section, camera=camera, ground=ground, images=images)
+        own = {"spec": section, "camera": camera, "ground": ground, "images": images, "table": open_tracks(scenario)}
+        return cls.made(campaign, scenario, number, **own)
 
     def flush(self) -> None:
         if self.images is not None:
             self.images.flush()
 
     def draw(self, trial: int) -> Seen | Watch:
-        """Draw a path and its tracks, simulated or of images; chance may lead it into the body."""
+        """Draw a path and its tracks, simulated, of images or of a file; chance may lead it into the body."""
         if self.images is not None:
             watch = Watch(self.images, self.seed, trial)
             # A vision layer that is guided makes its frames while an estimator follows them.
             return watch if self.images.spec.guided else watch.whole()
-        return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
+        return Seen(*self._drawn(trial), vision=[], seconds={})
+
+    def _drawn(self, trial: int) -> tuple[SequenceTruth, TrackSequence]:
+        """Draw simulated tracks, or those of a file that are followed."""
+        if self.table is not None and isinstance(self.ground, MeshGround):
+            return draw_real_sequence(self.spec, self.table, self.camera, self.ground, (self.seed, trial))
+        return draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
 
     def given(self, drawn: Seen | Watch, label: str) -> Seen | Watch:
         """Return the tracks; where an estimator guides the vision layer, a vision layer of its own."""
@@ -150,7 +162,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
         if self.images is not None:
             watch = Watch(self.images, self.seed, trial)
             return watch.path, watch.sequence
-        truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
+        truth, sequence = self._drawn(trial)
         return truth.trajectory, sequence
 
 
@@ -166,7 +178,7 @@ def ground_of(scenario: LoadedScenario) -> LandmarkGround:
     if section.sphere_radius_m is not None:
         return SphereGround(section.sphere_radius_m)
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
-    if section.trajectory is None and section.orbit.radius_m <= mesh.radius_m:
+    if section.trajectory is None and section.tracks is None and section.orbit.radius_m <= mesh.radius_m:
         raise BoresightError(
             f"{scenario.path}: sequence.orbit.radius_m: {section.orbit.radius_m:g} m is not above the body, which"
             f" reaches {mesh.radius_m:.6g} m from its origin: choose a larger radius"

@@ -1,0 +1,99 @@
+"""Real tracks from the files to the report: followed, scored, inspected, and refused in one line."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+from track_tables import make_world
+
+from boresight.campaign.cli import main
+
+CAMPAIGN = """\
+title: Tracks of a file
+experiment: sequence
+scenarios: [scene.yaml]
+estimators: [dead-reckoning, fixed-lag, loop-smoother]
+trials: 3
+seed: 5
+"""
+
+
+def write(folder, **changed):
+    make_world(frames=9, landmarks=120).write(folder)
+    scene = (folder / "scene.yaml").read_text().replace("per_frame: 12", "per_frame: 30, loops: true")
+    (folder / "scene.yaml").write_text(scene)
+    (folder / "campaign.yaml").write_text(CAMPAIGN)
+    for name, content in changed.items():
+        (folder / f"{name}.csv").write_text(content)
+    return folder / "campaign.yaml"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tracks")
+    out = folder / "out"
+    assert main(["run", str(write(folder)), "--jobs", "1", "--worst", "1", "--out", str(out)]) == 0
+    return out
+
+
+def test_exact_tracks_are_followed_to_the_error_of_the_range(run):
+    rows = pd.read_parquet(run / "rows")
+    assert (rows["status"] == "ok").all()
+    error = rows.groupby("estimator")["position_error_m"].max()
+    # One range with 0.5 m; dead reckoning has half of each displacement of 69 m.
+    assert (error.drop("dead-reckoning") < 3.0).all()
+    assert error["dead-reckoning"] > 10.0
+    assert rows["settled_landmark_rmse_m"].dropna().lt(3.0).all()
+
+
+def test_the_report_says_that_the_truth_is_a_reference(run):
+    page = (run / "report" / "report.html").read_text()
+    assert "errors are against reference poses, which are not exact" in page
+    assert "Errors along the trajectory" in page
+
+
+def test_a_case_is_worked_out_again_to_the_last_bit(run, tmp_path, capsys):
+    assert main(["inspect", str(run), "--trial", "1", "--estimator", "fixed-lag", "--out", str(tmp_path / "case")]) == 0
+    assert "Traceback" not in capsys.readouterr().err
+    assert list((tmp_path / "case").rglob("*tracks*"))
+
+
+BAD = {
+    "doubled": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n1,0,5,4\n", "track 1 is in frame 0 after frame 0"),
+    "nan": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n1,1,,4\n", "row 1 (from 0) of u_px, v_px is not all numbers"),
+    "single": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n", "track 1 has one sighting"),
+    "poses": ("poses", "time_s,x_m,y_m,z_m\n0,1,2,3\n0,1,2,3\n", "time_s 0 of row 1 (from 0) is not after the one"),
+    "inside": (
+        "poses",
+        "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + "".join(f"{k},{5 * k + 1},2,3,1,0,0,0\n" for k in range(9)),
+        "sequence: row 0 (from 0) of the trajectory is inside the body",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_tables_are_one_line_and_exit_2(tmp_path, capsys, name):
+    table, content, said = BAD[name]
+    campaign = str(write(tmp_path, **{table: content}))
+    for command in (["validate", campaign], ["run", campaign, "--jobs", "1", "--out", str(tmp_path / "out")]):
+        assert main(command) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+
+
+def test_a_missing_table_is_one_line_and_exit_2(tmp_path, capsys):
+    campaign = write(tmp_path)
+    (tmp_path / "tracks.csv").unlink()
+    assert main(["validate", str(campaign)]) == 2
+    error = capsys.readouterr().err
+    assert "sequence.tracks.table: tracks.csv was not found" in error
+    assert error.count("\n") == 1
+
+
+def test_without_the_data_the_campaign_names_the_fetch_command(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
+    assert main(["run", "vesta-real-slam", "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "boresight fetch vesta-real-slam brings them" in error
+    assert error.count("\n") == 1
