@@ -130,6 +130,7 @@ class Stream(IntEnum):
     REVISIT = 16
     STATES = 17
     CORRELATED = 18
+    TRACK_ERRORS = 19
     ORBIT_CRATERS = 32
     ORBIT_IMAGES = 33
     ORBIT_SIGHTINGS = 34

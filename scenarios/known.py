@@ -356,13 +356,15 @@ def _of_sequences(section: SequenceSpec) -> Iterator[Item]:
         exact = known.noise_m_s2 is None or known.noise_m_s2 == forces.noise_m_s2
         noise = f"{known.noise_m_s2} for {forces.noise_m_s2:g} m/s2"
         yield _item("size of what is not modelled", exact, noise)
-    yield from _exacts("laws of all errors" + (" but those of pixels" if sighted else ""))
+    yield from _exacts("laws of all errors" + (" but those of pixels" if sighted or vision.track_errors else ""))
     if sighted is not None:
         yield Item("which landmark is which", "not", "matched in images")
         yield Item("pixel noise", "not", f"{sighted.sigma_px:g} px are told, a number of the scenario")
     else:
         shares = {"mismatches": vision.mismatch_share, "outliers": vision.outlier_share, "mistaken": vision.mistaken}
         yield _wrong("which landmark is which", *(_share(share, f" {name}") for name, share in shares.items()))
-        if not vision.noise_px:
+        if vision.track_errors is not None:
+            yield Item("pixel noise", "not", f"{vision.noise_px:g} px are told, and nothing of errors that accumulate")
+        elif not vision.noise_px:
             yield Item("pixel noise", "absent")
     yield from _nots("landmarks")

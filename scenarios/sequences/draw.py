@@ -13,6 +13,7 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.sequences.ground import LandmarkGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
+from boresight.scenarios.sequences.track_errors import accumulated_errors_px, noise
 from boresight.scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
 from boresight.scenarios.sequences.trajectory import (
     CameraTrajectory,
@@ -21,7 +22,7 @@ from boresight.scenarios.sequences.trajectory import (
     nominal_trajectory,
 )
 from boresight.scenarios.sequences.visibility import Visibility
-from boresight.scenarios.spec.sequence import SequenceSpec, VisionSpec
+from boresight.scenarios.spec.sequence import SequenceSpec, TrackErrorsSpec, VisionSpec
 from boresight.scenarios.tracks import TrackSequence
 
 
@@ -112,11 +113,13 @@ def _measure_tracks(
     seen = []
     previous = np.empty(0, dtype=np.int64)
     again = recognise_landmarks(simulated, vision, generator(seed, Stream.REVISIT, trial))
-    for tracks, pose, pairs in zip(simulated.seen, poses, again, strict=True):
+    errors = vision.track_errors or TrackErrorsSpec()
+    drifts = accumulated_errors_px(errors, simulated, poses, camera, generator(seed, Stream.TRACK_ERRORS, trial))
+    for tracks, pose, pairs, drift in zip(simulated.seen, poses, again, drifts, strict=True):
         points = simulated.points_m[tracks]
         uv = camera.project(pose.transform(points))
         placed, wrong = _displace_outliers(uv, np.isin(tracks, previous), camera, vision, wrong_rng)
-        noisy = placed + vision.noise_px * noise_rng.normal(size=uv.shape)
+        noisy = placed + vision.noise_px * noise(errors.student_t, uv.shape, noise_rng) + drift
         seen.append((FrameTracks(tracks, noisy, points, pairs), wrong))
         previous = tracks
     return seen

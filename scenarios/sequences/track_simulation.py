@@ -25,6 +25,8 @@ class SimulatedTracks:
     ----------
     points_m
         (T, 3) true landmark of every track, body frame.
+    normals
+        (T, 3) outward unit normal of the surface there.
     landmarks
         (T,) landmark number of every track.
     seen
@@ -32,6 +34,7 @@ class SimulatedTracks:
     """
 
     points_m: FloatArray
+    normals: FloatArray
     landmarks: IndexArray
     seen: tuple[IndexArray, ...]
 
@@ -91,7 +94,7 @@ def _renewed_tracks(
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
         points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
         seen.append(alive)
-    return SimulatedTracks(points, np.arange(len(points)), tuple(seen))
+    return SimulatedTracks(points, normals, np.arange(len(points)), tuple(seen))
 
 
 def _fixed_field_tracks(
@@ -129,7 +132,7 @@ def _fixed_field_tracks(
         seen.append(np.sort(track[track >= 0]))
         older = visible
     numbers = np.array(landmarks, dtype=np.int64)
-    return SimulatedTracks(points[numbers], numbers, tuple(seen))
+    return SimulatedTracks(points[numbers], normals[numbers], numbers, tuple(seen))
 
 
 def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:

@@ -155,6 +155,28 @@ class SequenceOrbitSpec(SpecModel):
         return int(self.revolutions * 360.0 / self.step_deg + 1e-9) + 1
 
 
+class TrackErrorsSpec(SpecModel):
+    """Errors that a tracker of images makes in addition to ``noise_px``: they accumulate from frame to frame.
+
+    Estimators are told ``noise_px`` alone.
+    """
+
+    walk_px: float = Field(
+        0.0, ge=0, description="Standard deviation of a coordinate's random step from frame to frame, of each track"
+    )
+    field_m: float = Field(
+        0.0,
+        ge=0,
+        description="Size of an error common to all landmarks: standard deviation of each axis of a vector in camera"
+        " axes, drawn for a sequence; from frame to frame landmarks move along their normals by its component there",
+    )
+    student_t: float | None = Field(
+        None,
+        gt=2,
+        description="Degrees of freedom of noise and steps, of the same standard deviations; left out: normal",
+    )
+
+
 class VisionSpec(SpecModel):
     """A simulated vision layer: section 4 of Delpech et al. (2015).
 
@@ -185,6 +207,9 @@ class VisionSpec(SpecModel):
     )
     lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
     noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate: 2 px at 3 sigma")
+    track_errors: TrackErrorsSpec | None = Field(
+        None, exclude_if=is_none, description="Errors that accumulate along a track; left out: independent noise alone"
+    )
     repeatability: float = Field(
         0.9, gt=0, le=1, description="k: share of the landmarks still visible that are tracked over a change of view"
     )

@@ -127,7 +127,9 @@ sequence:
   sphere_radius_m: 190
   orbit: {model: propagated, forces: {area_to_mass_m2_kg: 0.02, noise_m_s2: 1.0e-7}, step_deg: 6, revolutions: 0.2}
   body_motion: {kind: spin}
-  vision: {landmarks_per_frame: 30, field: fixed, recognised: 0.6}
+  vision:
+    {landmarks_per_frame: 30, field: fixed, recognised: 0.6,
+     track_errors: {walk_px: 0.3, field_m: 0.5, student_t: 5}}
   knowledge: {dynamics: true, velocity_sigma_m_s: 0.001, noise_m_s2: 1.0e-7}
 """,
     "sequence": SEQUENCE,

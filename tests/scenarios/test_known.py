@@ -249,6 +249,23 @@ def test_real_images_have_only_the_reference_pose_as_exact_knowledge():
     )
 
 
+def test_real_tracks_have_a_reference_and_no_known_law_of_pixels():
+    known = known_on_board(load_scenario("vesta-real-tracks").spec)
+    assert "camera" not in known.exactly
+    assert "laws of all errors but those of pixels" in known.exactly
+    assert known.line().endswith(
+        "The tracks are real: errors are against reference poses, which are not exact, and what is told beside the"
+        " tracks is drawn about them."
+    )
+
+
+def test_errors_that_accumulate_along_a_track_are_not_known():
+    errors = "sequence.vision.track_errors={walk_px: 0.4}"
+    known = known_on_board(load_scenario("apophis-sphere-sequence", [errors]).spec)
+    assert "laws of all errors but those of pixels" in known.exactly
+    assert "pixel noise (0.6667 px are told, and nothing of errors that accumulate)" in known.line()
+
+
 def test_only_poses_that_are_scored_can_be_called_aligned():
     with pytest.raises(BoresightError, match="aligned names third, which is neither truth nor in also_score"):
         load_scenario("navcam67p-real", ["images.aligned=[third]"])

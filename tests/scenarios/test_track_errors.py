@@ -1,0 +1,114 @@
+"""Errors of simulated tracks that accumulate: their laws, and a field against its geometry."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.load import canonical_json, load_scenario
+from boresight.scenarios.sequences import SphereGround, draw_sequence
+from boresight.scenarios.sequences.track_errors import accumulated_errors_px, noise
+from boresight.scenarios.sequences.track_simulation import SimulatedTracks
+from boresight.scenarios.spec.sequence import TrackErrorsSpec
+
+CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
+GROUND = SphereGround(190.0)
+
+
+def errors_of(trial, **vision):
+    """Pixel errors of each frame by track."""
+    keys = ", ".join(f"{key}: {value}" for key, value in vision.items())
+    spec = load_scenario("apophis-sphere-sequence", (f"sequence.vision={{landmarks_per_frame: 60, {keys}}}",)).spec
+    truth, sequence = draw_sequence(spec.sequence, CAMERA, GROUND, 11, trial)
+    return [
+        dict(
+            zip(
+                frame.tracks.tolist(),
+                frame.uv_px - CAMERA.project(pose.transform(truth.points_m[frame.tracks])),
+                strict=True,
+            )
+        )
+        for pose, frame in zip(truth.poses, sequence.frames, strict=True)
+    ]
+
+
+def test_without_them_nothing_changes_to_the_last_bit():
+    plain, none = errors_of(1), errors_of(1, track_errors="{}")
+    for one, other in zip(plain, none, strict=True):
+        assert one.keys() == other.keys()
+        assert all((one[track] == other[track]).all() for track in one)
+    assert "track_errors" not in canonical_json(load_scenario("apophis-sphere-sequence").spec)
+
+
+def test_a_walk_has_a_variance_that_grows_with_the_age_of_a_track():
+    frames = errors_of(0, noise_px=0, repeatability=0.95, track_errors="{walk_px: 0.4}")
+    first: dict[int, int] = {}
+    by_age: dict[int, list[float]] = {}
+    steps = []
+    for index, frame in enumerate(frames):
+        for track, error in frame.items():
+            by_age.setdefault(index - first.setdefault(track, index), []).extend(error.tolist())
+    for one, other in pairwise(frames):
+        steps += [x for track in one.keys() & other.keys() for x in (other[track] - one[track]).tolist()]
+    assert np.abs(by_age[0]).max() < 1e-9
+    # 99.9 % bounds of a chi-square; tracks are independent at one age, and so are all steps.
+    for values, variance in ((by_age[1], 0.16), (by_age[4], 4 * 0.16), (by_age[9], 9 * 0.16), (steps, 0.16)):
+        low, high = stats.chi2.interval(0.999, len(values))
+        assert low < np.sum(np.square(values)) / variance < high
+    assert abs(np.corrcoef(steps[:-1], steps[1:])[0, 1]) < 3.3 / np.sqrt(len(steps))
+
+
+def test_noise_is_normal_or_student_of_the_same_deviation():
+    rng = np.random.default_rng(4)
+    plain, heavy = noise(None, (40_000,), rng), noise(5.0, (40_000,), rng)
+    assert stats.kstest(plain, "norm").pvalue > 0.001
+    assert stats.kstest(heavy / np.sqrt(1.0 - 2.0 / 5.0), stats.t(5.0).cdf).pvalue > 0.001
+    assert stats.kstest(heavy, "norm").pvalue < 0.001
+    # The fourth moment of t of 5 degrees of freedom is 9 times the squared variance.
+    assert np.var(heavy) == pytest.approx(1.0, abs=4.0 * np.sqrt(8.0 / 40_000))
+
+
+def test_a_field_moves_points_along_their_normals_by_the_vector_of_the_sequence():
+    """A camera that comes down along z over a plane whose normals point to it, and one across it."""
+    points = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, -20.0, 0.0]])
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
+    seen = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2]))
+    tracks = SimulatedTracks(points, normals, np.arange(3), seen)
+    poses = [Pose(np.eye(3), np.array([0.0, 0.0, distance])) for distance in (900.0, 800.0, 700.0)]
+    spec = TrackErrorsSpec(field_m=2.0)
+    found = list(accumulated_errors_px(spec, tracks, poses, CAMERA, np.random.default_rng(8)))
+    vector = 2.0 * np.random.default_rng(8).normal(size=3)
+    assert not found[0].any()
+    # Along z: a point at x is seen at f x / (z - h) after it has risen by h = -(a s)_z of each frame.
+    rise = -vector[2]
+    np.testing.assert_allclose(found[1][0], 0.0, atol=1e-9)
+    assert found[1][1] == pytest.approx([CAMERA.fx_px * 30.0 * (1 / (800.0 - rise) - 1 / 800.0), 0.0], abs=1e-9)
+    assert found[2][0] == pytest.approx([CAMERA.fx_px * 30.0 * (1 / (700.0 - 2 * rise) - 1 / 700.0), 0.0], abs=1e-9)
+    assert not found[1][2].any(), "a track begins without error"
+    tilted = (0.6 * vector[0] - 0.8 * vector[2]) * normals[2]
+    wanted = (
+        CAMERA.project((points[2] + tilted + [0, 0, 700.0])[None])[0]
+        - CAMERA.project((points[2] + [0, 0, 700.0])[None])[0]
+    )
+    np.testing.assert_allclose(found[2][1], wanted, atol=1e-9)
+
+
+def test_a_field_is_common_to_the_landmarks_of_a_sequence_and_another_in_the_next():
+    slopes = []
+    for trial in range(6):
+        frames = errors_of(trial, noise_px=0, track_errors="{field_m: 0.1}")
+        errors = np.array([frames[1][track] for track in frames[0].keys() & frames[1].keys()])
+        assert np.linalg.norm(errors, axis=1).max() > 0.0
+        slopes.append(errors.mean())
+    assert len(set(np.round(slopes, 9))) == 6
+
+
+@pytest.mark.parametrize("errors", ["{student_t: 2}", "{walk_px: -1}", "{field_m: .nan}", "{walk: 1}"])
+def test_impossible_errors_are_refused(errors):
+    with pytest.raises(BoresightError, match=r"sequence\.vision\.track_errors"):
+        load_scenario("apophis-sphere-sequence", (f"sequence.vision.track_errors={errors}",))
