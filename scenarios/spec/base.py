@@ -9,7 +9,15 @@ from collections.abc import Mapping
 from itertools import combinations
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    JsonValue,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 
 def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
@@ -62,14 +70,28 @@ class SpecModel(BaseModel):
 
     @model_validator(mode="after")
     def _exactly_one_of_each_group(self) -> Self:
-        fields = type(self).model_fields
         for keys in type(self).alternatives:
-            given = [key for key in keys if getattr(self, key) != fields[key].default]
-            if not given and all(fields[key].default is None for key in keys):
+            given = self._given(keys)
+            if not given and all(getattr(self, key) is None for key in keys):
                 raise ValueError(f"give either {' or '.join(keys)}")
             if len(given) > 1:
                 raise ValueError(f"give either {' or '.join(given)}, not both")
         return self
+
+    def _given(self, keys: tuple[str, ...]) -> list[str]:
+        return [key for key in keys if key in self.model_fields_set and getattr(self, key) is not None]
+
+
+class WithDefaultAlternative(SpecModel):
+    """Section with a group of alternatives of which one has a default; that one is not part of it beside another."""
+
+    @model_serializer(mode="wrap")
+    def _without_the_displaced(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = dump(self)
+        for keys in type(self).alternatives:
+            if given := self._given(keys):
+                plain = {key: value for key, value in plain.items() if value is None or key not in {*keys} - {*given}}
+        return plain
 
 
 def canonical_json(spec: SpecModel) -> str:

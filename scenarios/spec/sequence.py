@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, is_none
 from boresight.scenarios.spec.tracks import TrackTableSpec
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
@@ -293,7 +293,7 @@ class SequenceKnowledgeSpec(SpecModel):
         return self
 
 
-class SequenceSpec(SpecModel):
+class SequenceSpec(WithDefaultAlternative):
     """An image sequence along an orbit or a trajectory or of real tracks, instead of single images."""
 
     alternatives: ClassVar = (("orbit", "trajectory", "tracks"),)
@@ -403,13 +403,6 @@ class SequenceSpec(SpecModel):
         if round(count) % self.images.starts:
             raise ValueError(f"images.starts {self.images.starts} does not divide the {count:.0f} images of the orbit")
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_an_idle_orbit(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        plain: dict[str, Any] = dump(self)
-        if self.trajectory is not None or self.tracks is not None:
-            plain.pop("orbit", None)
-        return plain
 
     @property
     def _largest_step_deg(self) -> float:

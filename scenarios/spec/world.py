@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, is_none
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar, Scalar, Uniform
 from boresight.scenarios.spec.trajectory import StatesSpec, TrajectorySpec
@@ -194,7 +194,7 @@ class AttitudeErrorSpec(SpecModel):
 PAPER_ATTITUDE_ERROR = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
 
 
-class PoseErrorSpec(SpecModel):
+class PoseErrorSpec(WithDefaultAlternative):
     """Error of the prior pose given to estimators (Rowell et al. 2015, section 4.2).
 
     The translation T of equation (4) is shifted in camera axes (x, y across the line of sight, z along it)
@@ -204,6 +204,7 @@ class PoseErrorSpec(SpecModel):
 
     alternatives: ClassVar = (
         ("position_cam_m", "position_cam_px", "position_body_m", "position_rtn_m", "pose_cam_deg_m"),
+        ("pose_cam_deg_m", "attitude"),
     )
 
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
@@ -230,12 +231,6 @@ class PoseErrorSpec(SpecModel):
     attitude: AttitudeErrorSpec = Field(
         PAPER_ATTITUDE_ERROR, description="Error of the attitude, independent of the position's"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.pose_cam_deg_m is not None and self.attitude != PAPER_ATTITUDE_ERROR:
-            raise ValueError("attitude has no part where pose_cam_deg_m is given: leave one of the two out")
-        return self
 
 
 PAPER_POSE_ERROR = PoseErrorSpec(

@@ -25,7 +25,13 @@ from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.spec.distribution import Choice, LogNormal, LogUniform, Normal, Uniform
 from boresight.scenarios.spec.vectors import Choice3, Component3, Correlated3, Correlated6, Mixture3, Normal3, Uniform3
-from boresight.scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
+from boresight.scenarios.spec.world import (
+    PAPER_POSE_ERROR,
+    AttitudeErrorSpec,
+    LightingSpec,
+    PoseErrorSpec,
+    ViewpointSpec,
+)
 
 FALSE_ALARM = 1e-4
 N = 4000
@@ -278,10 +284,17 @@ def test_laws_of_vectors_that_are_none_are_refused(text, said):
         load_scenario("quickstart", [f"pose_error.position_cam_m={text}"])
 
 
-def test_an_attitude_next_to_a_joint_covariance_is_refused():
-    joint = f"pose_error.pose_cam_deg_m.covariance={JOINT.tolist()}"
-    with pytest.raises(BoresightError, match="leave one of the two out"):
-        load_scenario("quickstart", [joint, "pose_error.attitude={angle_deg: 3}"])
+def test_a_joint_covariance_replaces_an_inherited_attitude_and_is_refused_next_to_one():
+    joint, paper = f"pose_cam_deg_m: {{covariance: {JOINT.tolist()}}}", "attitude: {angle_deg: {uniform: [-2, 2]}}"
+    law = load_scenario("quickstart", ["pose_error.attitude={angle_deg: 3}", f"pose_error={{{joint}}}"]).spec.pose_error
+    assert law.pose_cam_deg_m is not None
+    assert "attitude" not in law.model_dump(), "show prints what can be read again"
+    assert PoseErrorSpec.model_validate(law.model_dump()) == law
+    for attitude in ("attitude: {angle_deg: 3}", paper):
+        with pytest.raises(BoresightError, match="give either pose_cam_deg_m or attitude, not both"):
+            load_scenario("quickstart", [f"pose_error={{{joint}, {attitude}}}"])
+    law = load_scenario("quickstart", [f"pose_error={{{joint}}}", f"pose_error={{{paper}}}"]).spec.pose_error
+    assert law == PAPER_POSE_ERROR, "and the other way round"
 
 
 def test_an_error_in_body_axes_is_that_of_the_camera_whatever_the_attitude_is(paper):

@@ -30,7 +30,7 @@ SPIN = "body_motion: {kind: spin, period_h: 20}"
 ROTATION = "rotation: {pole_ra_deg: -90, pole_dec_deg: 90, rate_deg_day: 432}"
 HOVER = "hover: {position_m: [790, 100, 50], duration_s: 6000, step_s: 600}"
 FLYBY = "flyby: {periapsis_m: 500, v_infinity_m_s: 0.1, gm_m3_s2: 3.54, duration_s: 8000, step_s: 400}"
-DESCENT = "descent: {direction: [1, 0, 0], from_m: 900, to_m: 240, rate_m_s: 0.1, step_s: 300}"
+DESCENT = "descent: {direction: [1, 0, 0], from_altitude_m: 710, to_altitude_m: 50, rate_m_s: 0.1, step_s: 300}"
 UNKNOWING = "knowledge: {motion_error: 0.3}"
 
 
@@ -282,6 +282,7 @@ def test_kernels_that_do_not_go_with_it_are_one_line(mission, more, last_s, said
     ("keys", "said"),
     [
         ([ORBIT, f"trajectory: {{{HOVER}}}"], "give either orbit or trajectory, not both"),
+        (["orbit: {}", f"trajectory: {{{HOVER}}}"], "give either orbit or trajectory, not both"),
         ([f"trajectory: {{{HOVER}, {ROTATION}}}", SPIN], r"body_motion has no part where trajectory\.rotation has"),
         ([f"trajectory: {{{FLYBY}}}", SPIN], r"body_motion: a flyby is in inertial axes: give .* trajectory\.rotation"),
         ([f"trajectory: {{{HOVER}}}", "knowledge: {dynamics: true}"], r"knowledge\.dynamics: only orbit and traj"),
