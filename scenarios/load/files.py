@@ -6,6 +6,7 @@ import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
@@ -15,7 +16,7 @@ from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load.entry import ConfigEntry, describe, entry_of
 from boresight.scenarios.load.explain import explain
 from boresight.scenarios.load.find import exists, find, name_of, names_in, read
-from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written
+from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written, surface_m
 from boresight.scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
@@ -121,7 +122,8 @@ def load_scenario(
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, file.folders, embedded))
-    spec = validated(ScenarioSpec, merge(root, entry_of(lengths, root.place), (ScenarioSpec,)), file.folders)
+    root = merge(root, entry_of(lengths, root.place), (ScenarioSpec,))
+    spec = validated(ScenarioSpec, root, file.folders, embedded=embedded)
     if embedded:
         believed = spec.onboard.body
         onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
@@ -150,10 +152,11 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     return LoadedCampaign(validated(CampaignSpec, root), path, root)
 
 
-def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = ()) -> Spec:
+def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = (), *, embedded: bool = False) -> Spec:
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
 
-    Tables that it names are read from ``folders`` or the data folder.
+    Tables that it names are read from ``folders`` or the data folder; so is the shape that a descent leads to, or the
+    ``embedded`` one in its place.
 
     Raises
     ------
@@ -162,14 +165,12 @@ def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = ()
     """
     try:
         # As JSON, because strict validation of Python values would refuse lists for tuples.
-        text = json.dumps(_completed(model, root.plain()))
-        return model.model_validate_json(text, strict=True, context={"folders": folders})
+        plain: Any = root.plain()
+        completed = on_defaults((model,), plain) if isinstance(plain, Mapping) else plain
+        context = {"folders": folders, "surface_m": partial(surface_m, completed, folders, embedded)}
+        return model.model_validate_json(json.dumps(completed), strict=True, context=context)
     except ValidationError as error:
         raise BoresightError(explain(error, root, model)) from error
-
-
-def _completed(model: type[SpecModel], plain: object) -> object:
-    return on_defaults((model,), plain) if isinstance(plain, Mapping) else plain
 
 
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:

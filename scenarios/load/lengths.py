@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.merge import Models, Plain, field_models, meant_model
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
-from boresight.scenarios.spec.craters import CraterPairsSpec
+from boresight.scenarios.spec.craters import CraterPairsSpec, CratersSpec
 from boresight.scenarios.spec.length import Scale, Sides, rule_of
 
 Model = TypeVar("Model", bound=SpecModel)
@@ -68,9 +69,7 @@ def dotted(lengths: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, f
 
 def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> Scale:
     """Return the scale of a scenario from its keys, before they are checked; unknown where one of them is wrong."""
-
-    def part(model: type[Model], value: object) -> Model:
-        return model.model_validate(value, context={"folders": folders})
+    part = partial(_part, folders)
 
     def m_per_px() -> float | None:
         try:
@@ -88,6 +87,36 @@ def scale_as_written(plain: Plain, folders: Sequence[Path], embedded: bool) -> S
         return body_sides_m(body.embedded() if embedded else body, folders)
 
     return Scale(m_per_px, sides_m, lambda: None)  # no key of a scenario is a number that follows from the image
+
+
+def _part(folders: Sequence[Path], model: type[Model], value: object) -> Model:
+    return model.model_validate(value, context={"folders": folders})
+
+
+def surface_m(plain: Plain, folders: Sequence[Path], embedded: bool, direction: FloatArray) -> float:
+    """Return the distance of a scenario's true surface from the origin along a unit vector, (3,), m, by its keys.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be read, or its keys are wrong, which the check of its section says too.
+    """
+    # Imported here: most scenarios are read without their shape, and data sets of shapes are read by this package.
+    from boresight.scenarios.bodies import load_body
+    from boresight.scenarios.craters import cratered_surface
+
+    sphere_m = (plain.get("sequence") or {}).get("sphere_radius_m")
+    if isinstance(sphere_m, int | float):
+        return float(sphere_m)
+    try:
+        body = _part(folders, BodySpec, plain.get("body") or {})
+        craters = None if plain.get("craters") is None else _part(folders, CratersSpec, plain["craters"])
+    except ValidationError:
+        raise BoresightError("the surface below it is not known, as body or craters are wrong") from None
+    body = body.embedded() if embedded else body
+    if craters is not None:
+        return cratered_surface(body, craters, folders).distance_along_m(direction)
+    return load_body(body, folders).mesh.distance_along_m(direction)
 
 
 def without_detail(body: BodySpec) -> BodySpec:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Self
 
 import numpy as np
@@ -114,13 +115,14 @@ class HoverSpec(SpecModel):
 
 
 class DescentSpec(SpecModel):
-    """A straight way down towards the body's origin at a constant rate."""
+    """A straight way down towards the body's origin at a constant rate.
+
+    Heights are above the true surface, craters and boulders included, below the last state.
+    """
 
     direction: Row3 = Field(description="From the body's origin to the camera")
-    from_m: float = Field(gt=0, le=1e12, description="First distance from the body's origin")
-    to_m: float = Field(
-        gt=0, description="Last distance, or less than a step above it: the body's radius there plus a height"
-    )
+    from_altitude_m: float = Field(gt=0, le=1e12, description="First height")
+    to_altitude_m: float = Field(gt=0, description="Last height, or less than a step above it")
     rate_m_s: float = Field(gt=0, le=1e6, description="Rate of the descent")
     step_s: float = Field(ge=1e-3, description="Time from state to state")
 
@@ -128,12 +130,18 @@ class DescentSpec(SpecModel):
     def _leads_down(self) -> Self:
         if is_zero(self.direction):
             raise ValueError("direction is zero: give the direction of the camera from the body's origin")
-        if self.to_m >= self.from_m:
-            raise ValueError(f"to_m {self.to_m:g} is not below from_m {self.from_m:g}")
+        if self.to_altitude_m >= self.from_altitude_m:
+            raise ValueError(
+                f"to_altitude_m {self.to_altitude_m:g} is not below from_altitude_m {self.from_altitude_m:g}"
+            )
         return self
 
-    def states(self) -> Table:
-        """Place the camera at every epoch."""
-        time_s = _epochs(0.0, (self.from_m - self.to_m) / self.rate_m_s, self.step_s)
+    def states(self, surface_m: Callable[[float, FloatArray], float]) -> Table:
+        """Place the camera at every epoch.
+
+        ``surface_m`` returns the distance of the surface from the origin, m, at an epoch along a unit vector (3,).
+        """
+        time_s = _epochs(0.0, (self.from_altitude_m - self.to_altitude_m) / self.rate_m_s, self.step_s)
         up = np.array(self.direction) / np.linalg.norm(self.direction)
-        return _columns(time_s, np.outer(self.from_m - self.rate_m_s * time_s, up))
+        ranges_m = surface_m(float(time_s[-1]), up) + self.from_altitude_m - self.rate_m_s * time_s
+        return _columns(time_s, np.outer(ranges_m, up))

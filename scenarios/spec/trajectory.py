@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -22,7 +24,9 @@ _SUN = ("sun_x", "sun_y", "sun_z")
 _INERTIAL = ("B1950", "ECLIPJ2000", "EME2000", "GCRF", "ICRF", "J2000", "MCI", "MOD", "TEME", "TOD")
 _LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
 _UNITS = {"m": 1.0, "km": 1000.0}
-_VELOCITY = tuple(f"v{axis}_{unit}_s" for axis in "xyz" for unit in _UNITS)
+_POSITION = tuple(f"{axis}_{unit}" for unit in _UNITS for axis in "xyz")
+_VELOCITY = tuple(f"v{axis}_{unit}_s" for unit in _UNITS for axis in "xyz")
+_KNOWN = ("time_s", *_POSITION, *_VELOCITY, *_QUATERNION, *_SUN, REF_FRAME)
 
 
 class RotationSpec(SpecModel):
@@ -129,22 +133,30 @@ class FlownSpec(SpecModel):
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
+        context = info.context or {}
         if self.read_states is not None:
+            if context:  # of a file; a stored scenario has them
+                raise ValueError("read_states are filled in from the table, the kernels or the flight: leave them out")
             return self
-        folders = (info.context or {}).get("folders", ())
         source = self.table or next(key for key in type(self).alternatives[0] if getattr(self, key) is not None)
-        flight = self.flyby or self.hover or self.descent
         try:
-            if self.spice is not None:
-                from boresight.scenarios.spice.trajectory import spice_states  # spiceypy is not always installed
-
-                states = spice_states(self.spice, folders, spin=self.reads_spin)
-            else:
-                table = read_table(str(self.table), folders) if flight is None else flight.states()
-                states = states_of(table, self.rotation)
+            states = self._of_source(context.get("folders", ()), context.get("surface_m"))
         except (BoresightError, ImportError, OSError, ValueError, TypeError) as error:
             raise ValueError(f"{source} cannot be used: {error}") from None
         return self.model_copy(update={"read_states": states})
+
+    def _of_source(self, folders: Sequence[Path], surface_m: Callable[[FloatArray], float] | None) -> StatesSpec:
+        """Read or compute the states; ``surface_m`` returns the distance of the body's surface along a unit vector."""
+        if self.spice is not None:
+            from boresight.scenarios.spice.trajectory import spice_states  # spiceypy is not always installed
+
+            return spice_states(self.spice, folders, spin=self.reads_spin)
+        if self.descent is not None:
+            if surface_m is None:
+                raise ValueError("its heights are above the body of a scenario: read it from a file")
+            return states_of(self.descent.states(lambda time_s, up: surface_m(self._in_body(time_s, up))), self.rotation)
+        flight = self.flyby or self.hover
+        return states_of(read_table(str(self.table), folders) if flight is None else flight.states(), self.rotation)
 
     @property
     def states(self) -> StatesSpec:
@@ -152,6 +164,11 @@ class FlownSpec(SpecModel):
         if self.read_states is None:
             raise ValueError("a trajectory is read when its scenario is")
         return self.read_states
+
+    def _in_body(self, time_s: float, direction: FloatArray) -> FloatArray:
+        """Return a direction (3,) of the axes of the states at an epoch in body axes."""
+        to_body = np.eye(3) if self.rotation is None else self.rotation.matrices(np.array([time_s]))[0]
+        return np.asarray(to_body @ direction)
 
 
 class TrajectorySpec(FlownSpec):
@@ -211,6 +228,10 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
     ValueError, TypeError
         If a column is missing or wrong, or the table is not in the order of time.
     """
+    if unknown := [name for name in table if name not in _KNOWN]:
+        raise ValueError(
+            f"unknown columns {', '.join(map(repr, unknown))}: leave them out; known are {', '.join(_KNOWN)}"
+        )
     frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
     inertial = frame is not None and frame.upper().startswith(_INERTIAL)
     if inertial and rotation is None:

@@ -54,7 +54,7 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
     "correlated.same_row": ("together", "true"),
     "viewpoint.trajectory.flyby.normal": (None, "[0, 1, 1]"),
     "viewpoint.trajectory.hover.duration_s": (None, "700"),
-    "viewpoint.trajectory.descent.to_m": (None, "1600"),
+    "viewpoint.trajectory.descent.to_altitude_m": (None, "1400"),
     "sequence.trajectory.table": ("free", "other.csv"),
     "sequence.trajectory.spice": ("free", FLIGHT),
     "sequence.trajectory.flyby": (
@@ -62,7 +62,10 @@ CHANGES: dict[str, tuple[str | None, str | None]] = {
         "{periapsis_m: 700, v_infinity_m_s: 0.2, gm_m3_s2: 20, duration_s: 900, step_s: 90}",
     ),
     "sequence.trajectory.hover": ("free", "{position_m: [500, 0, 0], duration_s: 20, step_s: 10}"),
-    "sequence.trajectory.descent": ("free", "{direction: [1, 0, 0], from_m: 800, to_m: 400, rate_m_s: 1, step_s: 90}"),
+    "sequence.trajectory.descent": (
+        "free",
+        "{direction: [1, 0, 0], from_altitude_m: 600, to_altitude_m: 200, rate_m_s: 1, step_s: 90}",
+    ),
     "sequence.trajectory.rotation": ("free", "{pole_ra_deg: 9, pole_dec_deg: 60, rate_deg_day: 700}"),
     "sequence.trajectory.sun_dir": (None, "[0, 1, 1]"),
     "camera.spice": (None, "{instrument: '-999100', kernels: [camera.ti]}"),

@@ -16,7 +16,7 @@ from boresight.scenarios.load import load_scenario
 
 FLIGHTS = {
     "hover": "hover: {position_m: [790, 0, 0], duration_s: 1200, step_s: 150, box_m: 20, drift_m_s: 0.05}",
-    "descent": "descent: {direction: [1, 0.2, 0], from_m: 500, to_m: 240, rate_m_s: 0.2, step_s: 100}",
+    "descent": "descent: {direction: [1, 0.2, 0], from_altitude_m: 310, to_altitude_m: 50, rate_m_s: 0.2, step_s: 100}",
     "flyby": "flyby: {periapsis_m: 600, v_infinity_m_s: 0.1, gm_m3_s2: 3.54, duration_s: 3000, step_s: 200},"
     " rotation: {pole_ra_deg: 30, pole_dec_deg: 60, rate_deg_day: 284}",
 }
@@ -79,7 +79,7 @@ def test_a_hover_has_axes_of_its_camera():
 
 def test_states_inside_the_body_are_one_line_and_exit_2(tmp_path, capsys):
     trimesh.creation.box((400.0, 200.0, 200.0)).export(tmp_path / "box.obj")
-    low = "descent: {direction: [1, 0, 0], from_m: 500, to_m: 150, rate_m_s: 1, step_s: 70}"
+    low = "flyby: {periapsis_m: 150, v_infinity_m_s: 1, gm_m3_s2: 0.01, duration_s: 600, step_s: 150}"
     (tmp_path / "scene.yaml").write_text(
         f"body: {{shape: box.obj, unit: m}}\ncamera: {{width_px: 64, height_px: 64, fov_deg: 30}}\n"
         f"sequence: {{trajectory: {{{low}}}}}\n"
@@ -90,7 +90,7 @@ def test_states_inside_the_body_are_one_line_and_exit_2(tmp_path, capsys):
     for command in (["validate", str(tmp_path / "campaign.yaml")], ["run", str(tmp_path / "campaign.yaml")]):
         assert main(command) == 2
         error = capsys.readouterr().err
-        assert "scene.yaml: sequence: row 5 (from 0) of the trajectory is inside the body" in error
+        assert "scene.yaml: sequence: row 2 (from 0) of the trajectory is inside the body" in error
         assert error.count("\n") == 1
 
 

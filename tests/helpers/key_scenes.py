@@ -93,7 +93,8 @@ SCENES = {
     ),
     "descending": RENDERED.replace(
         "range_m: 2000",
-        "trajectory: {descent: {direction: [1, 0.5, 0.2], from_m: 2000, to_m: 1400, rate_m_s: 0.2, step_s: 1500}}",
+        "trajectory: {descent: {direction: [1, 0.5, 0.2], from_altitude_m: 1800, to_altitude_m: 1200, rate_m_s: 0.2,"
+        " step_s: 1500}}",
     ),
     "grid": RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n"),
     "cratered": CRATERS + RENDERED[RENDERED.index("camera:") :],

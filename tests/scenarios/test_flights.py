@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import Stream, draw_view, generator, state_of_trial
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import canonical_json, digest, load_scenario
@@ -17,9 +19,9 @@ from boresight.scenarios.spec.tables import columns_of, read_table
 PLACE, SPEED = ("x_m", "y_m", "z_m"), ("vx_m_s", "vy_m_s", "vz_m_s")
 
 
-def flown(flight):
+def flown(flight, *surface):
     """Return times (n,), positions and, for a flyby, velocities (n, 3)."""
-    table = flight.states()
+    table = flight.states(*surface)
     parts = [columns_of(table, ("time_s",))[:, 0], columns_of(table, PLACE)]
     return (*parts, columns_of(table, SPEED)) if SPEED[0] in table else tuple(parts)
 
@@ -96,17 +98,45 @@ def test_a_hover_stays_in_its_box_and_drifts_at_its_speed():
 
 
 def test_a_descent_has_a_constant_rate_and_ends_above_its_last_distance():
-    times, places = flown(DescentSpec(direction=(0, 3, 4), from_m=1000, to_m=240, rate_m_s=0.5, step_s=150))
+    way = {"direction": (0, 3, 4), "from_altitude_m": 850, "to_altitude_m": 90, "rate_m_s": 0.5, "step_s": 150}
+    times, places = flown(DescentSpec(**way), lambda _, up: 150.0)
     np.testing.assert_allclose(np.linalg.norm(places, axis=1), 1000 - 0.5 * times)
     np.testing.assert_allclose(places[0], [0, 600, 800])
     assert 240 <= np.linalg.norm(places[-1]) < 240 + 0.5 * 150
-    assert len(flown(DescentSpec(direction=(1, 0, 0), from_m=300, to_m=240, rate_m_s=0.1, step_s=60))[0]) == 11
+    whole = {"from_altitude_m": 150, "rate_m_s": 0.1, "step_s": 60}
+    assert len(flown(DescentSpec(**way | whole), lambda _, up: 150.0)[0]) == 11
 
 
+@pytest.mark.parametrize("more", ["", "rotation: {pole_ra_deg: -90, pole_dec_deg: 90, rate_deg_day: 10800}"])
+def test_a_descent_ends_at_its_height_above_the_facet_below_its_end(tmp_path, more):
+    """Of a box of 400 x 200 x 200 m the camera comes down on +x, or after a turn by 90 deg in 720 s on -y."""
+    trimesh.creation.box((400.0, 200.0, 200.0)).export(tmp_path / "box.obj")
+    descent = "{direction: [1, 0, 0], from_altitude_m: 770, to_altitude_m: 50, rate_m_s: 1, step_s: 240}"
+    box = f"body: {{shape: box.obj, unit: m, detail: null}}\nviewpoint: {{trajectory: {{descent: {descent}, {more}}}}}"
+    spec = load(tmp_path, box)
+    end = [0, -150, 0] if more else [250, 0, 0]
+    np.testing.assert_allclose(spec.viewpoint.states.position_m[-1], end, atol=1e-9)
+    assert np.linalg.norm(spec.viewpoint.states.position_m[0]) == pytest.approx(np.linalg.norm(end) + 720)
+    sphere = f"sequence: {{sphere_radius_m: 90, trajectory: {{descent: {descent}}}}}\nviewpoint: null"
+    assert load(tmp_path, sphere).sequence.trajectory.states.position_m[-1] == pytest.approx((140, 0, 0))
+
+
+def test_a_descent_needs_a_surface(tmp_path):
+    descent = "descent: {direction: [1, 0, 0], from_altitude_m: 770, to_altitude_m: 50, rate_m_s: 1, step_s: 240}"
+    for body, said in (
+        ("body: {shape: none.obj}", "descent cannot be used: body.shape .*: none.obj was not found"),
+        ("body: {unit: inch}", "the surface below it is not known, as body or craters are wrong"),
+        ("body: {shape: sphere, detail: null}\ncraters: {}", "craters.known_diameter_m: missing"),
+    ):
+        with pytest.raises(BoresightError, match=said):
+            load(tmp_path, f"{body}\nviewpoint: {{trajectory: {{{descent}}}}}")
+
+
+BARE = "body: {detail: null}\n"
 FLIGHTS = {
     "flyby": "{periapsis_m: 2000, v_infinity_m_s: 0.5, gm_m3_s2: 2.34, duration_s: 4000, step_s: 1000}",
     "hover": "{position_m: [2000, 100, 0], duration_s: 4000, step_s: 1000, box_m: 20, drift_m_s: 0.01}",
-    "descent": "{direction: [1, 0, 1], from_m: 3000, to_m: 1000, rate_m_s: 0.5, step_s: 1000}",
+    "descent": "{direction: [1, 0, 1], from_altitude_m: 2800, to_altitude_m: 800, rate_m_s: 0.5, step_s: 1000}",
 }
 
 
@@ -119,14 +149,21 @@ def load(folder, text):
 def test_views_of_single_images_are_those_of_the_flight_in_turn(tmp_path, kind):
     """With a rotation the states are in inertial axes, without one in those of the body."""
     turning = "rotation: {pole_ra_deg: -90, pole_dec_deg: 90, rate_deg_day: 720}"
-    still, turned = (
-        load(tmp_path, f"viewpoint: {{trajectory: {{{kind}: {FLIGHTS[kind]}, {more}}}}}") for more in ("", turning)
-    )
+    flown_as = f"{BARE}viewpoint: {{trajectory: {{{kind}: {FLIGHTS[kind]}, %s}}}}"
+    still, turned = (load(tmp_path, flown_as % more) for more in ("", turning))
     flight = getattr(still.viewpoint.trajectory, kind)
-    times, places, *_ = flown(flight)
+    mesh = load_body(still.body).mesh
+
+    def to_body(times):
+        return Rotation.from_rotvec(np.outer(-720.0 / 86400.0 * times, [0, 0, 1]), degrees=True)
+
+    def place(*surface):
+        return flown(flight, *surface if kind == "descent" else [])[:2]
+
+    times, places = place(lambda _, up: mesh.distance_along_m(up))
     np.testing.assert_allclose(still.viewpoint.states.position_m, places)
-    to_body = Rotation.from_rotvec(np.outer(-720.0 / 86400.0 * times, [0, 0, 1]), degrees=True)
-    np.testing.assert_allclose(turned.viewpoint.states.position_m, to_body.apply(places), atol=1e-9)
+    _, above = place(lambda time_s, up: mesh.distance_along_m(to_body(time_s).apply(up)[0]))
+    np.testing.assert_allclose(turned.viewpoint.states.position_m, to_body(times).apply(above), atol=1e-9)
     camera = still.camera.camera()
     for trial in (1, len(times) + 1):
         view = draw_view(still, camera, generator(1, Stream.TRUTH, trial), state_of_trial(still.viewpoint, 1, trial))
@@ -144,7 +181,12 @@ def test_views_of_single_images_are_those_of_the_flight_in_turn(tmp_path, kind):
         (FLIGHTS["hover"].replace("0, 0]", "0, .nan]").replace("{p", "hover: {p"), "is not a finite number"),
         (FLIGHTS["hover"].replace("4000", "4.0e+8").replace("{p", "hover: {p"), "more than 20000: take longer steps"),
         ("hover: {position_m: [0, 0, 0], duration_s: 9, step_s: 1}", "a position is the body's origin"),
-        (FLIGHTS["descent"].replace("1000, r", "3000, r").replace("{d", "descent: {d"), "not below from_m 3000"),
+        (FLIGHTS["descent"].replace("800, r", "2800, r").replace("{d", "descent: {d"), "not below from_altitude_m"),
+        (FLIGHTS["descent"].replace("800, r", "0, r").replace("{d", "descent: {d"), "to_altitude_m: 0 is not above 0"),
+        (
+            f"hover: {FLIGHTS['hover']}, read_states: {{time_s: [0], position_m: [[9, 0, 0]]}}",
+            "read_states are filled in",
+        ),
         (FLIGHTS["descent"].replace("[1, 0, 1]", "[0, 0, 0]").replace("{d", "descent: {d"), "direction is zero"),
         ("table: x.csv, hover: {position_m: [9, 0, 0], duration_s: 9, step_s: 1}", "not both"),
         ("order: random", "give either table or spice or flyby or hover or descent"),
@@ -152,8 +194,8 @@ def test_views_of_single_images_are_those_of_the_flight_in_turn(tmp_path, kind):
 )
 def test_a_flight_that_makes_no_sense_is_one_line(tmp_path, flight, said):
     with pytest.raises(BoresightError, match=said) as caught:
-        load(tmp_path, f"viewpoint: {{trajectory: {{{flight}}}}}")
-    assert str(caught.value).startswith(str(tmp_path / "scene.yaml") + ":2: viewpoint.trajectory")
+        load(tmp_path, f"{BARE}viewpoint: {{trajectory: {{{flight}}}}}")
+    assert str(caught.value).startswith(str(tmp_path / "scene.yaml") + ":3: viewpoint.trajectory")
     assert "\n" not in str(caught.value)
 
 

@@ -275,6 +275,11 @@ BAD = {
     "origin": (table_of(POSITIONS * [[1], [0], [1], [1]]), "", "a position is the body's origin"),
     "quaternion": (table_of(turns=TURNS).assign(qw=2.0), "", "the quaternion has the length"),
     "Sun": (table_of(suns=SUNS * 1.5e11), "", "the direction to the Sun has the length 1.5e"),
+    "unknown": (
+        table_of().assign(q0=1.0, sun=2.0),
+        "",
+        "unknown columns 'q0', 'sun': leave them out; known are time_s, x_m, y_m, z_m, x_km",
+    ),
     "both units": (table_of().assign(x_km=1.0), "", "x is given in m and in km"),
     "rotation": (table_of(), ", rotation: {pole_ra_deg: 3}", "pole_dec_deg: this key is missing"),
     "empty": ("time_s,x_m,y_m,z_m\n", "", r"0 states are not within \[1, "),
