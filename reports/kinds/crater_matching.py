@@ -30,7 +30,7 @@ _FEWER = "n_fewer"
 _BRIEF_SUNS = ((0.0, 10.0), (0.0, 30.0), (50.0, 60.0))
 _ANGLE_HEADS = ("views apart", "Suns apart")
 _CRATER_HEADS = ("craters in the image that shows fewer",)
-_BRIEF = ("Suns apart", "mode", "image pairs", "recall, %", "wrong, %")
+_BRIEF = (*_ANGLE_HEADS, "mode", "image pairs", "recall, %", "wrong, %")
 _NOTE = (
     "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches, without"
     " those of two detections that may be a crater too small for the list of the truth. Intervals are 95 % intervals"
@@ -66,9 +66,11 @@ def _craters(name: str, least: float, most: float) -> _Part:
     return _Part(f"{MATCHING}, {name}", (name,), {_FEWER: (least, most)})
 
 
+_ALL_PAIRS = "all pairs"
+_ALL = replace(_craters(_ALL_PAIRS, 0, np.inf), cells=("all", "all"))
 _EVERYTHING = _angles((0.0, 90.0), (0.0, 90.0))
 _BY_CRATERS = (
-    _craters("all pairs", 0, np.inf),
+    _craters(_ALL_PAIRS, 0, np.inf),
     _craters(f"{_FEW} craters or fewer", 0, _FEW),
     _craters(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
 )
@@ -122,20 +124,20 @@ def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
 
 
 def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
-    """Tabulate what fits a terminal: three cells of angles of each scenario, or the scenarios of a grid."""
+    """Tabulate what fits a terminal: cells of angles and all pairs of each scenario, or the scenarios of a grid."""
     each = {str(scenario): own for scenario, own in _pairs(run).groupby("scenario", sort=False)}
     if run.manifest.grid is None:
         cells = [_angles(_DRAWN, sun) for sun in _BRIEF_SUNS]
-        found = [_grid(name, own, records, _parts(run, own, cells)) for name, own in each.items()]
-        return [replace(one.keep(*_BRIEF), title=f"{one.title}, views {_span(_DRAWN)} apart") for one in found if one]
+        found = [_grid(name, own, records, [*_parts(run, own, cells), _ALL]) for name, own in each.items()]
+        return [one.keep(*_BRIEF) for one in found if one is not None]
     axes = run.manifest.grid.axes
     rows = []
     for variation in run.manifest.grid.scenarios:
         if variation.name in each:
             own = _grid(variation.name, each[variation.name], records, [_EVERYTHING])
             levels = tuple(variation.levels[axis.name] for axis in axes)
-            rows += [(*levels, *row) for row in (own.keep(*_BRIEF[1:]).rows if own else ())]
-    heads = (*(axis.label or axis.name for axis in axes), *_BRIEF[1:])
+            rows += [(*levels, *row) for row in (own.keep(*_BRIEF[2:]).rows if own else ())]
+    heads = (*(axis.label or axis.name for axis in axes), *_BRIEF[2:])
     return [Grid("Matching", heads, tuple(rows), frozenset(range(len(axes) + 1)))]
 
 

@@ -20,7 +20,7 @@ from boresight.reports.run.data import RunData, read_run
 from boresight.reports.run.limits import database_line, known_lines
 from boresight.reports.run.outcomes import unsolved_lines
 from boresight.reports.schema.column import Measure
-from boresight.reports.schema.grid import number
+from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
 from boresight.reports.schema.labels import count_of
 from boresight.reports.schema.records import CONTROL, Record
 from boresight.reports.schema.tables import kind_schema
@@ -52,7 +52,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         " bootstrap (2,000 resamples of whole trials or, for real images, of whole images, because the noise"
         " realisations of one image are not independent), of fewer than ten by Student's t. The intervals of an RMS of"
         " few trials, some far worse than the others, cover the true value less often than 95 %. Percentiles beyond"
-        " which less than one trial is expected are left out."
+        f" which less than one trial is expected are left out. {NO_VALUE!r} in a table is {WITHOUT_VALUE}."
     )
     yield from filter(None, [database_line(run)])
     yield from _set_lines(run)

@@ -11,7 +11,7 @@ from rich.console import Console, ConsoleOptions
 from rich.table import Table
 from rich.text import Text
 
-from boresight.reports.schema.grid import Grid, says_of_ended
+from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, Grid, says_of_ended
 from boresight.scenarios.errors import printable
 
 _READABLE = 18
@@ -19,8 +19,10 @@ _READABLE = 18
 
 
 def rich_parts(grid: Grid) -> Iterator[FittedTable | Text]:
-    """Yield a grid as a table, followed by its line on what was known on board, if it has one."""
+    """Yield a grid as a table, followed by what `-` is in it and by its line on what was known on board."""
     yield FittedTable(grid)
+    if any(NO_VALUE in row for row in grid.rows):
+        yield Text(f"{NO_VALUE}: {WITHOUT_VALUE}\n", style="dim")
     if grid.known:
         yield Text(f"{printable(grid.known)}\n", style="dim")
 

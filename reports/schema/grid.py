@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from boresight.reports.schema.records import Key, Record, by_key
 
 NO_VALUE = "-"
+WITHOUT_VALUE = "no value: nothing was counted, or there are too few trials for it"
 _OF = " of the "
 
 

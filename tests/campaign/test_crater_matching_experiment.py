@@ -204,10 +204,20 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     assert recall.low <= recall.value <= recall.high
     assert len(matching_grids(records, run)) == 2
     told = capsys.readouterr().out
-    assert f"0 to 30 deg vote             6 {value_of(recall, interval=True)}" in told
+    assert f"0 to 20 deg 0 to 30 deg vote             6 {value_of(recall, interval=True)}" in told
     assert "6/6 trials" in told
     assert "median" not in told  # of a position: there is none
     assert (out / "report" / "matching_tiny-pairs.png").exists()
+
+
+def test_the_terminal_counts_pairs_at_angles_that_have_no_line_of_their_own(campaign_file, tmp_path, capsys) -> None:
+    from boresight.campaign.cli import main
+
+    apart = "crater_pairs={view_deg: {uniform: [30, 40]}, sun_deg: {uniform: [31, 45]}}"
+    command = ["run", str(campaign_file), "--set", apart, "--out", str(tmp_path / "run"), "--worst", "0"]
+    assert main([*command, "--jobs", "1"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [line[:4] for line in lines if "vote" in line[:3]] == [["all", "all", "vote", "6"]]
 
 
 def test_the_terminal_has_a_grid_by_its_levels(campaign_file, tmp_path, capsys) -> None:
@@ -227,6 +237,8 @@ def test_the_terminal_has_a_grid_by_its_levels(campaign_file, tmp_path, capsys) 
     (("view_deg: {uniform: [0, 20]}", "view_deg: {uniform: [0, 95]}"), "view_deg .* is not within"),
     (("crater_pairs:", "crater_pair:"), "crater_pair"),
     (("range_m: 4000", "range_m: -1"), "range_m"),
+    (("  craters:", "  # craters:"),
+     r"tiny-pairs.yaml:4: crater_pairs: give either craters or images \(craters: Plane rims, detected by geometry"),
 ])  # fmt: skip
 def test_a_wrong_section_is_one_clear_error(campaign_file, tmp_path, change, said) -> None:
     (tmp_path / "tiny-pairs.yaml").write_text(PAIRS.replace(*change))

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 from stored_runs import RunBuilder
-from terminal_text import terminal_lines
+from terminal_text import printed_lines, terminal_lines
 
 from boresight.reports.compare import compare_runs
 from boresight.reports.pages.content import notes, read_content
@@ -31,6 +31,12 @@ LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
 )
 def test_numbers_have_three_digits(value, printed):
     assert number(value) == printed
+
+
+def test_a_cell_without_a_value_is_explained_below_the_table():
+    rows = (("one", "3"), ("other", "-"))
+    assert printed_lines([Grid("Table", ("name", "n"), rows)])[-2].startswith("-: no value: nothing was counted, or")
+    assert not any("no value" in line for line in printed_lines([Grid("Table", ("name", "n"), rows[:1])]))
 
 
 @pytest.mark.parametrize(
