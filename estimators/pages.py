@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import Field
+
 from boresight.estimators.craters.registry import DETECTORS, MATCHERS
 from boresight.estimators.orbit.registry import ESTIMATORS as ORBIT_ESTIMATORS
 from boresight.estimators.registry import ESTIMATORS, Registry
@@ -31,6 +33,16 @@ COSTS = "Median processor time on one core of an AMD EPYC; images, data bases an
 _HEADING = re.compile(rf"^({'|'.join(SECTIONS)})\n-+\n", re.MULTILINE)
 
 
+class _SeenSpec(SpecModel):
+    """What a trial of any crater matcher is told besides the matcher's own options."""
+
+    detector: str | None = Field(
+        None,
+        description="Crater detector that finds the craters in rendered images (crater_pairs.images), such as"
+        " crater-classic; left out where they are drawn by geometry (crater_pairs.craters)",
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class EstimatorPage:
     """The page of an estimator.
@@ -46,7 +58,7 @@ class EstimatorPage:
     sections
         Text of each of `SECTIONS` that the docstring has.
     options
-        Model of its options; None if the class names none.
+        Models of its options: its own, if the class names one, and that of its family, if trials take more.
     """
 
     name: str
@@ -55,7 +67,7 @@ class EstimatorPage:
     summary: str
     text: str
     sections: Mapping[str, str]
-    options: type[SpecModel] | None
+    options: tuple[type[SpecModel], ...]
 
 
 def family_of(name: str) -> str:
@@ -79,5 +91,7 @@ def page_of(name: str) -> EstimatorPage:
     before, *rest = _HEADING.split(inspect.cleandoc(found.__doc__ or ""))
     summary, _, text = before.partition("\n\n")
     sections = {heading: told.strip() for heading, told in zip(rest[::2], rest[1::2], strict=True)}
-    options = getattr(found, "options_model", None)
-    return EstimatorPage(found.name, found.version, family, summary, text.strip(), sections, options)
+    options = (getattr(found, "options_model", None), _SeenSpec if found.name in MATCHERS.names() else None)
+    return EstimatorPage(
+        found.name, found.version, family, summary, text.strip(), sections, tuple(filter(None, options))
+    )

@@ -38,7 +38,7 @@ def _filled(text: str, width: int, first: str = "", others: str = "") -> str:
 
 def _option_lines(page: EstimatorPage) -> Iterator[str]:
     """Yield a line for each option; the keys of its sections are in the documentation."""
-    keys = keys_of(page.options) if page.options is not None else ()
+    keys = [key for model in page.options for key in keys_of(model)]
     for key in keys:
         default = "required" if key.default is None else f"default: {key.default}"
         yield f"{key.name}: {key.meaning} ({', '.join(filter(None, (key.type, key.unit, default)))})"

@@ -326,12 +326,12 @@ def _link(page: EstimatorPage, folder: str = "") -> str:
 
 
 def _option_names(page: EstimatorPage) -> str:
-    return _listed([key.name for key in keys_of(page.options)]) if page.options is not None else ""
+    return _listed([key.name for model in page.options for key in keys_of(model)])
 
 
 def _estimator(page: EstimatorPage) -> str:
     told = [f"# `{page.name}`", page.summary, page.text]
     for heading, text in page.sections.items():
         told += [f"## {heading}", text, COSTS if heading == "Cost" and text != "None." else ""]
-    keys = list(_keys(page.options, "option-key", f"{page.name}: ")) if page.options is not None else []
+    keys = [line for model in page.options for line in _keys(model, "option-key", f"{page.name}: ")]
     return _lines(*told, "## Options", *(keys or ["None."]), f"Version {page.version}.")

@@ -27,6 +27,12 @@ def test_show_prints_each_option_with_type_unit_and_default(capsys):
     assert line in said
 
 
+def test_show_prints_the_detector_that_trials_of_every_matcher_take(capsys):
+    for name, takes in (("vote", True), ("hybrid", True), ("crater-classic", False)):
+        assert main(["show", name]) == 0
+        assert ("\n  detector: Crater detector that finds" in capsys.readouterr().out) == takes
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
