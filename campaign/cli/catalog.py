@@ -8,6 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
@@ -30,6 +31,7 @@ from boresight.scenarios.load import (
     scenario_names,
 )
 from boresight.scenarios.load.entry import shortened
+from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
@@ -169,11 +171,19 @@ def as_yaml(read: CampaignFiles | LoadedScenario) -> str:
     if isinstance(read, CampaignFiles):
         shown = {
             "campaign": json.loads(canonical_json(read.loaded.spec)),
-            "scenarios": [json.loads(canonical_json(s.spec)) for s in read.scenarios],
+            "scenarios": [_in_a_file(s.spec) for s in read.scenarios],
         }
     else:
-        shown = {"scenario": json.loads(canonical_json(read.spec))}
+        shown = {"scenario": _in_a_file(read.spec)}
     return dump_yaml(shown)
+
+
+def _in_a_file(spec: ScenarioSpec) -> dict[str, Any]:
+    """Return a scenario as a file may have it: without the states that are read from its trajectory's source."""
+    plain: dict[str, Any] = json.loads(canonical_json(spec))
+    for section in ("viewpoint", "sequence"):
+        ((plain.get(section) or {}).get("trajectory") or {}).pop("read_states", None)
+    return plain
 
 
 def validate_command(arguments: argparse.Namespace) -> int:

@@ -122,7 +122,7 @@ def load_scenario(
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, file.folders, embedded))
-    root = merge(root, entry_of(lengths, root.place), (ScenarioSpec,))
+    root = _filled_in(root, lengths)
     spec = validated(ScenarioSpec, root, file.folders, embedded=embedded)
     if embedded:
         believed = spec.onboard.body
@@ -136,6 +136,15 @@ def _without_nulls(root: ConfigEntry) -> ConfigEntry:
     section = root.section or {}
     kept = {key: entry for key, entry in section.items() if entry.value is not None}
     return ConfigEntry(kept, root.place)
+
+
+def _filled_in(entry: ConfigEntry, lengths: Mapping[str, Any]) -> ConfigEntry:
+    """Add lengths to a section; what the file has keeps its line."""
+    section = dict(entry.section or {})
+    for key, value in lengths.items():
+        own = section.get(key, ConfigEntry({}, entry.place))
+        section[key] = _filled_in(own, value) if isinstance(value, Mapping) else entry_of(value, entry.place)
+    return ConfigEntry(section, entry.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:

@@ -73,7 +73,8 @@ class SpecModel(BaseModel):
         for keys in type(self).alternatives:
             given = self._given(keys)
             if not given and all(getattr(self, key) is None for key in keys):
-                raise ValueError(f"give either {' or '.join(keys)}")
+                told = (f"{key}: {type(self).model_fields[key].description}" for key in keys)
+                raise ValueError(f"give either {' or '.join(keys)} ({'; '.join(told)})")
             if len(given) > 1:
                 raise ValueError(f"give either {' or '.join(given)}, not both")
         return self

@@ -187,6 +187,16 @@ def test_show_prints_a_campaign_that_reads_back_the_same(tiny_run, tmp_path, cap
     assert load_scenario(str(tmp_path / "again.yaml")).spec == own
 
 
+@pytest.mark.parametrize("section", ["viewpoint", "sequence"])
+def test_show_prints_a_trajectory_that_reads_back_the_same(section, tmp_path, capsys):
+    hover = "{trajectory: {hover: {position_m: [2000, 0, 0], duration_s: 60, step_s: 20}}}"
+    file = tmp_path / "hover.yaml"
+    file.write_text(f"body: {{shape: sphere}}\ncamera: {{fov_deg: 20}}\n{section}: {hover}\n")
+    shown = YAML(typ="safe", pure=True).load(said(capsys, "show", str(file)))["scenario"]
+    (tmp_path / "again.yaml").write_text(json.dumps(shown))
+    assert load_scenario(str(tmp_path / "again.yaml")).spec == load_scenario(str(file)).spec
+
+
 def test_show_prints_a_scenario(capsys):
     shown = YAML(typ="safe", pure=True).load(said(capsys, "show", "itokawa-2km-lambert"))["scenario"]
     assert shown["body"]["shape"] == "itokawa_gaskell_q64.ply"
