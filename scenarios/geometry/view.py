@@ -72,3 +72,14 @@ class View:
         camera = self.T_cam_body.camera_position_m
         cosine = float(camera @ self.sun_dir_body / np.linalg.norm(camera))
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    def may_show(self, radius_m: float) -> bool:
+        """Return whether a sphere about the body's origin reaches into the cone about the field of view."""
+        width, height = self.camera.width_px, self.camera.height_px
+        corners = self.camera.unproject(np.array([[0.0, 0.0], [0.0, height], [width, 0.0], [width, height]]))
+        axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+        centre = self.T_cam_body.translation_m
+        range_m = float(np.linalg.norm(centre))
+        sphere_rad = np.arcsin(radius_m / range_m) if range_m > radius_m else np.pi
+        off_rad = np.arccos(np.clip(axis @ centre / range_m, -1.0, 1.0))
+        return bool(off_rad <= np.arccos((corners @ axis).min()) + sphere_rad)

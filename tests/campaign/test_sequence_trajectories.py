@@ -6,12 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from boresight.campaign.cli.main import main
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.score import track_axes
 from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
 
 FLIGHTS = {
@@ -92,6 +94,18 @@ def test_states_inside_the_body_are_one_line_and_exit_2(tmp_path, capsys):
         error = capsys.readouterr().err
         assert "scene.yaml: sequence: row 2 (from 0) of the trajectory is inside the body" in error
         assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("away", [False, True])
+def test_a_camera_that_looks_away_is_refused_before_a_run(away, tmp_path, capsys):
+    turn = look_at(np.array([600.0, 0.0, 0.0])).rotation
+    quaternion = Rotation.from_matrix(np.diag([1, -1, -1]) @ turn if away else turn).as_quat(scalar_first=True)
+    table = pd.DataFrame([quaternion] * 3, columns=["qw", "qx", "qy", "qz"])
+    table.assign(time_s=[0.0, 60.0, 120.0], x_m=600.0, y_m=0.0, z_m=0.0).to_csv(tmp_path / "states.csv", index=False)
+    (tmp_path / "scene.yaml").write_text(SCENE.format(flight="table: states.csv"))
+    assert main(["validate", str(tmp_path / "scene.yaml")]) == (2 if away else 0)
+    said = "scene.yaml: sequence: nothing of the body is in the frame in all 3 frames: check"
+    assert (said in capsys.readouterr().err) == away
 
 
 SEEN = """

@@ -66,16 +66,22 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
 
     @classmethod
     def check_scenario(cls, scenario: LoadedScenario) -> None:
-        """Refuse a missing section, states inside the body, and an orbit that leads into it by known forces."""
+        """Refuse a missing section, a way that leads into the body by known forces, and one that shows none of it."""
         section, ground, table = _section(scenario), ground_of(scenario), open_tracks(scenario)
         flown = table or section.trajectory
         if flown is not None and isinstance(ground, MeshGround):
             check_outside(scenario, ground.mesh, flown.states, "sequence")
-        if section.orbit.model == "propagated":
-            try:
-                nominal_trajectory(section, ground)
-            except OrbitLostError as error:
-                raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
+        if table is not None:
+            return  # what the camera saw has been seen
+        try:
+            views = nominal_trajectory(section, ground).views(scenario.spec.camera.camera().pinhole)
+        except OrbitLostError as error:
+            raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
+        if not any(view.may_show(ground.reach_m) for view in views):
+            raise BoresightError(
+                f"{scenario.path}: sequence: nothing of the body is in the frame in all {len(views)} frames: check"
+                " camera.principal_point_px, and the attitudes of a trajectory"
+            )
 
     @classmethod
     def open(
