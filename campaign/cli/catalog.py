@@ -136,13 +136,15 @@ def show_command(arguments: argparse.Namespace) -> int:
 
 def _previewed(read: CampaignFiles | LoadedScenario) -> list[str]:
     """Describe the images and the lengths that are left out; why not where the data are missing or wrong."""
-    # Imported here: it loads kinds of trial and estimators, 1.5 s, which the other commands do without.
-    from boresight.campaign.runs.check import preflight
-
     try:
-        if isinstance(read, CampaignFiles):
-            return preflight(read.scenarios, read.loaded.spec, detailed=False)
-        return preflight((read,), detailed=False)
+        if isinstance(read, LoadedScenario):
+            from boresight.campaign.imaging.preview import preview
+
+            return [f"{read.spec.name}: {line}" for line in preview(read, detailed=False)]
+        # Imported here: it loads kinds of trial and estimators, 1.5 s, which scenarios do without.
+        from boresight.campaign.runs.check import preflight
+
+        return preflight(read.scenarios, read.loaded.spec, detailed=False)
     except BoresightError as error:
         return [f"no preview: {printable(str(error))}"]
 

@@ -37,7 +37,7 @@ def run_command(arguments: argparse.Namespace) -> int:
     if cluster is not None:
         where = f"Dask at {cluster.scheduler}" if cluster.scheduler else f"{cluster.local} Dask worker(s)"
     out.print(f"{name}: {count_of(request.trials, 'trial')} into {display(request.out)}, {where}, {variant}")
-    for line in preflight(campaign.scenarios, campaign.spec):
+    for line in preflight(campaign.scenarios, campaign.spec, trials=request.trials):
         out.print(line)
     if campaign.embedded:
         out.print(f"values without verdicts: {', '.join(campaign.embedded)}")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from boresight.campaign.imaging.world import longest_m, ranges_m
+from boresight.campaign.imaging.ranges import longest_m, ranges_m
 from boresight.renderers.brdf import brdf_value
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.bodies import load_body
-from boresight.scenarios.craters.tiles import expected_bytes
+from boresight.scenarios.bodies import detailed_count, load_body
 from boresight.scenarios.draw import Stream, draw_aimed_view, drawn_together, generator, prior_covariance
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
@@ -26,6 +26,7 @@ _VIEWS, _POINTS = 40, 4000
 _FOUND_PX = 10.0  # diameter of a crater that a detector finds
 _NOISY = 50.0  # median signal to noise: at 37, landmarks were recognised in 1 of 50 images of bennu-pass
 _SATURATED = 0.01
+_COARSE_PX = 2.0  # edges of facets beyond which they, not the surface, make the image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +36,7 @@ class _Sight:
     ``out`` is the share of the projected area that faces the camera out of the frame, and ``dark`` that of the rest
     unlit (NaN without a rest). ``in_view`` is the share of the whole surface that is lit and in the frame,
     ``distance_m`` its median distance from the camera. ``radiance_factor`` and ``weight``, both (N,), are I/F and
-    projected areas of its points.
+    projected areas of its points. ``phase_deg`` are the least and the largest phase angle of the views.
     """
 
     out: float
@@ -44,6 +45,7 @@ class _Sight:
     distance_m: float
     radiance_factor: FloatArray
     weight: FloatArray
+    phase_deg: tuple[float, float]
 
 
 def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
@@ -58,6 +60,9 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
     lines = [_views_in_words(scenario, camera, mesh, sight)]
     if spec.viewpoint is not None:
         lines.append(_prior_in_words(spec, camera, float(ranges_m(scenario, mesh)[1])))
+    if spec.images is not None or images_of(spec, 1):  # estimators of real images render too
+        near_m = float(ranges_m(scenario, mesh)[1]) if sight is None or np.isnan(sight.distance_m) else sight.distance_m
+        lines.append(_facets_in_words(spec, mesh, near_m / camera.fx_px, detailed))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
     pairs = spec.crater_pairs
@@ -69,6 +74,8 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
         framed_m2 = camera.width_px * camera.height_px * m_per_px**2
         lines.append(_craters_in_words(craters, min(framed_m2 / area_m2, 0.5), m_per_px))
     if spec.craters is not None:
+        from boresight.scenarios.craters.tiles import expected_bytes  # compiled code, 0.4 s, of craters alone
+
         tiles, vertices = expected_bytes(mesh, spec.craters)
         lines.append(f"the cratered surface takes about {(tiles + vertices) / 1e9:.2g} GB of memory")
     return lines
@@ -91,7 +98,11 @@ def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh
     if sight is None:
         return words
     lit = "" if np.isnan(sight.dark) else f" and {100.0 * sight.dark:.0f} % of the rest in the dark"
-    return f"{words}; of the side that faces the camera {100.0 * sight.out:.0f} % is out of the frame on average{lit}"
+    phases = " to ".join(dict.fromkeys(f"{angle:.3g}" for angle in sight.phase_deg))
+    return (
+        f"{words}; phase angle {phases} deg in {_VIEWS} views; of the side that faces the camera"
+        f" {100.0 * sight.out:.0f} % is out of the frame on average{lit}"
+    )
 
 
 def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
@@ -108,6 +119,31 @@ def _prior_in_words(spec: ScenarioSpec, camera: Camera, range_m: float) -> str:
         )
     believed = "the same" if told[0] == told[1] else told[1]
     return f"errors of the prior (RMS): {told[0]}; estimators are told {believed}"
+
+
+def images_of(spec: ScenarioSpec, trials: int) -> int:
+    """Return how many images are rendered for so many trials; those of plans of an orbit are not counted."""
+    if spec.viewpoint is not None:
+        return trials
+    if spec.crater_pairs is not None:
+        return 0 if spec.crater_pairs.images is None else 2 * trials
+    if spec.sequence is None or spec.sequence.images is None:
+        return 0
+    revolution = round(360.0 / spec.sequence.orbit.step_deg)
+    return revolution if spec.sequence.trajectory is None else spec.sequence.frames
+
+
+def _facets_in_words(spec: ScenarioSpec, mesh: TriangleMesh, m_per_px: float, detailed: bool) -> str:
+    """Describe the facets against a pixel, and say what to change where they are coarse."""
+    if spec.craters is not None:
+        edge_m, key = spec.craters.edge_m, "lower craters.edge_m"
+    else:
+        key = "take a finer shape, or raise body.detail.facets"
+        count = len(mesh.faces) if detailed else detailed_count(spec.body, len(mesh.faces))
+        area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+        edge_m = math.sqrt(4.0 / math.sqrt(3.0) * area_m2 / count)  # of equilateral triangles
+    words = f"facets have edges of {edge_m:.3g} m, {edge_m / m_per_px:.2g} px of the surface in view"
+    return f"{words}: coarse for this camera, as images show them; {key}" if edge_m > _COARSE_PX * m_per_px else words
 
 
 def signal_in_words(detector: DetectorSpec, radiance_factor: FloatArray, weight: FloatArray) -> str:
@@ -165,11 +201,7 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     rows = np.searchsorted(areas, areas[-1] * (np.arange(_POINTS) + 0.5) / _POINTS)
     weights = rng.dirichlet(np.ones(3), _POINTS)  # uniform over a triangle
     places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
-    width, height = camera.width_px, camera.height_px
-    corners = camera.unproject(np.array([[0.0, 0.0], [0.0, height], [width, 0.0], [width, height]]))
-    axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
-    field_rad, reach_m = np.arccos((corners @ axis).min()), np.linalg.norm(mesh.vertices_m, axis=1).max()
-    count, in_view = len(viewpoint.states or ()), False
+    count, in_view, phases_rad = len(viewpoint.states or ()), False, list[float]()
     seen = inside = dark = 0.0
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
     for trial in range(_VIEWS):
@@ -177,10 +209,8 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         state, draws = trial * count // _VIEWS, generator(0, Stream.TRUTH, trial)
         drawn = drawn_together(spec, 0, trial)
         view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
-        centre = view.T_cam_body.translation_m
-        range_m = float(np.linalg.norm(centre))
-        radius_rad = np.arcsin(reach_m / range_m) if range_m > reach_m else np.pi
-        in_view |= bool(np.arccos(np.clip(axis @ centre / range_m, -1.0, 1.0)) <= field_rad + radius_rad)
+        in_view |= view.may_show(mesh.radius_m)
+        phases_rad.append(view.phase_angle_rad)
         towards = view.T_cam_body.camera_position_m - places
         distances = np.linalg.norm(towards, axis=1)
         projected = np.einsum("pi,pi->p", normals, towards) / distances**3
@@ -210,4 +240,5 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
         float(np.median(found[:, 2])) if len(found) else np.nan,
         found[:, 0],
         found[:, 1],
+        (math.degrees(min(phases_rad)), math.degrees(max(phases_rad))),
     )

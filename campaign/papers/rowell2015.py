@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from boresight.campaign.imaging.world import World, open_world, typical_range_m
+from boresight.campaign.imaging.ranges import typical_range_m
+from boresight.campaign.imaging.world import World, open_world
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.kinds.landmark_database.trial import DatabaseTrials
 from boresight.campaign.kinds.single_image.examples import (

@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.imaging.preview import preview
+from boresight.campaign.imaging.preview import images_of, preview
 from boresight.campaign.imaging.world import check_bodies, trial_limit
+from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.read import campaign_names
-from boresight.campaign.runs.requirements import needs_of_scenario
+from boresight.campaign.runs.requirements import core_seconds, in_words, needs_of_scenario
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.labels import count_of
@@ -103,11 +104,16 @@ def check_scenario(scenario: LoadedScenario, experiment: str = "") -> tuple[int 
 
 
 def preflight(
-    scenarios: Sequence[LoadedScenario], campaign: CampaignSpec | None = None, *, detailed: bool = True
+    scenarios: Sequence[LoadedScenario],
+    campaign: CampaignSpec | None = None,
+    *,
+    trials: int | None = None,
+    detailed: bool = True,
 ) -> list[str]:
     """Describe the images of scenarios in a few lines each, the first name of those that are alike.
 
-    Of a campaign, the lengths that options leave out follow. See `preview` for ``detailed``.
+    Of a campaign, the time and the size of the images of ``trials``, by default its own, and the lengths that options
+    leave out follow. See `preview` for ``detailed``.
     """
     names: dict[tuple[str, ...], str] = {}
     for scenario in scenarios:
@@ -116,7 +122,29 @@ def preflight(
     left = len(names) - _MOST_SHOWN
     if left > 0:
         lines.append(f"and {count_of(left, 'further scenario')} with other images")
-    return lines if campaign is None else lines + lengths_in_words(scenarios, campaign)
+    if campaign is None:
+        return lines
+    return [
+        *lines,
+        _cost_in_words(scenarios, campaign, trials or campaign.trials),
+        *lengths_in_words(scenarios, campaign),
+    ]
+
+
+def _cost_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec, trials: int) -> str:
+    """Say how long a campaign takes by its last run here, and what the images that it renders take at most."""
+    core_s = core_seconds(campaign.name)
+    time = "time not known before a first run here"
+    if core_s is not None:
+        time = f"{in_words(core_s * trials * len(scenarios) / cores())} on {cores()} core(s) by the last run here"
+    stored = sum(images_of(scenario.spec, trials) * _bytes_of_image(scenario) for scenario in scenarios)
+    size = f"; rendered images take {stored / 1e9:.2g} GB of the image store at most" if stored else ""
+    return f"{count_of(trials, 'trial')} x {count_of(len(scenarios), 'scenario')}: {time}, data bases aside{size}"
+
+
+def _bytes_of_image(scenario: LoadedScenario) -> int:
+    camera = scenario.spec.camera
+    return 4 * camera.width_px * camera.height_px  # uncompressed
 
 
 def lengths_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec) -> list[str]:

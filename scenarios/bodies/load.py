@@ -92,6 +92,13 @@ def _intersections(directions: FloatArray, opposite: FloatArray) -> tuple[NDArra
     return found, np.clip(weights, 0.0, 1.0) / np.clip(weights, 0.0, 1.0).sum(axis=1, keepdims=True)
 
 
+def detailed_count(spec: BodySpec, count: int) -> int:
+    """Return the facets of a body from those of its shape file."""
+    if spec.even_facets is not None:
+        count = _ICOSAHEDRON_FACETS * 4 ** rounds_for(_ICOSAHEDRON_FACETS, spec.even_facets)
+    return count if spec.detail is None else count * 4 ** rounds_for(count, spec.detail.facets)
+
+
 def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh:
     """Move the vertices along their normals by a fractal field of RMS ``spec.rms_m``.
 

@@ -8,8 +8,9 @@ import trimesh
 from tiny_campaign import SCENE
 
 from boresight.campaign.cli import main
-from boresight.campaign.imaging.preview import preview, signal_in_words
+from boresight.campaign.imaging.preview import images_of, preview, signal_in_words
 from boresight.campaign.imaging.world import check_bodies
+from boresight.campaign.runs import check
 from boresight.campaign.runs.read import campaign_names, read_campaign
 from boresight.campaign.runs.resolve import of_scenario
 from boresight.campaign.trial.kind import kind_named
@@ -174,7 +175,7 @@ def test_the_preview_of_a_lambert_sphere_is_as_bright_as_its_formula():
     """At full phase I/F is albedo x cos i, and the median of the disk is at cos^2 i = 1/2."""
     given = ("body={shape: sphere}", "viewpoint.range_m=1e5", "camera.fov_deg=1", "lighting.phase_deg=0")
     detector = "detector={white_e_per_s: 1.0e+5, exposure_s: 1, gain_e_per_dn: 1, offset_dn: 0, bits: 16}"
-    median = float(preview(load_scenario("quickstart", (*given, detector)))[2].split("median ")[1].split()[0])
+    median = float(preview(load_scenario("quickstart", (*given, detector)))[3].split("median ")[1].split()[0])
     assert median == pytest.approx(1e5 * 0.3 * np.sqrt(0.5), rel=0.01)
 
 
@@ -207,3 +208,28 @@ def test_show_and_validate_print_the_preview_and_the_lengths(tmp_path, capsys):
         assert "field of view 18.3 x 18.3 deg" in said
         told = "landmark-harris, landmark-ransac: by the scenario database.clusters.seed_radius_m 8.053"
         assert told in said.replace("# ", "")
+        assert "2 trials x 1 scenario: time not known before a first run here, data bases aside" in said
+
+
+def test_time_is_that_of_the_last_run_and_images_are_counted_uncompressed(monkeypatch):
+    monkeypatch.setattr(check, "core_seconds", lambda name: 7200.0 if name == "quickstart" else None)
+    monkeypatch.setattr(check, "cores", lambda: 4)
+    files = read_campaign("quickstart")
+    assert check.preflight(files.scenarios, files.loaded.spec)[3].startswith(
+        "60 trials x 1 scenario: 30 h on 4 core(s) by the last run here, data bases aside; rendered images take 0.063"
+    )
+    assert "8 trials x 1 scenario: 4 h" in check.preflight(files.scenarios, files.loaded.spec, trials=8)[3]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "count"),
+    [
+        ("quickstart", 7),
+        ("eros-crater-pairs", 0),
+        ("eros-like-crater-images", 14),
+        ("apophis-sphere-sequence", 0),
+        ("apophis-sphere-images", 72),  # one revolution in steps of 5 deg
+    ],
+)
+def test_images_of_seven_trials(scenario, count):
+    assert images_of(load_scenario(scenario).spec, 7) == count

@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.preview import preview
-from boresight.campaign.imaging.world import check_bodies, open_world, typical_range_m
+from boresight.campaign.imaging.ranges import typical_range_m
+from boresight.campaign.imaging.world import check_bodies, open_world
 from boresight.campaign.products.database_images import database_images
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
@@ -75,6 +77,29 @@ def test_a_trajectory_is_looked_at_from_its_beginning_to_its_end(tmp_path):
     table.assign(time_s=np.arange(100.0), x_m=2000.0, y_m=0.0, z_m=0.0).to_csv(tmp_path / "states.csv", index=False)
     with pytest.raises(BoresightError, match="nothing of the body is in the frame"):
         preview(load_scenario(str(tmp_path / "scene.yaml")))
+
+
+@pytest.mark.parametrize("phase", [(35.0, 35.0), (20.0, 40.0)])
+def test_phase_angles_of_the_views_are_within_those_that_are_asked_for(phase):
+    said = preview(load_scenario("quickstart", (BALL, f"lighting.phase_deg={{uniform: {list(phase)}}}")))[0]
+    told = list(map(float, re.search(r"phase angle (.*) deg in 40 views", said)[1].split(" to ")))
+    assert phase[0] <= told[0] <= told[-1] <= phase[1]
+    assert len(told) == len(set(phase))
+
+
+def test_facets_are_told_in_pixels_and_coarse_ones_with_what_to_change():
+    """Pixels are those at the middle of the side of a sphere that is seen."""
+    far = ("body={shape: sphere, detail: null, even_facets: 2000}", "viewpoint.range_m=2e4", "camera.fov_deg=2")
+    scenario = load_scenario("quickstart", far)
+    corners_m = load_body(scenario.spec.body).mesh.corners_m
+    edge_m = np.linalg.norm(corners_m - np.roll(corners_m, 1, axis=1), axis=2).mean()
+    for detailed in (True, False):
+        line = preview(scenario, detailed=detailed)[2]
+        told_m, told_px = map(float, re.search(r"edges of (\S+) m, (\S+) px", line).groups())
+        assert told_m == pytest.approx(edge_m, rel=0.02)
+        assert told_px == pytest.approx(edge_m / (19_850 / scenario.spec.camera.camera().fx_px), rel=0.03)
+        assert "coarse for this camera" in line
+    assert "coarse" not in preview(load_scenario("quickstart", far[:2]))[2]
 
 
 def test_the_prior_is_told_in_pixels_and_what_estimators_are_told_of_it():

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies.detail.noise import SmallScaleSeed
 from boresight.scenarios.bodies.topology import IntArray, tangent_axes
 from boresight.scenarios.spec.body import BoulderSpec, CraterSpec
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _SIDES = 7  # of a boulder's footprint
 _TOPS = 3  # planes that bound a boulder's top
@@ -58,6 +61,8 @@ class RefinedSurface:
     @cached_property
     def tree(self) -> cKDTree:
         """Search tree over the points."""
+        from scipy.spatial import cKDTree  # 0.3 s, which commands that read coarse shapes do without
+
         return cKDTree(self.points_m, balanced_tree=False, compact_nodes=False)
 
     def draw_places(self, count: int, rng: np.random.Generator) -> IndexArray:

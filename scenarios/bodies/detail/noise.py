@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
-from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
 
@@ -95,6 +93,10 @@ def _lattice_noise(points: FloatArray, rng: np.random.Generator) -> FloatArray:
     Each octave is rotated and shifted at random, so that the periods of different octaves do not coincide.
     """
     lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32)
+    # Imported here: scipy takes 0.4 s, which commands that read coarse shapes do without.
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.random(rng=rng).as_matrix()
     # einsum and not BLAS: its sums do not depend on the number of threads.
     coordinates = np.einsum("ij,nj->in", turn, points) + rng.uniform(0.0, _LATTICE, (3, 1))
