@@ -16,8 +16,8 @@ from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load.entry import ConfigEntry, describe, entry_of
 from boresight.scenarios.load.explain import explain
 from boresight.scenarios.load.find import exists, find, name_of, names_in, read
-from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written, surface_m
-from boresight.scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
+from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written, surface_m, with_lengths
+from boresight.scenarios.load.merge import Plain, apply, merge, on_defaults, parse_override, settings
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -122,8 +122,7 @@ def load_scenario(
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
     lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, file.folders, embedded))
-    root = _filled_in(root, lengths)
-    spec = validated(ScenarioSpec, root, file.folders, embedded=embedded)
+    spec = validated(ScenarioSpec, root, file.folders, lengths=lengths, embedded=embedded)
     if embedded:
         believed = spec.onboard.body
         onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
@@ -136,15 +135,6 @@ def _without_nulls(root: ConfigEntry) -> ConfigEntry:
     section = root.section or {}
     kept = {key: entry for key, entry in section.items() if entry.value is not None}
     return ConfigEntry(kept, root.place)
-
-
-def _filled_in(entry: ConfigEntry, lengths: Mapping[str, Any]) -> ConfigEntry:
-    """Add lengths to a section; what the file has keeps its line."""
-    section = dict(entry.section or {})
-    for key, value in lengths.items():
-        own = section.get(key, ConfigEntry({}, entry.place))
-        section[key] = _filled_in(own, value) if isinstance(value, Mapping) else entry_of(value, entry.place)
-    return ConfigEntry(section, entry.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
@@ -161,11 +151,18 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     return LoadedCampaign(validated(CampaignSpec, root), path, root)
 
 
-def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = (), *, embedded: bool = False) -> Spec:
+def validated(
+    model: type[Spec],
+    root: ConfigEntry,
+    folders: Sequence[Path] = (),
+    *,
+    lengths: Plain | None = None,
+    embedded: bool = False,
+) -> Spec:
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
 
-    Tables that it names are read from ``folders`` or the data folder; so is the shape that a descent leads to, or the
-    ``embedded`` one in its place.
+    ``lengths`` are those that it leaves out. Tables that it names are read from ``folders`` or the data folder; so is
+    the shape that a descent leads to, or the ``embedded`` one in its place.
 
     Raises
     ------
@@ -175,7 +172,7 @@ def validated(model: type[Spec], root: ConfigEntry, folders: Sequence[Path] = ()
     try:
         # As JSON, because strict validation of Python values would refuse lists for tuples.
         plain: Any = root.plain()
-        completed = on_defaults((model,), plain) if isinstance(plain, Mapping) else plain
+        completed = on_defaults((model,), with_lengths(plain, lengths or {})) if isinstance(plain, dict) else plain
         context = {"folders": folders, "surface_m": partial(surface_m, completed, folders, embedded)}
         return model.model_validate_json(json.dumps(completed), strict=True, context=context)
     except ValidationError as error:

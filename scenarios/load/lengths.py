@@ -105,7 +105,8 @@ def surface_m(plain: Plain, folders: Sequence[Path], embedded: bool, direction: 
     from boresight.scenarios.bodies import load_body
     from boresight.scenarios.craters import cratered_surface
 
-    sphere_m = (plain.get("sequence") or {}).get("sphere_radius_m")
+    sequence = plain.get("sequence")
+    sphere_m = sequence.get("sphere_radius_m") if isinstance(sequence, Mapping) else None
     if isinstance(sphere_m, int | float):
         return float(sphere_m)
     try:

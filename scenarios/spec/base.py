@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Field,
     JsonValue,
     SerializerFunctionWrapHandler,
     model_serializer,
@@ -44,6 +46,30 @@ PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
 def is_none(value: object) -> bool:
     """Return whether a key is not given; with ``exclude_if`` it then does not change the digest."""
     return value is None
+
+
+def optional(description: str, **bounds: Any) -> Any:
+    """Describe a field that is None, and no part of the digest, where it is left out."""
+    return Field(None, exclude_if=is_none, description=description, **bounds)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def rule(check: Callable[[Model], None]) -> Any:
+    """Run a method after a model is validated; it raises ValueError for keys that do not go together."""
+
+    @wraps(check)
+    def checked(self: Model) -> Model:
+        check(self)
+        return self
+
+    return model_validator(mode="after")(checked)
+
+
+def deviation(default: float | None, of: str, **bounds: Any) -> Any:
+    """Describe a field with the standard deviation of something."""
+    return Field(default, description=f"Standard deviation of {of}", **bounds)
 
 
 class SpecModel(BaseModel):
@@ -78,6 +104,11 @@ class SpecModel(BaseModel):
             if len(given) > 1:
                 raise ValueError(f"give either {' or '.join(given)}, not both")
         return self
+
+    def stated(self, *keys: str) -> list[str]:
+        """Return which of some keys, by default of all, are not as they are where a file leaves them out."""
+        fields = type(self).model_fields
+        return [key for key in keys or fields if getattr(self, key) != fields[key].default]
 
     def _given(self, keys: tuple[str, ...]) -> list[str]:
         return [key for key in keys if key in self.model_fields_set and getattr(self, key) is not None]

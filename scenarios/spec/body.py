@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.length import length
 
 EMBEDDED_NAMES = (
@@ -32,11 +32,10 @@ class SizesSpec(SpecModel):
     min_diameter_m: float = Field(gt=0, description="Smallest diameter")
     max_diameter_m: float = Field(gt=0, description="Largest diameter")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         if self.min_diameter_m > self.max_diameter_m:
             raise ValueError("min_diameter_m is above max_diameter_m")
-        return self
 
 
 class BoulderSpec(SizesSpec):
@@ -64,11 +63,10 @@ class RoughnessSpec(SpecModel):
     max_wavelength_m: float = length(100.0, "Longest scale of the relief", body=0.2, gt=0)
     min_wavelength_m: float = length(2.0, "Shortest scale of the relief", body=0.004, gt=0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         if self.min_wavelength_m > self.max_wavelength_m:
             raise ValueError("min_wavelength_m is above max_wavelength_m")
-        return self
 
 
 class AlbedoSpec(SpecModel):
@@ -97,7 +95,7 @@ class DetailSpec(SpecModel):
     roughness: RoughnessSpec | None = None
     albedo: AlbedoSpec | None = None
     # Excluded from digests if not given: keeps the digests of bodies without it.
-    redrawn: RedrawnSpec | None = Field(None, exclude_if=is_none, description="Small relief from another seed")
+    redrawn: RedrawnSpec | None = optional("Small relief from another seed")
 
 
 class HeightErrorSpec(SpecModel):
@@ -109,11 +107,10 @@ class HeightErrorSpec(SpecModel):
     hurst: float = Field(0.8, gt=0, lt=1, description="Hurst exponent: the larger, the smoother at small scales")
     seed: int = Field(0, ge=0, description="Seed of the error")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         if self.min_wavelength_m > self.max_wavelength_m:
             raise ValueError("min_wavelength_m is above max_wavelength_m")
-        return self
 
 
 class BodySpec(SpecModel):
@@ -129,13 +126,8 @@ class BodySpec(SpecModel):
         (1.0, 2_000_000.0), description="The body's extent must lie in this range: guards against a wrong unit"
     )
     shading: Literal["flat", "smooth"] = Field("flat", description="Normals of the facets, or interpolated ones")
-    even_facets: int | None = Field(
-        None,
-        ge=20,
-        le=1_000_000,
-        # Excluded from digests if not given: keeps the digests of bodies without it.
-        exclude_if=is_none,
-        description="Resample the shape to at least so many facets of similar size before the detail is added",
+    even_facets: int | None = optional(
+        "Resample the shape to at least so many facets of similar size before the detail is added", ge=20, le=1_000_000
     )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")

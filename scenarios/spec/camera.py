@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.lens import Lens
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar
 
 # Far beyond any camera; the bounds keep derived quantities finite.
@@ -44,19 +44,16 @@ class DistortionSpec(SpecModel):
         None, description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2"
     )
     k2: Coefficient = Field(0.0, description="Coefficient of r^4")
-    opencv: tuple[Coefficient, ...] | None = Field(
-        None,
+    opencv: tuple[Coefficient, ...] | None = optional(
+        "OpenCV's vector k1, k2, p1, p2, and k3, k4, k5, k6 if there are more, instead of k1",
         min_length=4,
         max_length=8,
-        exclude_if=is_none,
-        description="OpenCV's vector k1, k2, p1, p2, and k3, k4, k5, k6 if there are more, instead of k1",
     )
 
-    @model_validator(mode="after")
-    def _one_polynomial(self) -> Self:
+    @rule
+    def _one_polynomial(self) -> None:
         if self.opencv is not None and self.k2 != 0.0:
             raise ValueError("k2 has no part where opencv has the lens: leave it out")
-        return self
 
     def lens(self) -> Lens:
         """Return the distortion as a value."""
@@ -75,12 +72,11 @@ class OpticsSpec(SpecModel):
     focal_mm: float = Field(gt=0, le=1e7, description="Focal length")
     pixel_um: Pitch | tuple[Pitch, Pitch] = Field(description="Distance of pixels, one or [across, down]")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         if not all(1.0 <= focal <= 1e9 for focal in self.focal_px):
             across, down = self.focal_px
             raise ValueError(f"focal lengths of {across:g} and {down:g} px are not within [1, 1e9]: check the units")
-        return self
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -133,12 +129,8 @@ class CameraSpec(SpecModel):
     focal_px: tuple[FocalLength, FocalLength] | None = Field(
         None, description="Focal lengths [fx, fy]; instead of fov_deg"
     )
-    optics: OpticsSpec | None = Field(
-        None, exclude_if=is_none, description="Focal length and pixels in mm and um, instead of fov_deg"
-    )
-    spice: SpiceCameraSpec | None = Field(
-        None, exclude_if=is_none, description="Camera of an instrument kernel, instead of fov_deg and the sizes"
-    )
+    optics: OpticsSpec | None = optional("Focal length and pixels in mm and um, instead of fov_deg")
+    spice: SpiceCameraSpec | None = optional("Camera of an instrument kernel, instead of fov_deg and the sizes")
     principal_point_px: tuple[ImagePosition, ImagePosition] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
@@ -167,15 +159,14 @@ class CameraSpec(SpecModel):
         changes = {key: getattr(read, key) for key in ("width_px", "height_px", "focal_px", "principal_point_px")}
         return self.model_copy(update={**changes, "distortion": self.distortion or lens, "spice": None})
 
-    @model_validator(mode="after")
-    def _distortion_does_not_fold(self) -> Self:
+    @rule
+    def _distortion_does_not_fold(self) -> None:
         lens = self.camera().distortion
         if lens is not None and not lens.invertible_within(self._corner_radius()):
             raise ValueError(
                 f"{lens} folds the image over within the field; check the sign and the unit: coefficients belong to"
                 " x / z, not to mm or pixels"
             )
-        return self
 
     def camera(self) -> Camera:
         """Return the camera as a value."""
@@ -219,13 +210,12 @@ class DetectorSpec(DrawnModel):
     offset_dn: float = Field(10.0, ge=0, description="Bias level")
     bits: int = Field(12, ge=1, le=16, description="Digital numbers run from 0 to 2**bits - 1")
 
-    @model_validator(mode="after")
-    def _offset_below_the_top(self) -> Self:
+    @rule
+    def _offset_below_the_top(self) -> None:
         if self.offset_dn >= 2**self.bits - 1:
             raise ValueError(
                 f"offset_dn {self.offset_dn:g} is not below {2**self.bits - 1}, the largest number of {self.bits} bits"
             )
-        return self
 
 
 class RenderingSpec(SpecModel):
@@ -233,8 +223,7 @@ class RenderingSpec(SpecModel):
 
     samples_per_pixel: int = Field(4, ge=1, le=64, description="A square number: a regular grid in each pixel")
 
-    @model_validator(mode="after")
-    def _square(self) -> Self:
+    @rule
+    def _square(self) -> None:
         if round(self.samples_per_pixel**0.5) ** 2 != self.samples_per_pixel:
             raise ValueError(f"{self.samples_per_pixel} is not a square number (1, 4, 9, 16, ...)")
-        return self

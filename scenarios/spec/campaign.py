@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, JsonValue, model_validator
+from pydantic import BeforeValidator, Field, JsonValue
 
-from boresight.scenarios.spec.base import PlainValue, SpecModel
+from boresight.scenarios.spec.base import PlainValue, SpecModel, rule
 from boresight.scenarios.spec.scenario import NAME_PATTERN
 
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
@@ -31,8 +31,8 @@ class AxisSpec(SpecModel):
         None, min_length=2, description="Overrides by the name of the level; the first is the reference"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         if (self.key is None) != (self.values is None):
             raise ValueError("values belong to a key: give both, or levels with their overrides")
         if len(set(self.overrides)) < len(self.values or ()):
@@ -40,7 +40,6 @@ class AxisSpec(SpecModel):
         wrong = [name for name in self.overrides if not _NAME.fullmatch(name)]
         if wrong:
             raise ValueError(f"the level {wrong[0]!r} may hold small letters, digits and . _ - alone")
-        return self
 
     @property
     def overrides(self) -> dict[str, Mapping[str, JsonValue]]:
@@ -64,8 +63,8 @@ class GridSpec(SpecModel):
     design: Literal["full", "one-at-a-time", "two-level"] = Field("full", description="Which combinations run")
     axes: dict[str, AxisSpec] = Field(min_length=1, description="What is varied, by name")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         wrong = [name for name in self.axes if not _NAME.fullmatch(name)]
         if wrong:
             raise ValueError(f"the axis {wrong[0]!r} may hold small letters, digits and . _ - alone")
@@ -74,7 +73,6 @@ class GridSpec(SpecModel):
             size *= len(axis.overrides)
         if self.design == "full" and size > MOST_SCENARIOS:
             raise ValueError(f"{size} combinations are too many; a campaign has {MOST_SCENARIOS} scenarios at most")
-        return self
 
 
 class EstimatorSpec(SpecModel):
@@ -144,11 +142,10 @@ class CampaignSpec(SpecModel):
     )
     report: str | None = Field(None, description="Key of the published values to set beside the results")
 
-    @model_validator(mode="after")
-    def _each_once(self) -> Self:
+    @rule
+    def _each_once(self) -> None:
         for key, values in (("scenarios", self.scenarios), ("labels", tuple(e.label for e in self.estimators))):
             twice = sorted({value for value in values if values.count(value) > 1})
             if twice:
                 hint = "; give an estimator that appears twice a label" if key == "labels" else ""
                 raise ValueError(f"{key} must differ, but {', '.join(twice)} appears twice{hint}")
-        return self

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, deviation, rule
 from boresight.scenarios.spec.body import RoughnessSpec, SizesSpec
 from boresight.scenarios.spec.distribution import Uniform
 from boresight.scenarios.spec.length import length
@@ -29,10 +29,10 @@ class PlaneCratersSpec(SizesSpec):
 class DetectionErrorSpec(SpecModel):
     """Error model of a simulated detector; standard deviations."""
 
-    centre_px: float = Field(0.35, ge=0, description="Standard deviation of a coordinate of a rim's centre")
+    centre_px: float = deviation(0.35, "a coordinate of a rim's centre", ge=0)
     centre_radii: float = Field(0.04, ge=0, description="Part of that error that grows with the radius, in radii")
-    axes_px: float = Field(0.0, ge=0, description="Standard deviation of a semi-axis")
-    axes_ratio: float = Field(0.05, ge=0, description="Standard deviation of the logarithm of a semi-axis")
+    axes_px: float = deviation(0.0, "a semi-axis", ge=0)
+    axes_ratio: float = deviation(0.05, "the logarithm of a semi-axis", ge=0)
     recall: float = Field(0.8, gt=0, le=1, description="Probability that a visible crater is detected")
     false_share: float = Field(0.05, ge=0, lt=1, description="Share of the detections that are no crater")
     least_radius_px: float = Field(6.0, ge=0, description="Radius of the smallest crater that is detected")
@@ -70,13 +70,12 @@ class CraterPairsSpec(SpecModel):
     errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Errors of detections by geometry")
     images: RenderedLooksSpec | None = Field(None, description="Rendered looks, {} for the defaults")
 
-    @model_validator(mode="after")
-    def _angles(self) -> Self:
+    @rule
+    def _angles(self) -> None:
         for key in ("view_deg", "sun_deg", "emission_deg", "incidence_deg"):
             low, high = getattr(self, key).uniform
             if low < 0.0 or high > 90.0:
                 raise ValueError(f"{key} {[low, high]} is not within [0, 90]")
-        return self
 
 
 class CraterReliefSpec(RoughnessSpec):
@@ -132,15 +131,13 @@ class CratersSpec(SizesSpec):
         whole = self.share_from(diameter_m)
         return max(1.0 - self.share_from(self.listed_from_m) / whole, 0.0) if whole else 0.0
 
-    @model_validator(mode="after")
-    def _depths_in_order(self) -> Self:
+    @rule
+    def _depths_in_order(self) -> None:
         low, high = self.depth_ratio
         if not 0.0 < low <= high <= 0.4:
             raise ValueError(f"depth_ratio {[low, high]} is not [least, most] within 0 to 0.4")
-        return self
 
-    @model_validator(mode="after")
-    def _mesh_carries_craters(self) -> Self:
+    @rule
+    def _mesh_carries_craters(self) -> None:
         if self.edge_m > 0.25 * self.min_diameter_m:
             raise ValueError(f"edge_m {self.edge_m:g} is too coarse for craters of min_diameter_m: at most a quarter")
-        return self

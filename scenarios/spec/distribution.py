@@ -9,14 +9,14 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from statistics import NormalDist
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.limits import LARGEST_NUMBER
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.tables import columns_of, read_table
 
 Value = TypeVar("Value")
@@ -26,6 +26,15 @@ NonNegative = Annotated[float, Field(ge=0, le=LARGEST_NUMBER)]
 Positive = Annotated[float, Field(ge=1e-100, le=LARGEST_NUMBER)]
 Bounds = tuple[Number, Number]
 Row3 = tuple[Number, Number, Number]
+
+
+def _not_zero(value: Row3, info: ValidationInfo) -> Row3:
+    if math.hypot(*value) < 1e-100:
+        raise ValueError(f"{info.field_name} is zero: give a direction")
+    return value
+
+
+Direction = Annotated[Row3, AfterValidator(_not_zero)]
 Spread = Annotated[float, Field(ge=0, le=10)]
 
 _STANDARD = NormalDist()
@@ -52,10 +61,9 @@ def _log_share(low: float, high: float) -> float:
 class Law(SpecModel):
     """Distribution of one number."""
 
-    @model_validator(mode="after")
-    def _check_bounds(self) -> Self:
+    @rule
+    def _check_bounds(self) -> None:
         check_order(*self.support)
-        return self
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> float:
@@ -119,17 +127,16 @@ def constant(value: float) -> Uniform:
 class _Gaussian(Law):
     """Normal in some scale, between bounds if ``within`` is given: then drawn by the inverse distribution function."""
 
-    within: Bounds | None = Field(None, exclude_if=is_none, description="[low, high] that values are drawn within")
+    within: Bounds | None = optional("[low, high] that values are drawn within")
 
-    @model_validator(mode="after")
-    def _check_within(self) -> Self:
+    @rule
+    def _check_within(self) -> None:
         if self.within is None:
-            return self
+            return
         check_order(*self.within)
         (low, high), (mean, sigma) = self._limits, self._normal
         if not (low <= mean <= high if sigma == 0.0 else _STANDARD.cdf(high) - _STANDARD.cdf(low) > 1e-9):
             raise ValueError(f"next to no value is within {list(self.within)}")
-        return self
 
     @property
     @abstractmethod
@@ -223,11 +230,10 @@ class LogNormal(_Gaussian):
 
     log_normal: tuple[Positive, Spread] = Field(description="[median, sigma of ln]")
 
-    @model_validator(mode="after")
-    def _check_positive(self) -> Self:
+    @rule
+    def _check_positive(self) -> None:
         if self.within is not None and self.within[0] < 0.0:
             raise ValueError(f"within {list(self.within)} begins below 0, where there is no value")
-        return self
 
     @property
     def _normal(self) -> tuple[float, float]:
@@ -424,13 +430,12 @@ class DrawnModel(SpecModel):
 
     limits: ClassVar[Mapping[str, Limits]] = {}
 
-    @model_validator(mode="after")
-    def _within_limits(self) -> Self:
+    @rule
+    def _within_limits(self) -> None:
         for key, limits in self.limits.items():
             value = getattr(self, key)
             if value is not None:
                 _check_limits(key, value if isinstance(value, Law) else constant(value), limits)
-        return self
 
 
 def _check_limits(key: str, law: Law, limits: Limits) -> None:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import orbit_axes
-from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.spec.distribution import Row3
+from boresight.scenarios.spec.base import SpecModel, rule
+from boresight.scenarios.spec.distribution import Direction, Row3
 from boresight.scenarios.spec.tables import Table
 
 MOST_STATES = 20_000
 _LEAST_EXCESS = 1e-6  # of the eccentricity over 1, below which a hyperbola has no digits
 _NEWTON_STEPS = 60
-
-
-def is_zero(direction: Row3) -> bool:
-    """Return whether a vector is too short for a direction."""
-    return math.hypot(*direction) < 1e-100
 
 
 def _epochs(start_s: float, duration_s: float, step_s: float) -> FloatArray:
@@ -51,15 +44,12 @@ class FlybySpec(SpecModel):
     gm_m3_s2: float = Field(ge=1e-9, le=1e20, description="Gravity of the body")
     duration_s: float = Field(gt=0, le=1e9, description="From the first to the last state")
     step_s: float = Field(ge=1e-3, description="Time from state to state")
-    normal: Row3 = Field((0.0, 0.0, 1.0), description="Normal of the plane: periapsis x velocity there")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="Normal of the plane: periapsis x velocity there")
 
-    @model_validator(mode="after")
-    def _is_a_hyperbola(self) -> Self:
-        if is_zero(self.normal):
-            raise ValueError("normal is zero: give the direction of the plane's normal")
+    @rule
+    def _is_a_hyperbola(self) -> None:
         if self._excess < _LEAST_EXCESS:
             raise ValueError(f"v_infinity_m_s {self.v_infinity_m_s:g} makes a parabola: raise it")
-        return self
 
     @property
     def _excess(self) -> float:
@@ -95,11 +85,10 @@ class HoverSpec(SpecModel):
     box_m: float = Field(0.0, ge=0, le=1e12, description="Half a side of the box of station keeping; 0 for none")
     drift_m_s: float = Field(0.0, ge=0, le=1e6, description="Speed of the drift in the box")
 
-    @model_validator(mode="after")
-    def _a_box_is_drifted_in(self) -> Self:
+    @rule
+    def _a_box_is_drifted_in(self) -> None:
         if bool(self.box_m) != bool(self.drift_m_s):
             raise ValueError("box_m and drift_m_s belong together: give both or none")
-        return self
 
     def states(self) -> Table:
         """Place the camera at every epoch; in the box its way is from the middle towards a corner first."""
@@ -120,21 +109,18 @@ class DescentSpec(SpecModel):
     Heights are above the true surface, craters and boulders included, below the last state.
     """
 
-    direction: Row3 = Field(description="From the body's origin to the camera")
+    direction: Direction = Field(description="From the body's origin to the camera")
     from_altitude_m: float = Field(gt=0, le=1e12, description="First height")
     to_altitude_m: float = Field(gt=0, description="Last height, or less than a step above it")
     rate_m_s: float = Field(gt=0, le=1e6, description="Rate of the descent")
     step_s: float = Field(ge=1e-3, description="Time from state to state")
 
-    @model_validator(mode="after")
-    def _leads_down(self) -> Self:
-        if is_zero(self.direction):
-            raise ValueError("direction is zero: give the direction of the camera from the body's origin")
+    @rule
+    def _leads_down(self) -> None:
         if self.to_altitude_m >= self.from_altitude_m:
             raise ValueError(
                 f"to_altitude_m {self.to_altitude_m:g} is not below from_altitude_m {self.from_altitude_m:g}"
             )
-        return self
 
     def states(self, surface_m: Callable[[float, FloatArray], float]) -> Table:
         """Place the camera at every epoch.

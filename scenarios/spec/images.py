@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, rule
 from boresight.scenarios.spec.camera import BodyKernelsSpec, Rectangle
 
 
@@ -56,8 +56,8 @@ class ImageSetSpec(SpecModel):
     )
     credit: str = Field("", description="Credit line that every figure with these images carries")
 
-    @model_validator(mode="after")
-    def _prefixes_once(self) -> Self:
+    @rule
+    def _prefixes_once(self) -> None:
         prefixes = (self.truth, *self.also_score)
         twice = sorted({prefix for prefix in prefixes if prefixes.count(prefix) > 1})
         if twice:
@@ -65,14 +65,12 @@ class ImageSetSpec(SpecModel):
         unknown = [name for name in self.aligned if name not in prefixes]
         if unknown:
             raise ValueError(f"aligned names {unknown[0]}, which is neither truth nor in also_score")
-        return self
 
-    @model_validator(mode="after")
-    def _kernels_leave_no_choice(self) -> Self:
+    @rule
+    def _kernels_leave_no_choice(self) -> None:
         if self.spice is not None:
             given = {"table": self.table != "poses.csv", "first_row": self.first_row != "top"}
             given |= {"also_score": bool(self.also_score)}
             senseless = [key for key, is_given in given.items() if is_given]
             if senseless:
                 raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
-        return self

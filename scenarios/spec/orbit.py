@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, deviation, optional
 from boresight.scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
-
-Vector = tuple[float, float, float]
+from boresight.scenarios.spec.distribution import Direction
 
 
 class ArcSpec(SpecModel):
@@ -32,11 +31,8 @@ class AsteroidSpec(SpecModel):
     gravity_degree: int = Field(
         8, ge=2, le=16, description="Degree of the harmonics: those of the shape at one density, and anomalies"
     )
-    anomaly_sigma: float = Field(
-        1e-3,
-        ge=0,
-        lt=1,
-        description="Standard deviation of normalised coefficients of degree 2 and 3 about those of one density",
+    anomaly_sigma: float = deviation(
+        1e-3, "normalised coefficients of degree 2 and 3 about those of one density", ge=0, lt=1
     )
     rotation_h: float = Field(5.27, gt=0, description="Period of the rotation")
 
@@ -44,22 +40,13 @@ class AsteroidSpec(SpecModel):
 class SunEarthSpec(SpecModel):
     """Constant directions to Sun and Earth, and solar radiation pressure (cannonball model without shadow)."""
 
-    sun_dir: Vector = Field((0.6, 0.0, 0.8), description="Towards the Sun, inertial axes")
+    sun_dir: Direction = Field((0.6, 0.0, 0.8), description="Towards the Sun, inertial axes")
     sun_distance_au: float = Field(1.75, gt=0, description="Distance of the body from the Sun")
-    earth_dir: Vector = Field((0.75, -0.45, 0.48), description="Towards the Earth, inertial axes")
+    earth_dir: Direction = Field((0.75, -0.45, 0.48), description="Towards the Earth, inertial axes")
     area_to_mass_m2_kg: float = Field(0.02, ge=0, description="Area over mass of the spacecraft")
     reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
-    noise_share: float = Field(
-        0.0, ge=0, lt=1, description="Standard deviation of a coordinate of what nothing models, in solar pressures"
-    )
+    noise_share: float = deviation(0.0, "a coordinate of what nothing models, in solar pressures", ge=0, lt=1)
     noise_days: float = Field(1.0, gt=0, description="Time over which that changes: its autocorrelation falls to 1 / e")
-
-    @model_validator(mode="after")
-    def _directions(self) -> Self:
-        for name in ("sun_dir", "earth_dir"):
-            if not any(getattr(self, name)):
-                raise ValueError(f"{name} is zero: give a direction")
-        return self
 
 
 class CraterSightingSpec(SpecModel):
@@ -78,7 +65,7 @@ class CraterSightingSpec(SpecModel):
     margin_px: float = Field(
         12.0, ge=0, description="Least distance of a sighted crater's centre from the edge of the image"
     )
-    noise_px: float = Field(0.7, gt=0, description="Standard deviation of a coordinate of its centre")
+    noise_px: float = deviation(0.7, "a coordinate of its centre", gt=0)
     wrong_share: float = Field(0.01, ge=0, lt=1, description="Sightings that carry the number of another crater near")
     wrong_within_px: float = Field(
         60.0, gt=0, description="Scale of the distance in the image between a crater and the one whose number it gets"
@@ -89,12 +76,8 @@ class CraterSightingSpec(SpecModel):
 class PointingSpec(SpecModel):
     """Errors of attitude and camera, drawn once per trial; attitude errors are drawn for each image."""
 
-    attitude_urad: float = Field(
-        100.0, gt=0, description="Standard deviation of an image's attitude about each camera axis"
-    )
-    misalignment_urad: float = Field(
-        200.0, ge=0, description="Standard deviation of the camera's mounting about each axis"
-    )
+    attitude_urad: float = deviation(100.0, "an image's attitude about each camera axis", gt=0)
+    misalignment_urad: float = deviation(200.0, "the camera's mounting about each axis", ge=0)
     focal_error: float = Field(0.0, ge=0, lt=0.1, description="Relative standard deviation of the focal length")
 
 
@@ -102,11 +85,9 @@ class RadiometrySpec(SpecModel):
     """Range and Doppler from the Earth, corrected for light time and the station's motion."""
 
     interval_h: float = Field(1.0, gt=0, description="Time between two records")
-    range_sigma_m: float = Field(10.0, gt=0, description="Standard deviation of a range")
-    range_rate_sigma_m_s: float = Field(2e-4, gt=0, description="Standard deviation of a range rate")
-    range_bias_sigma_m: float = Field(
-        50.0, ge=0, description="Standard deviation of the bias that all ranges of a trial share"
-    )
+    range_sigma_m: float = deviation(10.0, "a range", gt=0)
+    range_rate_sigma_m_s: float = deviation(2e-4, "a range rate", gt=0)
+    range_bias_sigma_m: float = deviation(50.0, "the bias that all ranges of a trial share", ge=0)
 
 
 class OrbitKnowledgeSpec(SpecModel):
@@ -115,11 +96,8 @@ class OrbitKnowledgeSpec(SpecModel):
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Relative standard deviation of GM")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Relative standard deviation of the solar pressure")
-    pole_sigma_deg: float = Field(
-        0.0,
-        ge=0,
-        le=90,
-        description="Standard deviation of the spin axis about each of two axes across it; it is not estimated",
+    pole_sigma_deg: float = deviation(
+        0.0, "the spin axis about each of two axes across it; it is not estimated", ge=0, le=90
     )
     spin_sigma: float = Field(
         0.0, ge=0, lt=1, description="Relative standard deviation of the spin rate; it is not estimated"
@@ -138,11 +116,7 @@ class ImagingSpec(SpecModel):
     detections: Literal["rendered", "drawn"] = Field(
         "rendered", description="Images of the scenario's craters, or rims of drawn ones projected by geometry"
     )
-    control_urad: float = Field(
-        300.0,
-        ge=0,
-        description="Standard deviation of the pointing about the plan, about each axis; telemetry contains it",
-    )
+    control_urad: float = deviation(300.0, "the pointing about the plan, about each axis; telemetry contains it", ge=0)
     craters: PlaneCratersSpec = Field(PlaneCratersSpec(count=600), description="Craters of detections that are drawn")
     errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Errors of detections that are drawn")
 
@@ -157,9 +131,4 @@ class OrbitSpec(SpecModel):
     pointing: PointingSpec = PointingSpec()
     radiometry: RadiometrySpec | None = Field(RadiometrySpec(), description="null for optical data alone")
     knowledge: OrbitKnowledgeSpec = OrbitKnowledgeSpec()
-    imaging: ImagingSpec | None = Field(
-        None,
-        # Excluded from digests if not given: keeps the digests of scenarios without it.
-        exclude_if=lambda imaging: imaging is None,
-        description="Images that are planned and taken, in place of sightings",
-    )
+    imaging: ImagingSpec | None = optional("Images that are planned and taken, in place of sightings")

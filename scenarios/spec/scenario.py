@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec, LambertSpec
 from boresight.scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
@@ -39,11 +39,7 @@ class OnboardSpec(SpecModel):
     facets: int | None = Field(
         None, ge=4, le=13_000_000, description="Resolution of the shape: facets of the body's detail stage"
     )
-    relief: RedrawnSpec | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Small relief that nobody has seen: other boulders, craters and roughness",
-    )
+    relief: RedrawnSpec | None = optional("Small relief that nobody has seen: other boulders, craters and roughness")
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
     albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")
     focal_error: float = Field(0.0, gt=-0.5, lt=0.5, description="Relative error of the focal length")
@@ -54,11 +50,9 @@ class OnboardSpec(SpecModel):
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
     pole_error_deg: Scalar | None = Field(None, description="Tilt of the spin axis, about a random equatorial axis")
     rotation_error_deg: Scalar | None = Field(None, description="Error of the rotation phase about the spin axis")
-    pose_error: PoseErrorSpec | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Distribution of the prior's error that the spacecraft believes in: its covariance is given to"
-        " estimators, while errors are drawn from the scenario's pose_error; its attitude, if left out, is that one's",
+    pose_error: PoseErrorSpec | None = optional(
+        "Distribution of the prior's error that the spacecraft believes in: its covariance is given to"
+        " estimators, while errors are drawn from the scenario's pose_error; its attitude, if left out, is that one's"
     )
 
 
@@ -93,11 +87,8 @@ class ScenarioSpec(SpecModel):
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
     description: str = Field("", description="One line about the scenario")
     body: BodySpec = BodySpec()
-    craters: CratersSpec | None = Field(
-        None,
-        # Excluded from digests if not given: keeps the digests of scenarios without it.
-        exclude_if=lambda craters: craters is None,
-        description="Craters that are all known, on a surface that is fine where the camera looks",
+    craters: CratersSpec | None = optional(
+        "Craters that are all known, on a surface that is fine where the camera looks"
     )
     camera: CameraSpec
     rendering: RenderingSpec = RenderingSpec()
@@ -105,30 +96,22 @@ class ScenarioSpec(SpecModel):
     brdf: BrdfSpec = Field(LambertSpec(), description="Reflectance of the surface")
     viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
-    correlated: CorrelatedSpec | None = Field(
-        None, exclude_if=is_none, description="Keys of views and images that are drawn together"
-    )
+    correlated: CorrelatedSpec | None = optional("Keys of views and images that are drawn together")
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks of a camera's way, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
-    orbit: OrbitSpec | None = Field(
-        None,
-        # Excluded from digests if not given: keeps the digests of scenarios without it.
-        exclude_if=is_none,
-        description="Weeks of images of craters from an orbit, instead of viewpoint",
-    )
+    orbit: OrbitSpec | None = optional("Weeks of images of craters from an orbit, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
 
-    @model_validator(mode="after")
-    def _craters_on_a_smooth_body(self) -> Self:
+    @rule
+    def _craters_on_a_smooth_body(self) -> None:
         body = self.body
         if self.craters is not None and (body.detail is not None or body.height_error is not None):
             raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
         if self.craters is not None and body.shading != "flat":
             raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
-        return self
 
     @model_validator(mode="after")
     def _smallest_listed_crater(self) -> Self:
@@ -162,11 +145,10 @@ class ScenarioSpec(SpecModel):
             return None
         return range_m / self.camera.camera().fx_px
 
-    @model_validator(mode="after")
-    def _onboard_knows_of_something(self) -> Self:
+    @rule
+    def _onboard_knows_of_something(self) -> None:
         onboard = self.onboard
-        parts = (onboard.facets, onboard.relief, onboard.height_error, onboard.albedo)
-        if onboard.body is not None and parts != (None, None, None, "as-truth"):
+        if onboard.body is not None and onboard.stated("facets", "relief", "height_error", "albedo"):
             raise ValueError(
                 "onboard.body is a whole shape: give facets, relief, height_error and albedo in it, not beside it"
             )
@@ -176,16 +158,13 @@ class ScenarioSpec(SpecModel):
             raise ValueError("onboard.relief: the body has no detail stage whose small relief could be another")
         if onboard.distortion_error != 0.0 and self.camera.distortion is None:
             raise ValueError("onboard.distortion_error: the camera has no distortion that could be known wrongly")
-        return self
 
-    @model_validator(mode="after")
-    def _onboard_has_a_part(self) -> Self:
+    @rule
+    def _onboard_has_a_part(self) -> None:
         lent = _ONBOARD_OF.get(self._kind, frozenset(OnboardSpec.model_fields))
-        said = [key for key, field in OnboardSpec.model_fields.items() if getattr(self.onboard, key) != field.default]
-        idle = [key for key in said if key not in lent]
+        idle = [key for key in self.onboard.stated() if key not in lent]
         if idle:
             raise ValueError(f"onboard.{idle[0]} has no part in a scenario with {self._kind}: leave it out")
-        return self
 
     @property
     def _kind(self) -> str:
@@ -202,8 +181,8 @@ class ScenarioSpec(SpecModel):
         believed = believed.model_copy(update={"attitude": true.attitude})
         return self.model_copy(update={"onboard": self.onboard.model_copy(update={"pose_error": believed})})
 
-    @model_validator(mode="after")
-    def _states_bring_their_own(self) -> Self:
+    @rule
+    def _states_bring_their_own(self) -> None:
         states = None if self.viewpoint is None else self.viewpoint.states
         for key, law in (("pose_error", self.pose_error), ("onboard.pose_error", self.onboard.pose_error)):
             if law is not None and law.position_rtn_m is not None and not (states and states.has_planes):
@@ -213,12 +192,11 @@ class ScenarioSpec(SpecModel):
         drawn = self.lighting.model_copy(update={"brightness": 1.0})
         if states is not None and states.sun_dir is not None and drawn != LightingSpec():
             raise ValueError("lighting has no part where the trajectory's table has the Sun: leave one of the two out")
-        return self
 
-    @model_validator(mode="after")
-    def _correlated_keys_are_drawn(self) -> Self:
+    @rule
+    def _correlated_keys_are_drawn(self) -> None:
         if self.correlated is None:
-            return self
+            return
         if self.viewpoint is None:
             raise ValueError(f"correlated has no part in a scenario with {self._kind}: leave it out")
         states = self.viewpoint.states
@@ -232,7 +210,6 @@ class ScenarioSpec(SpecModel):
         counts = [len(law.choice) if isinstance(law, Choice) else 0 for law in laws.values()]
         if self.correlated.same_row and (0 in counts or len(set(counts)) > 1):
             raise ValueError("correlated.same_row: give each of the keys a choice of as many values")
-        return self
 
     def law_of(self, key: str) -> Law | None:
         """Return the distribution of a key of a section; None if it is a constant or not given."""
@@ -240,20 +217,15 @@ class ScenarioSpec(SpecModel):
         law = getattr(getattr(self, section), name, None)
         return law if isinstance(law, Law) else None
 
-    @model_validator(mode="after")
-    def _brightness_is_of_rendered_images(self) -> Self:
+    @rule
+    def _real_images_bring_their_own(self) -> None:
         sequence, pairs, imaging = self.sequence, self.crater_pairs, None if self.orbit is None else self.orbit.imaging
         rendered = self.viewpoint or (sequence and sequence.images) or (pairs and pairs.images)
         if self.lighting.brightness != 1.0 and not rendered and (imaging is None or imaging.detections == "drawn"):
             raise ValueError("lighting.brightness has no part where no image is rendered: leave it out")
-        return self
-
-    @model_validator(mode="after")
-    def _real_images_bring_their_own(self) -> Self:
         if self.images is not None and self.detector is not None:
             raise ValueError("detector has no part in a scenario with images: they carry their own noise; leave it out")
         if self.images is not None and self.lighting != LightingSpec():
             raise ValueError("lighting has no part in a scenario with images: their table says where the Sun is")
         if self.images is not None and self.sensors.aboard:
             raise ValueError("sensors has no part in a scenario with images: there is no exact truth to measure in")
-        return self

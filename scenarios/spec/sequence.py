@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, is_none
+from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, deviation, optional, rule
+from boresight.scenarios.spec.distribution import Direction
 from boresight.scenarios.spec.tracks import TrackTableSpec
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec
 
@@ -28,11 +29,7 @@ class ForcesSpec(SpecModel):
     sun_distance_au: float = Field(
         1.0, gt=0, description="Distance of the body from the Sun; 0.746 to 1.099 for Apophis"
     )
-    noise_m_s2: float = Field(
-        0.0,
-        ge=0,
-        description="Standard deviation of each coordinate of an unmodelled acceleration, drawn for each step",
-    )
+    noise_m_s2: float = deviation(0.0, "each coordinate of an unmodelled acceleration, drawn for each step", ge=0)
 
 
 class BodyMotionSpec(SpecModel):
@@ -46,32 +43,23 @@ class BodyMotionSpec(SpecModel):
         "none", description="At rest, about a fixed axis, or torque-free about no principal axis"
     )
     period_h: float = Field(30.4, gt=0, description="Period of the rotation at the first frame; 30.4 h for Apophis")
-    axis_body: tuple[float, float, float] = Field(
-        (0.0, 0.0, 1.0), description="Direction of the angular velocity, body axes"
-    )
+    axis_body: Direction = Field((0.0, 0.0, 1.0), description="Direction of the angular velocity, body axes")
     inertia: tuple[float, float, float] = Field(
         (0.61, 0.965, 1.0),
         description="Principal moments about the body's x, y, z, in any unit; only tumbling depends on them",
     )
 
-    @model_validator(mode="after")
-    def _is_a_rotation(self) -> Self:
-        if not any(self.axis_body):
-            raise ValueError("axis_body is zero: give the direction of the angular velocity")
+    @rule
+    def _is_a_rotation(self) -> None:
         # The principal moments of any body obey the triangle inequality.
         if min(self.inertia) <= 0 or 2 * max(self.inertia) > sum(self.inertia):
             raise ValueError(f"inertia {list(self.inertia)}: no moment may exceed the sum of the other two, or be zero")
-        if self.kind != "tumbling" and self.inertia != type(self).model_fields["inertia"].default:
+        if self.kind != "tumbling" and self.stated("inertia"):
             raise ValueError("inertia has no part in a body that does not tumble: leave it out, or say kind: tumbling")
-        return self
-
-    @model_validator(mode="after")
-    def _tumbles(self) -> Self:
         moments = [moment for moment, part in zip(self.inertia, self.axis_body, strict=True) if part]
         # Angular velocity and momentum are parallel if all moments of the axes that take part are equal.
         if self.kind == "tumbling" and len(set(moments)) < 2:
             raise ValueError("axis_body is a principal axis, about which no body tumbles: tilt it, or say kind: spin")
-        return self
 
 
 class ImageVisionSpec(SpecModel):
@@ -108,7 +96,7 @@ class ImageVisionSpec(SpecModel):
         description="A track begins where areas grow or shrink by this factor at most from frame to frame",
     )
     spacing_px: float = Field(0.0, ge=0, description="Distance of a new track from all others at least")
-    sigma_px: float = Field(0.5, gt=0, description="Standard deviation of a coordinate that estimators are told")
+    sigma_px: float = deviation(0.5, "a coordinate that estimators are told", gt=0)
 
 
 class SequenceOrbitSpec(SpecModel):
@@ -123,7 +111,7 @@ class SequenceOrbitSpec(SpecModel):
         "circular", description="A circle at constant speed, or an orbit integrated under ``forces``"
     )
     radius_m: float = Field(790.0, gt=0, description="Radius: 600 m above a sphere of 190 m in Delpech et al. (2015)")
-    normal_body: tuple[float, float, float] = Field(
+    normal_body: Direction = Field(
         (0.0, 0.0, 1.0), description="Normal of the orbit, inertial axes; over the terminator it points to the Sun"
     )
     start_deg: float = Field(0.0, description="Anomaly of the first frame, from where the orbit comes nearest body x")
@@ -132,21 +120,14 @@ class SequenceOrbitSpec(SpecModel):
     gm_m3_s2: float = Field(3.54, gt=0, description="Gravity of the body, which sets the times; 5.3e10 kg by default")
     forces: ForcesSpec = ForcesSpec()
 
-    @model_validator(mode="after")
-    def _has_a_plane(self) -> Self:
-        if not any(self.normal_body):
-            raise ValueError("normal_body is zero: give the direction of the orbit's normal")
+    @rule
+    def _can_be_flown(self) -> None:
         if self.frames < 2:
             raise ValueError(f"{self.revolutions:g} revolutions in steps of {self.step_deg:g} deg are less than a step")
         if self.frames > MOST_FRAMES:
             raise ValueError(f"{self.frames} frames are more than {MOST_FRAMES}: take longer steps")
-        return self
-
-    @model_validator(mode="after")
-    def _forces_act_on_a_propagated_orbit(self) -> Self:
         if self.model == "circular" and self.forces != ForcesSpec():
             raise ValueError("forces have no part in a circular orbit: say model: propagated, or leave them out")
-        return self
 
     @property
     def frames(self) -> int:
@@ -206,9 +187,9 @@ class VisionSpec(SpecModel):
         description="Share of the new tracks that are taken for another lost landmark, with field: fixed",
     )
     lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
-    noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate: 2 px at 3 sigma")
-    track_errors: TrackErrorsSpec | None = Field(
-        None, exclude_if=is_none, description="Errors that accumulate along a track; left out: independent noise alone"
+    noise_px: float = deviation(2.0 / 3.0, "a coordinate: 2 px at 3 sigma", ge=0)
+    track_errors: TrackErrorsSpec | None = optional(
+        "Errors that accumulate along a track; left out: independent noise alone"
     )
     repeatability: float = Field(
         0.9, gt=0, le=1, description="k: share of the landmarks still visible that are tracked over a change of view"
@@ -222,17 +203,15 @@ class VisionSpec(SpecModel):
         0.0, ge=0, lt=1, description="Share of the tracked points that are seen anywhere in the image"
     )
 
-    @model_validator(mode="after")
-    def _only_a_fixed_field_is_seen_again(self) -> Self:
-        again = {name: type(self).model_fields[name].default for name in ("tracked_share", "recognised", "mistaken")}
-        given = [name for name, default in again.items() if getattr(self, name) != default]
+    @rule
+    def _only_a_fixed_field_is_seen_again(self) -> None:
+        given = self.stated("tracked_share", "recognised", "mistaken")
         if given and self.field == "renewed":
             raise ValueError(f"{given[0]} has no part in a field that is renewed: say field: fixed, or leave it out")
         if self.field == "fixed" and self.count == "constant":
             raise ValueError("count: constant draws landmarks as they are needed: with field: fixed say count: average")
         if self.recognised + self.mistaken > 1:
             raise ValueError(f"recognised {self.recognised:g} and mistaken {self.mistaken:g} are more than all")
-        return self
 
     def survival(self, change_deg: float) -> float:
         """Return the survival probability of a visible track over a change of view: k^(change / step)."""
@@ -251,25 +230,17 @@ class SequenceKnowledgeSpec(SpecModel):
         description="The landmarks seen nearest the principal point, or those whose tracks will last longest, which no"
         " spacecraft can know: a bound for studies of what the choice matters",
     )
-    range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
+    range_sigma_m: float = deviation(0.1, "such a distance", gt=0)
     range_every: int = Field(
         0, ge=0, description="Ranges are measured again after so many frames; 0 for the first frame alone"
     )
-    position_sigma_m: float = Field(
-        0.0, ge=0, description="Standard deviation of each coordinate of the first camera position"
+    position_sigma_m: float = deviation(0.0, "each coordinate of the first camera position", ge=0)
+    attitude_sigma_deg: float = deviation(0.0, "a frame's attitude about each camera axis", ge=0)
+    misalignment_sigma_deg: float = deviation(
+        0.0, "the camera's mounting about each axis, the same in all frames", ge=0
     )
-    attitude_sigma_deg: float = Field(
-        0.0, ge=0, description="Standard deviation of a frame's attitude about each camera axis"
-    )
-    misalignment_sigma_deg: float = Field(
-        0.0,
-        ge=0,
-        description="Standard deviation of the camera's mounting about each axis, the same in all frames",
-    )
-    pole_sigma_deg: float = Field(
-        0.0,
-        ge=0,
-        description="Standard deviation of the direction of the body's spin axis, about each of two axes across it",
+    pole_sigma_deg: float = deviation(
+        0.0, "the direction of the body's spin axis, about each of two axes across it", ge=0
     )
     spin_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the body's spin rate")
     dynamics: bool = Field(
@@ -277,20 +248,16 @@ class SequenceKnowledgeSpec(SpecModel):
     )
     gm_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the gravity parameter")
     radiation_sigma: float = Field(0.0, ge=0, lt=1, description="Relative standard deviation of the radiation pressure")
-    velocity_sigma_m_s: float = Field(
-        0.0, ge=0, description="Standard deviation of each coordinate of the velocity at the first frame"
-    )
+    velocity_sigma_m_s: float = deviation(0.0, "each coordinate of the velocity at the first frame", ge=0)
     noise_m_s2: float | None = Field(
         None, gt=0, description="Unmodelled acceleration that estimators assume; left out: the true one"
     )
 
-    @model_validator(mode="after")
-    def _dynamics_are_asked_for(self) -> Self:
-        given = [name for name in ("gm_sigma", "radiation_sigma", "velocity_sigma_m_s") if getattr(self, name)]
-        given += ["noise_m_s2"] if self.noise_m_s2 is not None else []
+    @rule
+    def _dynamics_are_asked_for(self) -> None:
+        given = self.stated("gm_sigma", "radiation_sigma", "velocity_sigma_m_s", "noise_m_s2")
         if given and not self.dynamics:
             raise ValueError(f"{given[0]} has no part where the forces are not known: say dynamics: true, or leave it")
-        return self
 
 
 class SequenceSpec(WithDefaultAlternative):
@@ -302,19 +269,17 @@ class SequenceSpec(WithDefaultAlternative):
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
     )
     orbit: SequenceOrbitSpec = SequenceOrbitSpec()
-    trajectory: SequenceTrajectorySpec | None = Field(
-        None, exclude_if=is_none, description="States of the camera, instead of orbit"
-    )
-    tracks: TrackTableSpec | None = Field(
-        None, exclude_if=is_none, description="Real tracks and reference poses of a file, instead of orbit and vision"
+    trajectory: SequenceTrajectorySpec | None = optional("States of the camera, instead of orbit")
+    tracks: TrackTableSpec | None = optional(
+        "Real tracks and reference poses of a file, instead of orbit and vision"
     )
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
     knowledge: SequenceKnowledgeSpec = SequenceKnowledgeSpec()
 
-    @model_validator(mode="after")
-    def _orbit_clears_the_sphere(self) -> Self:
+    @rule
+    def _orbit_clears_the_sphere(self) -> None:
         sphere_m = self.sphere_radius_m or 0.0
         if self.trajectory is not None:
             ranges_m = np.linalg.norm(self.trajectory.states.position_m, axis=1)
@@ -326,13 +291,12 @@ class SequenceSpec(WithDefaultAlternative):
                 )
         elif self.orbit.radius_m <= sphere_m:
             raise ValueError(f"orbit.radius_m {self.orbit.radius_m:g} is not above the sphere of {sphere_m:g} m")
-        return self
 
-    @model_validator(mode="after")
-    def _a_trajectory_has_its_own(self) -> Self:
+    @rule
+    def _a_trajectory_has_its_own(self) -> None:
         flown, turning = self.trajectory, self.body_motion.kind != "none"
         if flown is None:
-            return self
+            return
         if turning and (flown.rotation is not None or flown.spice is not None):
             has = "rotation" if flown.rotation is not None else "spice"
             raise ValueError(f"body_motion has no part where trajectory.{has} has the body's rotation: leave it out")
@@ -340,14 +304,13 @@ class SequenceSpec(WithDefaultAlternative):
             raise ValueError("body_motion: a flyby is in inertial axes: give the rotation as trajectory.rotation")
         if self.knowledge.dynamics and flown.flyby is None:
             raise ValueError("knowledge.dynamics: only orbit and trajectory.flyby have forces: leave it out")
-        if self.images is not None and self.images.starts != type(self.images).model_fields["starts"].default:
+        if self.images is not None and self.images.stated("starts"):
             raise ValueError("images.starts has no part where trials begin at the first state: leave it out")
-        return self
 
-    @model_validator(mode="after")
-    def _real_tracks_have_their_own(self) -> Self:
+    @rule
+    def _real_tracks_have_their_own(self) -> None:
         if self.tracks is None:
-            return self
+            return
         if self.sphere_radius_m is not None:
             raise ValueError(
                 "sphere_radius_m: real tracks are of a body, whose shape ranges are measured to: give body"
@@ -357,25 +320,19 @@ class SequenceSpec(WithDefaultAlternative):
         given = [key for key, is_given in idle.items() if is_given]
         if given:
             raise ValueError(f"{given[0]} has no part where tracks have path and sightings, in body axes: leave it out")
-        return self
 
-    @model_validator(mode="after")
-    def _a_sphere_pulls_like_a_point(self) -> Self:
+    @rule
+    def _body_pulls_and_turns(self) -> None:
         if self.sphere_radius_m is not None and self.orbit.forces.gravity == "polyhedral":
             raise ValueError(
                 "orbit.forces.gravity: a sphere pulls like a point: leave polyhedral or sphere_radius_m out"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _rotation_errors_need_a_rotation(self) -> Self:
-        wrong = [name for name in ("pole_sigma_deg", "spin_sigma") if getattr(self.knowledge, name)]
+        wrong = self.knowledge.stated("pole_sigma_deg", "spin_sigma")
         if wrong and self.motion.kind == "none":
             raise ValueError(f"knowledge.{wrong[0]}: the body does not turn: give body_motion.kind, or leave it out")
-        return self
 
-    @model_validator(mode="after")
-    def _tracks_of_a_fixed_field_are_found_fast_enough(self) -> Self:
+    @rule
+    def _tracks_of_a_fixed_field_are_found_fast_enough(self) -> None:
         vision = self.vision
         # An untracked landmark is found with the probability (1 - k) f / (1 - f), which must not exceed 1.
         odds, lost = vision.tracked_share / (1.0 - vision.tracked_share), 1.0 - vision.survival(self._largest_step_deg)
@@ -384,17 +341,16 @@ class SequenceSpec(WithDefaultAlternative):
                 f"vision.tracked_share {vision.tracked_share:g} cannot be kept up where {lost:.2g} of the tracks"
                 f" are lost from frame to frame: at most {1.0 / (1.0 + lost):.3g}"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _images_fit_the_orbit(self) -> Self:
+    @rule
+    def _images_fit_the_orbit(self) -> None:
         if self.images is None:
-            return self
+            return
         if self.vision != VisionSpec() or self.sphere_radius_m is not None:
             key = "sphere_radius_m" if self.vision == VisionSpec() else "vision"
             raise ValueError(f"{key} has no part where images show the body: leave it or images out")
         if self.trajectory is not None:
-            return self
+            return
         if self.orbit.model != "circular" or self.body_motion.kind != "none":
             raise ValueError("images are of a circular orbit about a body at rest: leave images or the motion out")
         count = 360.0 / self.orbit.step_deg
@@ -402,7 +358,6 @@ class SequenceSpec(WithDefaultAlternative):
             raise ValueError(f"orbit.step_deg {self.orbit.step_deg:g} does not divide 360: images must close the orbit")
         if round(count) % self.images.starts:
             raise ValueError(f"images.starts {self.images.starts} does not divide the {count:.0f} images of the orbit")
-        return self
 
     @property
     def _largest_step_deg(self) -> float:

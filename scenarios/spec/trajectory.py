@@ -11,10 +11,10 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.camera import BodyKernelsSpec
-from boresight.scenarios.spec.distribution import Row3
-from boresight.scenarios.spec.flights import MOST_STATES, DescentSpec, FlybySpec, HoverSpec, is_zero
+from boresight.scenarios.spec.distribution import Direction, Row3
+from boresight.scenarios.spec.flights import MOST_STATES, DescentSpec, FlybySpec, HoverSpec
 from boresight.scenarios.spec.tables import REF_FRAME, Table, columns_of, read_table
 
 _DAY_S = 86400.0
@@ -22,7 +22,7 @@ _QUATERNION = ("qw", "qx", "qy", "qz")
 _SUN = ("sun_x", "sun_y", "sun_z")
 # Beginnings of the names of inertial frames; ICRF2 and ICRF3 begin so too.
 _INERTIAL = ("B1950", "ECLIPJ2000", "EME2000", "GCRF", "ICRF", "J2000", "MCI", "MOD", "TEME", "TOD")
-_LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
+LEAST_HORIZONTAL = 1e-6  # of a velocity, below which its horizontal part has no direction
 _UNITS = {"m": 1.0, "km": 1000.0}
 _POSITION = tuple(f"{axis}_{unit}" for unit in _UNITS for axis in "xyz")
 _VELOCITY = tuple(f"v{axis}_{unit}_s" for unit in _UNITS for axis in "xyz")
@@ -58,19 +58,16 @@ class StatesSpec(SpecModel):
         None, description="Quaternions w, x, y, z from body to camera axes"
     )
     sun_dir: tuple[Row3, ...] | None = Field(None, description="Unit vectors towards the Sun")
-    spin_rad_s: Row3 | None = Field(
-        None, exclude_if=is_none, description="Angular velocity of the body at the first epoch, for sequences"
-    )
+    spin_rad_s: Row3 | None = optional("Angular velocity of the body at the first epoch, for sequences")
 
     def __len__(self) -> int:
         return len(self.time_s)
 
-    @model_validator(mode="after")
-    def _one_of_each(self) -> Self:
+    @rule
+    def _one_of_each(self) -> None:
         columns = (self.position_m, self.velocity_m_s, self.attitude, self.sun_dir)
         if any(column is not None and len(column) != len(self) for column in columns):
             raise ValueError("states are of unlike number")
-        return self
 
     def velocity(self, state: int) -> FloatArray | None:
         """Return the velocity (3,) of a state; None if the states have none."""
@@ -83,7 +80,7 @@ class StatesSpec(SpecModel):
             return False
         across = np.linalg.norm(np.cross(self.position_m, self.velocity_m_s), axis=1)
         sizes = np.linalg.norm(self.position_m, axis=1) * np.linalg.norm(self.velocity_m_s, axis=1)
-        return bool((across > _LEAST_HORIZONTAL * sizes).all())
+        return bool((across > LEAST_HORIZONTAL * sizes).all())
 
 
 class SpiceTrajectorySpec(BodyKernelsSpec):
@@ -110,26 +107,19 @@ class FlownSpec(SpecModel):
     table: str | None = Field(
         None, min_length=1, description="CSV, Parquet or OEM file of states, in increasing order of time"
     )
-    spice: SpiceTrajectorySpec | None = Field(
-        None, exclude_if=is_none, description="States from SPICE kernels, instead of table"
-    )
-    flyby: FlybySpec | None = Field(None, exclude_if=is_none, description="A hyperbola, instead of table")
-    hover: HoverSpec | None = Field(None, exclude_if=is_none, description="A point that is kept, instead of table")
-    descent: DescentSpec | None = Field(
-        None, exclude_if=is_none, description="A straight way down at a constant rate, instead of table"
-    )
+    spice: SpiceTrajectorySpec | None = optional("States from SPICE kernels, instead of table")
+    flyby: FlybySpec | None = optional("A hyperbola, instead of table")
+    hover: HoverSpec | None = optional("A point that is kept, instead of table")
+    descent: DescentSpec | None = optional("A straight way down at a constant rate, instead of table")
     rotation: RotationSpec | None = Field(
         None, description="Rotation of the body, for states in inertial axes; left out: states are in body axes"
     )
-    read_states: StatesSpec | None = Field(
-        None, exclude_if=is_none, description="Filled in from table, kernels or flight; not written by hand"
-    )
+    read_states: StatesSpec | None = optional("Filled in from table, kernels or flight; not written by hand")
 
-    @model_validator(mode="after")
-    def _kernels_have_the_rotation(self) -> Self:
+    @rule
+    def _kernels_have_the_rotation(self) -> None:
         if self.spice is not None and self.rotation is not None:
             raise ValueError("rotation has no part where kernels have it: leave it out")
-        return self
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
@@ -202,22 +192,17 @@ class SequenceTrajectorySpec(FlownSpec):
     prose: ClassVar = frozenset({"table", "spice", "hover", "descent"})
     reads_spin: ClassVar[bool] = True
 
-    sun_dir: Row3 | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Direction to the Sun in the axes of the states, at the first frame and fixed in space; left out:"
-        " that of the table or the kernels, else behind the first camera",
+    sun_dir: Direction | None = optional(
+        "Direction to the Sun in the axes of the states, at the first frame and fixed in space; left out:"
+        " that of the table or the kernels, else behind the first camera"
     )
 
-    @model_validator(mode="after")
-    def _one_sun_and_two_frames(self) -> Self:
+    @rule
+    def _one_sun_and_two_frames(self) -> None:
         if len(self.states) < 2:
             raise ValueError("a sequence needs two states at least")
         if self.sun_dir is not None and self.states.sun_dir is not None:
             raise ValueError("sun_dir has no part where the states have the Sun: leave it out")
-        if self.sun_dir is not None and is_zero(self.sun_dir):
-            raise ValueError("sun_dir is zero: give the direction to the Sun")
-        return self
 
 
 def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:

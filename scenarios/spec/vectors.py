@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, Tag
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel, is_none
+from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.distribution import Bounds, NonNegative, Number, OneOf, Row3, check_order, either
 
 
@@ -32,11 +32,10 @@ class Uniform3(Law3):
 
     uniform: tuple[Bounds, Bounds, Bounds] = Field(description="[low, high] of x, y and z")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         for bounds in self.uniform:
             check_order(*bounds)
-        return self
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
         bounds = np.array(self.uniform, dtype=np.float64)
@@ -57,10 +56,8 @@ Row6 = tuple[Number, Number, Number, Number, Number, Number]
 class _NormalVector(Law3):
     """Normal components about zero or a ``mean``; with ``student_t`` of heavier tails and the same covariance."""
 
-    mean: tuple[float, ...] | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
-    student_t: float | None = Field(
-        None, gt=2, le=1e6, exclude_if=is_none, description="Degrees of freedom of Student's t, with this covariance"
-    )
+    mean: tuple[float, ...] | None = optional("Mean; zero if left out")
+    student_t: float | None = optional("Degrees of freedom of Student's t, with this covariance", gt=2, le=1e6)
 
     @property
     @abstractmethod
@@ -89,7 +86,7 @@ class Normal3(_NormalVector):
     """Three independent normal components about zero or a ``mean``: ``{normal: [sx, sy, sz]}``."""
 
     normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
-    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+    mean: Row3 | None = optional("Mean; zero if left out")
 
     @property
     def _covariance(self) -> FloatArray:
@@ -123,10 +120,9 @@ class _Correlated(_NormalVector):
 
     covariance: tuple[tuple[float, ...], ...]
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         check_semidefinite("covariance", np.array(self.covariance, dtype=np.float64))
-        return self
 
     @property
     def _covariance(self) -> FloatArray:
@@ -147,14 +143,14 @@ class Correlated3(_Correlated):
     """Normal components with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
 
     covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
-    mean: Row3 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+    mean: Row3 | None = optional("Mean; zero if left out")
 
 
 class Correlated6(_Correlated):
     """Six normal components with a covariance: ``{covariance: [[...], ...]}``, 6 x 6."""
 
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6] = Field(description="Symmetric, positive semidefinite")
-    mean: Row6 | None = Field(None, exclude_if=is_none, description="Mean; zero if left out")
+    mean: Row6 | None = optional("Mean; zero if left out")
 
     @property
     def _scale(self) -> FloatArray:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from statistics import NormalDist
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, is_none
+from boresight.scenarios.spec.base import SpecModel, WithDefaultAlternative, optional, rule
 from boresight.scenarios.spec.camera import Rectangle
 from boresight.scenarios.spec.distribution import DrawnModel, Limits, PositiveScalar, Scalar, Uniform
 from boresight.scenarios.spec.trajectory import StatesSpec, TrajectorySpec
@@ -30,20 +30,14 @@ class ViewpointSpec(DrawnModel):
     range_m: PositiveScalar | None = Field(
         None, description="Distance of the camera from the body's origin, one or drawn"
     )
-    altitude_m: PositiveScalar | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Distance of the camera from the true surface, on the line from the body's origin through the"
-        " camera, one or drawn; instead of range_m",
+    altitude_m: PositiveScalar | None = optional(
+        "Distance of the camera from the true surface, on the line from the body's origin through the"
+        " camera, one or drawn; instead of range_m"
     )
-    trajectory: TrajectorySpec | None = Field(
-        None, exclude_if=is_none, description="Camera positions of a mission, instead of range_m"
-    )
+    trajectory: TrajectorySpec | None = optional("Camera positions of a mission, instead of range_m")
     roll_deg: Scalar = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
-    off_pointing_deg: Scalar | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Angle by which the boresight misses the body's centre or the target, at a random azimuth",
+    off_pointing_deg: Scalar | None = optional(
+        "Angle by which the boresight misses the body's centre or the target, at a random azimuth"
     )
     latitude_deg: Uniform = Field(
         Uniform(uniform=(-90.0, 90.0)),
@@ -61,18 +55,14 @@ class ViewpointSpec(DrawnModel):
         " deg) or near the terminator (incidence 55 to 75 deg); at the body's centre where none is given",
     )
 
-    @model_validator(mode="after")
-    def _a_trajectory_has_the_views(self) -> Self:
+    @rule
+    def _a_trajectory_has_the_views(self) -> None:
         if self.states is None:
-            return self
+            return
         pointed = ["roll_deg", "off_pointing_deg", "targets"] if self.states.attitude is not None else []
-        fields = type(self).model_fields
-        given = [
-            key for key in ("latitude_deg", "keep_clear_px", *pointed) if getattr(self, key) != fields[key].default
-        ]
+        given = self.stated("latitude_deg", "keep_clear_px", *pointed)
         if given:
             raise ValueError(f"{given[0]} has no part where a trajectory has the views: leave it out")
-        return self
 
     @property
     def states(self) -> StatesSpec | None:
@@ -150,8 +140,8 @@ class CorrelatedSpec(SpecModel):
         None, description="Draw a row of the columns that the keys have as choice, instead of correlation"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    @rule
+    def _check(self) -> None:
         twice = [key for key in self.keys if self.keys.count(key) > 1]
         if twice:
             raise ValueError(f"keys: {twice[0]} is given twice")
@@ -162,7 +152,6 @@ class CorrelatedSpec(SpecModel):
             if any(row[place] != 1.0 for place, row in enumerate(self.correlation)):
                 raise ValueError("correlation has other numbers than 1 on its diagonal")
             check_semidefinite("correlation", np.array(self.correlation))
-        return self
 
     def shares(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw for each key the share of all values that its value is above."""
@@ -211,22 +200,15 @@ class PoseErrorSpec(WithDefaultAlternative):
     position_cam_px: Vector3 | None = Field(
         None, description="Shift in camera axes in pixel sizes at the body's range, instead of position_cam_m"
     )
-    position_body_m: Vector3 | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Error of the camera's position about the body, body axes, instead of position_cam_m",
+    position_body_m: Vector3 | None = optional(
+        "Error of the camera's position about the body, body axes, instead of position_cam_m"
     )
-    position_rtn_m: Vector3 | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Error of the camera's position about the body: radial, transverse and normal, with a trajectory"
-        " that has velocities, instead of position_cam_m",
+    position_rtn_m: Vector3 | None = optional(
+        "Error of the camera's position about the body: radial, transverse and normal, with a trajectory"
+        " that has velocities, instead of position_cam_m"
     )
-    pose_cam_deg_m: Correlated6 | None = Field(
-        None,
-        exclude_if=is_none,
-        description="Rotation vector, deg, and shift, m, in camera axes with one covariance, instead of position_cam_m"
-        " and attitude",
+    pose_cam_deg_m: Correlated6 | None = optional(
+        "Rotation vector, deg, and shift, m, in camera axes with one covariance, instead of position_cam_m and attitude"
     )
     attitude: AttitudeErrorSpec = Field(
         PAPER_ATTITUDE_ERROR, description="Error of the attitude, independent of the position's"

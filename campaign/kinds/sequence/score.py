@@ -23,6 +23,7 @@ from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.sequences import SequenceTruth
 from boresight.scenarios.sequences.trajectory import inertial_from_body
+from boresight.scenarios.spec.trajectory import LEAST_HORIZONTAL
 from boresight.scenarios.tracks import TrackSequence
 
 Epoch = dict[str, object]
@@ -30,7 +31,6 @@ Epoch = dict[str, object]
 REVOLUTIONS = (1, 2)
 _FULL_TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
-_LEAST_HORIZONTAL = 1e-6  # of a motion, below which its horizontal part has no direction
 _LEAST_MOTION = 1e-9  # of the distance, below which a motion is rounding
 
 
@@ -146,7 +146,7 @@ def track_axes(position_m: FloatArray, motion: FloatArray, right: FloatArray) ->
     least = _LEAST_MOTION * np.linalg.norm(position_m)
     for along in (*([motion] if np.linalg.norm(motion) > least else []), right, *np.eye(3)):
         cross = np.cross(radial, along)
-        if np.linalg.norm(cross) > _LEAST_HORIZONTAL * np.linalg.norm(along):
+        if np.linalg.norm(cross) > LEAST_HORIZONTAL * np.linalg.norm(along):
             break
     cross /= np.linalg.norm(cross)
     return np.stack([radial, np.cross(cross, radial), cross])
