@@ -270,9 +270,7 @@ class SequenceSpec(WithDefaultAlternative):
     )
     orbit: SequenceOrbitSpec = SequenceOrbitSpec()
     trajectory: SequenceTrajectorySpec | None = optional("States of the camera, instead of orbit")
-    tracks: TrackTableSpec | None = optional(
-        "Real tracks and reference poses of a file, instead of orbit and vision"
-    )
+    tracks: TrackTableSpec | None = optional("Real tracks and reference poses of a file, instead of orbit and vision")
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")

@@ -144,7 +144,9 @@ class FlownSpec(SpecModel):
         if self.descent is not None:
             if surface_m is None:
                 raise ValueError("its heights are above the body of a scenario: read it from a file")
-            return states_of(self.descent.states(lambda time_s, up: surface_m(self._in_body(time_s, up))), self.rotation)
+            return states_of(
+                self.descent.states(lambda time_s, up: surface_m(self._in_body(time_s, up))), self.rotation
+            )
         flight = self.flyby or self.hover
         return states_of(read_table(str(self.table), folders) if flight is None else flight.states(), self.rotation)
 
