@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, Pose
 
 
@@ -47,9 +48,38 @@ class Frame:
     altimeter: RangeReading | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class CameraSigma:
+    """Standard deviations that the camera's calibration declares of its own errors; 0 where it is exact.
+
+    Parameters
+    ----------
+    focal
+        Of the focal length, relative.
+    principal_point_px
+        Of each coordinate of the principal point.
+    """
+
+    focal: float = 0.0
+    principal_point_px: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """A camera and one frame taken with it."""
+    """A camera, one frame taken with it, and how well the camera is calibrated."""
 
     camera: Camera
     frame: Frame
+    camera_sigma: CameraSigma = CameraSigma()
+
+    def calibration_covariance(self, T_cam_body: Pose) -> FloatArray:
+        """(6, 6) covariance of a pose's error by that of the calibration, [rotation_rad, translation_m], camera axes.
+
+        A body at the range z is seen where it is if its pose is wrong by z dc / f across the line of sight, for an
+        error dc of the principal point, and by z df / f along it, for an error df of the focal length f, where the
+        body is small next to its range. So an estimate from the image has these errors whatever the image holds. A
+        method adds this covariance to that of its fit, which takes the camera as exact.
+        """
+        range_m = float(T_cam_body.translation_m[2])
+        across_m = range_m * self.camera_sigma.principal_point_px / np.array([self.camera.fx_px, self.camera.fy_px])
+        return np.diag([0.0, 0.0, 0.0, *across_m**2, (range_m * self.camera_sigma.focal) ** 2])

@@ -11,7 +11,7 @@ from boresight.campaign.imaging.world import TrialImage, World
 from boresight.renderers.rectify import rectify
 from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
 from boresight.scenarios.geometry import View
-from boresight.scenarios.observation import Frame, Observation, RangeReading
+from boresight.scenarios.observation import CameraSigma, Frame, Observation, RangeReading
 from boresight.scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
 
 T = TypeVar("T", bound=np.generic)
@@ -53,7 +53,9 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
         time_s=trial_image.time_s,
         altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
     )
-    return Observation(camera.pinhole, frame)
+    declared = spec.onboard.camera_sigma
+    sigma = CameraSigma() if declared is None else CameraSigma(declared.focal, declared.principal_point_px)
+    return Observation(camera.pinhole, frame, sigma)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

@@ -129,7 +129,7 @@ class CraterPose:
         return Estimate(
             "ok",
             pose=pose,
-            covariance=found.covariance,
+            covariance=found.covariance + observation.calibration_covariance(pose),
             stages=(Stage("recognition", pose),),
             diagnostics={"n_landmarks": len(found.pairs)},
             timings_s=clock.seconds,

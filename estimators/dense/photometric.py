@@ -86,10 +86,11 @@ class PhotometricEstimator:
             return Estimate("failed", found.failure, stages=self._stages(found), timings_s=clock.seconds)
         last = found.fits[-1]
         bound = inverse(last.information)
+        calibration = observation.calibration_covariance(last.T_cam_body)
         return Estimate(
             "ok",
             pose=last.T_cam_body,
-            covariance=bound,
+            covariance=bound + calibration,
             bound=bound,
             stages=self._stages(found),
             diagnostics={

@@ -104,10 +104,11 @@ class DescriptorNavigator:
         if isinstance(found, str):
             return Estimate("failed", found, timings_s=clock.seconds)
         consensus, posterior = found
+        calibration = observation.calibration_covariance(posterior.T_cam_body)
         return Estimate(
             "ok",
             pose=posterior.T_cam_body,
-            covariance=posterior.covariance,
+            covariance=posterior.covariance + calibration,
             bound=posterior.bound,
             stages=(Stage("consensus", consensus), Stage("recognition", posterior.T_cam_body)),
             diagnostics={"n_landmarks": len(posterior.d2), "scale2": posterior.scale2},

@@ -268,11 +268,12 @@ class MapletNavigator:
         if found.failure:
             return reached
         fit = found.fits[-1]
+        calibration = observation.calibration_covariance(fit.posterior.T_cam_body)
         return replace(
             reached,
             status="ok",
             pose=fit.posterior.T_cam_body,
-            covariance=fit.posterior.covariance,
+            covariance=fit.posterior.covariance + calibration,
             bound=fit.posterior.bound,
             details={"landmarks": maplet_table(fit, self._scene.database, observation.camera)},
         )

@@ -27,6 +27,13 @@ _ONBOARD_OF = {
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
+class CameraSigmaSpec(SpecModel):
+    """Standard deviations that the calibration declares of its errors; the errors themselves are stated elsewhere."""
+
+    focal: float = Field(0.0, ge=0, lt=0.1, description="Relative standard deviation of the focal length")
+    principal_point_px: float = Field(0.0, ge=0, le=1000, description="Standard deviation of each coordinate of the principal point")
+
+
 class OnboardSpec(SpecModel):
     """Onboard model; parts that are left out are identical with the truth.
 
@@ -44,6 +51,11 @@ class OnboardSpec(SpecModel):
     albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")
     focal_error: float = Field(0.0, gt=-0.5, lt=0.5, description="Relative error of the focal length")
     principal_point_error_px: tuple[float, float] = Field((0.0, 0.0), description="Error of the principal point")
+    camera_sigma: CameraSigmaSpec | None = Field(
+        None,
+        exclude_if=is_none,
+        description="How wrong the camera may be, as estimators are told: part of the covariances that they state",
+    )
     distortion_error: float = Field(
         0.0, ge=-2, le=2, description="Relative error of the lens's distortion; -1 knows of none"
     )

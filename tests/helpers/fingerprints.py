@@ -81,8 +81,9 @@ def _images(scenario: LoadedScenario, variant: str, products: Path) -> Iterator[
         try:
             image = world.source.trial_image(3, trial)
             observation = observe(world, image, 3, trial)
-            covariance = observation.frame.prior_covariance
-            yield image.image, image.view.T_cam_body, image.further, observation, covariance
+            prior = observation.frame.prior_T_cam_body
+            told = observation.frame.prior_covariance, observation.calibration_covariance(prior)
+            yield image.image, image.view.T_cam_body, image.further, observation, told
         except BoresightError as error:
             yield str(error)
     view = View(assets.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))

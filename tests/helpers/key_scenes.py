@@ -63,6 +63,7 @@ SCENES = {
     + "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
     + " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n",
     "altimeter": RENDERED + "sensors: {altimeter: {sigma_m: 5}}\n",
+    "calibrated": RENDERED + "onboard: {camera_sigma: {focal: 0.0004, principal_point_px: 0.2}}\n",
     "ball": RENDERED.replace("body:\n", "body:\n  shape: sphere\n"),
     "redrawn": RENDERED.replace("    boulders:", "    redrawn: {below_m: 40, seed: 5}\n    boulders:"),
     "wrong-heights": RENDERED.replace(

@@ -153,7 +153,7 @@ class ConsensusRecognizer:
         return Estimate(
             "ok",
             pose=solution.pose,
-            covariance=self._options.covariance_scale * bound,
+            covariance=self._options.covariance_scale * bound + observation.calibration_covariance(solution.pose),
             bound=bound,
             stages=(Stage("alignment", solution.alignment.T_cam_body), Stage("recognition", solution.pose)),
             details={"landmarks": matched_table(matched, self._database, observation.camera)},
