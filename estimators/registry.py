@@ -163,6 +163,7 @@ ESTIMATORS: Registry[Estimator] = Registry(
         "photometric": "boresight.estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "boresight.estimators.maplets.recognizer:MapletNavigator",
         "crater-pose": "boresight.estimators.craters.pose:CraterPose",
+        "tuned": "boresight.estimators.tuned:TunedEstimator",
         "prior": "boresight.estimators.prior:PriorEstimator",
     },
     group="boresight.estimators",

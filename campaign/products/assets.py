@@ -41,7 +41,7 @@ _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
 
-_KINDS = ("landmark-database", "maplets", "descriptors", "crater-database")
+_KINDS = ("landmark-database", "maplets", "descriptors", "crater-database", "covariance-tuning")
 """Names of the modules of this folder that build products; each is imported when a method asks for it."""
 
 

@@ -24,7 +24,7 @@ from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec
+from boresight.scenarios.spec.body import BodySpec, FurtherHeightErrorSpec, HeightErrorSpec
 
 HEIGHT_ERROR_VERSION = 1
 """Part of the digest of every body with a height error: increase it when the same spec gives another mesh."""
@@ -105,6 +105,8 @@ def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh
     Octaves shorter than the mesh's mean edge cannot be resolved and are left out; the field of the remaining octaves is
     scaled to an RMS of ``rms_m`` over the vertices.
     """
+    if isinstance(spec, FurtherHeightErrorSpec):
+        mesh = with_height_error(mesh, spec.on)
     ends = find_edges(mesh.faces).ends
     edge_m = float(np.linalg.norm(mesh.vertices_m[ends[:, 0]] - mesh.vertices_m[ends[:, 1]], axis=1).mean())
     band = Band(spec.max_wavelength_m, spec.min_wavelength_m, spec.hurst)

@@ -113,6 +113,12 @@ class HeightErrorSpec(SpecModel):
             raise ValueError("min_wavelength_m is above max_wavelength_m")
 
 
+class FurtherHeightErrorSpec(HeightErrorSpec):
+    """Error of a surface whose heights have an error already; made by rehearsals, no key of a scenario."""
+
+    on: HeightErrorSpec
+
+
 class BodySpec(SpecModel):
     """A shape file (in the scenario's folder or under BORESIGHT_DATA), or an embedded body by name."""
 

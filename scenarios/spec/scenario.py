@@ -31,7 +31,9 @@ class CameraSigmaSpec(SpecModel):
     """Standard deviations that the calibration declares of its errors; the errors themselves are stated elsewhere."""
 
     focal: float = Field(0.0, ge=0, lt=0.1, description="Relative standard deviation of the focal length")
-    principal_point_px: float = Field(0.0, ge=0, le=1000, description="Standard deviation of each coordinate of the principal point")
+    principal_point_px: float = Field(
+        0.0, ge=0, le=1000, description="Standard deviation of each coordinate of the principal point"
+    )
 
 
 class OnboardSpec(SpecModel):

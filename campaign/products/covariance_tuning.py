@@ -1,0 +1,104 @@
+"""Rehearsals of an estimator: images of the shape on board with declared errors, and the factor of its covariance."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.campaign.imaging.observe import observe
+from boresight.campaign.imaging.world import open_world
+from boresight.campaign.products.assets import BuiltAssets
+from boresight.campaign.products.database_images import map_images
+from boresight.campaign.products.databases import SEED_STEP, ProductKind
+from boresight.estimators.contract import Estimator, NoProductError
+from boresight.estimators.registry import estimator_class
+from boresight.estimators.tuned import VERSION, CovarianceTuning, Rehearsals, Rehearsed, check_solved, fit_factor
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.scenario import OnboardSpec
+
+_SEED = 0x7265_6865
+"""Added to the seed of rehearsals, so that they do not show the views of a campaign with the same seed."""
+
+
+def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
+    """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
+    if scenario.spec.viewpoint is None:
+        raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
+    # The data bases of the base are made once, before workers ask for them.
+    with tempfile.TemporaryDirectory() as place:
+        _method(scenario, options, Path(place), jobs, variant)
+        found = map_images(jobs, options.trials, _of_images, scenario, options, variant, Path(place))
+    solved = [one for one in found if one is not None]
+    check_solved(len(solved), options.trials, options.base)
+    tuning = CovarianceTuning(fit_factor(solved), len(solved), options.trials)
+    tuning.save(folder)
+    return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": f"{tuning.solved} of {tuning.trials}"}
+
+
+def _method(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int | None, variant: str) -> Estimator:
+    assets = BuiltAssets(scenario, folder, jobs, variant).for_estimator()
+    return estimator_class(options.base).from_options(options.options, assets)
+
+
+def _of_images(
+    scenario: LoadedScenario, options: Rehearsals, variant: str, folder: Path, trials: Sequence[int]
+) -> list[Rehearsed | None]:
+    """Rehearse some trials; None where the base failed."""
+    method = _method(scenario, options, folder, None, variant)
+    return [_rehearse(method, scenario, options, variant, trial) for trial in trials]
+
+
+def _rehearse(
+    method: Estimator, scenario: LoadedScenario, options: Rehearsals, variant: str, trial: int
+) -> Rehearsed | None:
+    played = _rehearsed(scenario, options, trial * options.bodies // options.trials)
+    world, seed = open_world(played, variant), options.seed + _SEED
+    image = world.source.trial_image(seed, trial)
+    observation = observe(world, image, seed, trial)
+    try:
+        answer = method.estimate(observation, rng=np.random.default_rng((seed, trial)))
+    except BoresightError:
+        return None
+    if answer.status != "ok" or answer.pose is None or answer.covariance is None:
+        return None
+    true = image.view.T_cam_body
+    turn = Rotation.from_matrix(answer.pose.rotation @ true.rotation.T).as_rotvec()
+    error = np.concatenate([turn, answer.pose.translation_m - true.translation_m])
+    return Rehearsed(error, answer.covariance, observation.frame.prior_covariance)
+
+
+def _rehearsed(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
+    """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors."""
+    errors, spec, seed = options.errors, scenario.spec, options.seed + SEED_STEP * (number + 1)
+    body, detail = spec.body, spec.body.detail
+    if detail is not None:
+        facets = {} if errors.facets is None else {"facets": errors.facets}
+        below_m = errors.relief_below_m
+        relief = {} if below_m is None else {"redrawn": RedrawnSpec(below_m=below_m, seed=_SEED + seed)}
+        detail = detail.model_copy(update={**facets, **relief})
+    heights = errors.height_error
+    if heights is not None:
+        heights = heights.model_copy(update={"seed": _SEED + seed})
+        if body.height_error is not None:
+            heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
+    played = body.model_copy(update={"detail": detail, "height_error": heights or body.height_error})
+    onboard = OnboardSpec(body=body, brdf=spec.brdf, sun_error_deg=errors.sun_error_deg)
+    changes = {"body": played, "brdf": errors.brdf or spec.brdf, "onboard": onboard}
+    return replace(scenario, spec=spec.model_copy(update=changes))
+
+
+PRODUCT = ProductKind(
+    options=Rehearsals,
+    versions=lambda: [VERSION],
+    announce=lambda options: f"{options.trials} images with {options.base}",
+    build=build,
+    load=CovarianceTuning.load,
+    about=lambda tuning: {"covariance_factor": tuning.factor, "solved": tuning.solved, "trials": tuning.trials},
+)

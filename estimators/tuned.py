@@ -1,0 +1,242 @@
+"""Another estimator with a covariance tuned by rehearsals: simulations with the errors that the spacecraft may have."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field, JsonValue
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+
+from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
+from boresight.estimators.options import OptionsError, parse_options
+from boresight.estimators.prior import floor_variances
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.observation import CameraSigma, Observation
+from boresight.scenarios.reading import CONTENT_FAULTS
+from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.body import HeightErrorSpec
+from boresight.scenarios.spec.brdf import BrdfSpec
+from boresight.scenarios.spec.distribution import Scalar
+
+PRODUCT = "covariance-tuning"
+FILE = "tuning.json"
+VERSION = 1
+"""Version of the rehearsal and of the fit: raise it when factors change."""
+
+_LEAST_SOLVED = 20
+_LARGEST_FACTOR = 1e8
+
+
+class AssumedErrors(SpecModel):
+    """What may be wrong on board, as the mission declares it; what is left out is taken as exact."""
+
+    brdf: BrdfSpec | None = Field(None, description="A reflectance that the surface may have in place of that on board")
+    facets: int | None = Field(None, ge=4, le=13_000_000, description="Facets of a rehearsed body's detail")
+    relief_below_m: float | None = Field(None, gt=0, description="Size below which relief is at unknown places")
+    height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
+    sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
+
+
+class TuningOptions(SpecModel):
+    """How often the base is rehearsed, and with which errors."""
+
+    errors: AssumedErrors = AssumedErrors()
+    trials: int = Field(60, ge=_LEAST_SOLVED, le=100_000, description="Rehearsed images")
+    bodies: int = Field(4, ge=1, le=1000, description="Draws of the shape's errors, among which images are divided")
+    seed: int = Field(0, ge=0, description="Seed of the rehearsals, which share no random number with the campaign")
+
+
+class Rehearsals(TuningOptions):
+    """Options of the product: the base, which is rehearsed, and its version."""
+
+    base: str
+    options: Mapping[str, JsonValue]
+    version: int
+    source: str | None = None
+
+
+class TunedOptions(SpecModel):
+    """Options of ``tuned``."""
+
+    base: str = Field("photometric", description="The estimator whose covariance is tuned")
+    options: Mapping[str, JsonValue] = Field(default_factory=dict, description="Options of the base")
+    tuning: TuningOptions = TuningOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsed:
+    """A rehearsed image that was solved.
+
+    Parameters
+    ----------
+    error
+        (6,) error of the pose [rotation_rad, translation_m], camera axes: the estimate is ``true.perturbed(error)``.
+    covariance, prior_covariance
+        (6, 6) stated by the base, and that of the prior.
+    """
+
+    error: FloatArray
+    covariance: FloatArray
+    prior_covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class CovarianceTuning:
+    """By how much a method understates the information of an image, and how many rehearsals say so."""
+
+    factor: float
+    solved: int
+    trials: int
+
+    def save(self, folder: Path) -> None:
+        """Write the tuning into ``folder``."""
+        content = {"factor": self.factor, "solved": self.solved, "trials": self.trials}
+        (folder / FILE).write_text(json.dumps(content), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read a stored tuning; raise BoresightError if it cannot be read."""
+        path = folder / FILE
+        try:
+            return cls(**json.loads(path.read_text(encoding="utf-8")))
+        except CONTENT_FAULTS as error:
+            raise BoresightError(f"{path}: cannot be read as a tuning: {error}; run the campaign again") from error
+
+
+def tuned_covariance(covariance: FloatArray, prior_covariance: FloatArray, factor: float) -> FloatArray:
+    """Divide the information of the image by a factor, and leave that of the prior.
+
+    P' = ((P^-1 - P_0^-1) / k + P_0^-1)^-1 for the covariance P, that of the prior P_0 and the factor k. Where P is
+    not below P_0, as a method that does not use the prior may state it, it is left as it is.
+
+    Parameters
+    ----------
+    covariance, prior_covariance
+        (6, 6).
+    factor
+        Above 0.
+    """
+    shares, axes = _shares(covariance, prior_covariance)
+    inverse = np.linalg.inv(axes)
+    return np.asarray(inverse.T @ (_tuned(shares, factor)[:, None] * inverse), dtype=np.float64)
+
+
+def _shares(covariance: FloatArray, prior_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (6,) variances and (6, 6) axes, as columns, in which P_0 is 1 and P diagonal."""
+    shares, axes = eigh(covariance, floor_variances(prior_covariance))
+    return np.asarray(shares), np.asarray(axes)
+
+
+def _tuned(shares: FloatArray, factor: float) -> FloatArray:
+    # 1 / share = 1 + information of the image.
+    return np.where(shares < 1.0, factor / (1.0 - shares + factor * shares), 1.0) * shares
+
+
+def fit_factor(rehearsed: Sequence[Rehearsed]) -> float:
+    """Return the factor with which the mean of e^T P'^-1 e over rehearsals is that of a chi-square, 6.
+
+    The factor is within 1e-8 and 1e8.
+    """
+    parts = [(_shares(one.covariance, one.prior_covariance), one.error) for one in rehearsed]
+    shares = np.array([of for (of, _), _ in parts])
+    squares = np.array([(axes.T @ error) ** 2 for (_, axes), error in parts])
+
+    def excess(exponent: float) -> float:
+        return float(np.mean(np.sum(squares / _tuned(shares, np.exp(exponent)), axis=1))) - 6.0
+
+    most = np.log(_LARGEST_FACTOR)
+    if excess(most) >= 0.0:
+        return _LARGEST_FACTOR
+    if excess(-most) <= 0.0:
+        return 1.0 / _LARGEST_FACTOR
+    return float(np.exp(brentq(excess, -most, most, xtol=1e-6)))
+
+
+def check_solved(solved: int, trials: int, base: str) -> None:
+    """Refuse to tune on few answers."""
+    if solved < _LEAST_SOLVED:
+        raise NoProductError(
+            f"{base} solved {solved} of {trials} rehearsed images, and {_LEAST_SOLVED} are needed: raise tuning.trials,"
+            " or look at the reasons in a run of the base alone"
+        )
+
+
+class TunedEstimator:
+    """Another estimator with the covariance that its errors in rehearsals have.
+
+    Before the first image, the base is tried on simulated ones: the body is the shape on board with the errors that
+    the mission declares (``tuning.errors``), seen as the scenario says. One factor divides the information that the
+    base states, so that the mean of its NEES over these trials is that of a true covariance. The calibration's part
+    (``onboard.camera_sigma``) is added afterwards. The pose is that of the base.
+
+    Use it when
+    -----------
+    A filter or a person takes the covariance for true.
+
+    It fails when
+    -------------
+    The base solves fewer than 20 rehearsed images. The factor holds for errors as large as was declared, on average
+    over the views of the scenario: not for each view.
+
+    Cost
+    ----
+    That of its base, and ``tuning.trials`` images of it before the campaign.
+
+    Source
+    ------
+    Ours.
+    """
+
+    name: ClassVar[str] = "tuned"
+    version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = TunedOptions
+    base: ClassVar[str] = "photometric"
+
+    def __init__(self, base: Estimator, tuning: CovarianceTuning) -> None:
+        self._base = base
+        self._tuning = tuning
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options, which name the base and give its options."""
+        from boresight.estimators.registry import estimator_class, source_digest  # it imports this module by name
+
+        parsed = parse_options(TunedOptions, options, cls.name)
+        if parsed.base == cls.name:
+            raise BoresightError(f"estimator {cls.name}: base: it cannot be its own")
+        found = estimator_class(parsed.base)
+        try:
+            base = found.from_options(parsed.options, assets)
+        except OptionsError as error:
+            error.section = "options"
+            raise
+        asked = Rehearsals(
+            **dict(parsed.tuning),
+            base=parsed.base,
+            options=parsed.options,
+            version=found.version,
+            source=source_digest(parsed.base),
+        )
+        return cls(base, typed_product(assets, PRODUCT, asked, CovarianceTuning, cls.name))
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate with the base, and tune its covariance."""
+        estimate = self._base.estimate(replace(observation, camera_sigma=CameraSigma()), rng=rng)
+        if estimate.status != "ok" or estimate.pose is None:
+            return estimate
+        if estimate.covariance is None:
+            return Estimate("failed", "the base gives no covariance to tune")
+        prior, factor = observation.frame.prior_covariance, self._tuning.factor
+        tuned = tuned_covariance(estimate.covariance, prior, factor)
+        return replace(
+            estimate,
+            covariance=tuned + observation.calibration_covariance(estimate.pose),
+            diagnostics={**estimate.diagnostics, "covariance_factor": factor},
+        )
