@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from boresight.scenarios.spec.base import SpecModel, optional, rule
+from boresight.scenarios.spec.base import SpecModel, deviation, optional, rule
 from boresight.scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.brdf import BrdfSpec, LambertSpec
 from boresight.scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
@@ -30,10 +30,8 @@ NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 class CameraSigmaSpec(SpecModel):
     """Standard deviations that the calibration declares of its errors; the errors themselves are stated elsewhere."""
 
-    focal: float = Field(0.0, ge=0, lt=0.1, description="Relative standard deviation of the focal length")
-    principal_point_px: float = Field(
-        0.0, ge=0, le=1000, description="Standard deviation of each coordinate of the principal point"
-    )
+    focal: float = deviation(0.0, "the focal length, relative", ge=0, lt=0.1)
+    principal_point_px: float = deviation(0.0, "each coordinate of the principal point", ge=0, le=1000)
 
 
 class OnboardSpec(SpecModel):
@@ -53,10 +51,8 @@ class OnboardSpec(SpecModel):
     albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")
     focal_error: float = Field(0.0, gt=-0.5, lt=0.5, description="Relative error of the focal length")
     principal_point_error_px: tuple[float, float] = Field((0.0, 0.0), description="Error of the principal point")
-    camera_sigma: CameraSigmaSpec | None = Field(
-        None,
-        exclude_if=is_none,
-        description="How wrong the camera may be, as estimators are told: part of the covariances that they state",
+    camera_sigma: CameraSigmaSpec | None = optional(
+        "How wrong the camera may be, as estimators are told: part of the covariances that they state"
     )
     distortion_error: float = Field(
         0.0, ge=-2, le=2, description="Relative error of the lens's distortion; -1 knows of none"

@@ -29,7 +29,7 @@ class TrackTableSpec(SpecModel):
         None, ge=2, le=20_000, description="Consecutive frames of a trial; left out: all from the first one"
     )
     first_frame: int | None = Field(
-        None, ge=0, le=20_000, description="Its first frame; left out: drawn where frames leave a choice, else 0"
+        None, ge=0, le=20_000, description="First frame of a trial; left out: drawn where frames leave a choice, else 0"
     )
     sigma_px: float = Field(0.5, gt=0, description="Standard deviation of a coordinate that estimators are told")
     loops: bool = Field(
