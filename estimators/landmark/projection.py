@@ -26,15 +26,12 @@ class Projection:
 
     Parameters
     ----------
-    points_cam_m
-        (N, 3) means in camera axes.
     uv_px
         (N, 2) means in the image; NaN behind the camera.
     covariances_px2
         (N, 2, 2) covariances in the image; NaN behind the camera.
     """
 
-    points_cam_m: FloatArray
     uv_px: FloatArray
     covariances_px2: FloatArray
 
@@ -43,7 +40,7 @@ def project_landmarks(database: LandmarkDatabase, camera: Camera, T_cam_body: Po
     """Project the means and the covariances of all landmarks into the image, equations (4) to (10)."""
     points_cam_m = T_cam_body.transform(database.means_m)  # eq. (4)
     uv_px = camera.project(points_cam_m)  # eqs. (5), (6)
-    return Projection(points_cam_m, uv_px, image_covariances(database.covariances_m2, points_cam_m, camera, T_cam_body))
+    return Projection(uv_px, image_covariances(database.covariances_m2, points_cam_m, camera, T_cam_body))
 
 
 def image_covariances(

@@ -11,8 +11,8 @@ from training.lessons import displaced, lessons_of
 from training.network_training import Lessons, Schedule, fresh_network, loss, train, windows
 
 from boresight.estimators.craters.detection.classic import ClassicOptions
-from boresight.estimators.craters.detection.merit import GradientField, side_merits
 from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
+from boresight.estimators.craters.detection.refinement import side_merits
 from boresight.estimators.craters.learned.detector import blend_with_gradient, read_network
 from boresight.estimators.craters.learned.network import (
     SHAPES,
@@ -63,7 +63,7 @@ def test_a_templates_correlation_is_the_merit_of_its_ring():
         kernel = templates.kernels[m]
         ours = [sum(correlate2d(field[..., i], side[..., i], "same")[30, 30] for i in (0, 1)) for side in kernel]
         ellipse = Ellipses(np.array([[30.5, 30.5]]), templates.shape[m : m + 1, :2], templates.shape[m : m + 1, 2])
-        theirs = side_merits(ellipse, GradientField(field), SUN, 0.3, 720)[0][0]
+        theirs = side_merits(ellipse, field, SUN, 0.3, 720)[0][0]
         np.testing.assert_allclose(ours, theirs, atol=0.05 * np.abs(field).max())
 
 
@@ -113,7 +113,7 @@ def test_patches_show_a_rim_at_their_middle_and_the_sun_at_the_right(radius):
     image = (1000.0 + 2.0 * along + 0.7 * across).astype(np.float32)
     frame = frame_of(image, AZIMUTH, INCIDENCE)
     source = PatchSource.of(image, prepare_image(frame, CAMERA, 20.0), frame.sun_dir_cam, 1.0)
-    patch = cut_patches(source, Ellipses(place[None], np.full((1, 2), radius), np.zeros(1))).pixels[0, ..., 0]
+    patch = cut_patches(source, Ellipses(place[None], np.full((1, 2), radius), np.zeros(1)))[0][0, ..., 0]
     steps = (np.arange(SIDE) + 0.5) * (4.0 / SIDE) - 2.0
     expected = 2.0 * steps[None] + 0.7 * steps[:, None]
     np.testing.assert_allclose(patch, expected / expected.std(), atol=0.02)

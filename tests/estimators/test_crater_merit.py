@@ -8,13 +8,15 @@ from numpy_climb import merit, numpy_climb
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import minimize
 
-from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.estimators.craters.detection.edges import Gradient
 from boresight.estimators.craters.detection.refinement import (
     GradientScales,
     confidence,
     from_parameters,
     parameters,
     refine,
+    side_merits,
+    softened,
     suppress_duplicates,
 )
 from boresight.estimators.craters.kernels import climb, side_weights
@@ -27,7 +29,7 @@ SUN = np.array([0.6, -0.8])
 def rough_field(seed=1, shape=(90, 110)):
     rng = np.random.default_rng(seed)
     u, v = (gaussian_filter(rng.normal(size=shape), 4.0) for _ in range(2))
-    return GradientField.of_gradient(u.astype(np.float32), v.astype(np.float32), 0.02)
+    return softened(Gradient(u.astype(np.float32), v.astype(np.float32)), 0.02)
 
 
 def ideal(shape=(120, 140), centre=(70.3, 58.1), axes=(30.0, 22.0), angle=0.4, width=2.0):
@@ -75,7 +77,7 @@ def test_the_merit_is_scipys_interpolation_along_the_rim_weighted_by_side():
         centre, np.array([[20.0, 15.0], [9.0, 5.0], [12.0, 9.0], [14.0, 14.0]]), np.array([0.3, 2.0, 1.0, 0.0])
     )
     points, normals = rims.points(72)
-    g = [map_coordinates(field.values[..., i], points[..., ::-1].T - 0.5, order=1, mode="nearest").T for i in (0, 1)]
+    g = [map_coordinates(field[..., i], points[..., ::-1].T - 0.5, order=1, mode="nearest").T for i in (0, 1)]
     along = np.einsum("ink,nki->nk", g, normals)
     weight, _ = side_weights(normals @ SUN, GAP)
     for side, chosen in enumerate((np.maximum(weight, 0.0), np.minimum(weight, 0.0))):
@@ -84,8 +86,7 @@ def test_the_merit_is_scipys_interpolation_along_the_rim_weighted_by_side():
 
 
 def test_the_merit_of_a_perfect_rim_is_one_and_turns_its_sign_with_the_sun():
-    values, truth = ideal(width=1e6)
-    field = GradientField(values)
+    field, truth = ideal(width=1e6)
     np.testing.assert_allclose(merit(truth, field, SUN, GAP)[0], 1.0, atol=1e-3)
     np.testing.assert_allclose(merit(truth, field, -SUN, GAP)[0], -1.0, atol=1e-3)
 
@@ -94,7 +95,7 @@ def test_a_terminator_has_one_good_side():
     """Brightness that rises evenly towards the Sun agrees on both sides, a step on one only."""
     u = np.mgrid[:100, :100][1] + 0.5
     step = np.exp(-0.5 * ((u - 40.0) / 2.0) ** 2)
-    field = GradientField(np.stack([step, 0 * step], axis=-1))
+    field = np.stack([step, 0 * step], axis=-1)
     rim = Ellipses(np.array([[55.0, 50.0]]), np.array([[15.0, 15.0]]), np.zeros(1))
     shaded, lit = side_merits(rim, field, np.array([1.0, 0.0]), GAP)[0][0]
     assert lit > 0.2
@@ -109,15 +110,15 @@ def test_weights_leave_the_transition_arcs_out():
 
 def test_refinement_locks_on_the_rim_as_scipys_search_does():
     values, truth = ideal()
-    scales = GradientScales((GradientField(values),), (GradientField(values),), (np.inf,))
+    scales = GradientScales((values,), (values,), (np.inf,))
     start = from_parameters(parameters(truth) + np.array([[1.5, -1.0, 1.0, -0.8, 0.05]]))
     found = refine(start, scales, SUN, GAP, 60)
     best = minimize(
-        lambda p: -merit(from_parameters(p[None]), GradientField(values), SUN, GAP)[0][0],
+        lambda p: -merit(from_parameters(p[None]), values, SUN, GAP)[0][0],
         parameters(truth)[0], method="Nelder-Mead",
         options={"xatol": 1e-4, "fatol": 1e-10, "maxiter": 4000},
     )  # fmt: skip
-    reached = merit(found, GradientField(values), SUN, GAP)[0][0]
+    reached = merit(found, values, SUN, GAP)[0][0]
     assert reached > -best.fun - 2e-3
     np.testing.assert_allclose(found.centre_px, truth.centre_px, atol=0.1)
     np.testing.assert_allclose(found.semi_axes_px, truth.semi_axes_px, atol=0.3)
@@ -137,14 +138,14 @@ def test_the_compiled_refinement_is_that_of_numpy(rounds):
     start = np.stack(rows, axis=1)
     expected = numpy_climb(start, field, SUN, GAP, rounds)
     assert rounds < 2 or np.mean(np.abs(expected - start)[:, :2].max(axis=1) > 0.1) > 0.5
-    np.testing.assert_allclose(climb(start, field.values, SUN, GAP, rounds), expected, atol=1e-7)
+    np.testing.assert_allclose(climb(start, field, SUN, GAP, rounds), expected, atol=1e-7)
 
 
 def test_confidence_is_that_of_the_worse_side():
     values, truth = ideal(width=1e6)
     v, u = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
     values[(np.stack([u, v], axis=-1) - truth.centre_px[0]) @ SUN < 0.0] *= 0.25
-    scales = GradientScales((GradientField(values),), (GradientField(values),), (np.inf,))
+    scales = GradientScales((values,), (values,), (np.inf,))
     np.testing.assert_allclose(confidence(truth, scales, SUN, GAP), 0.25, atol=0.01)
 
 

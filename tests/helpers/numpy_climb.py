@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.estimators.craters.detection.refinement import side_merits
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
@@ -13,13 +13,13 @@ _ARMIJO = 0.1
 _CONVERGED_PX = 2e-3
 
 
-def merit(ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float) -> tuple[FloatArray, FloatArray]:
+def merit(ellipses: Ellipses, field: FloatArray, sun_px: FloatArray, gap: float) -> tuple[FloatArray, FloatArray]:
     """Return the merits (n,) of rims and their derivatives (n, 5)."""
     value, by = side_merits(ellipses, field, sun_px, gap)
     return value.mean(axis=1), by.mean(axis=1)
 
 
-def numpy_climb(start: FloatArray, field: GradientField, sun_px: FloatArray, gap: float, rounds: int) -> FloatArray:
+def numpy_climb(start: FloatArray, field: FloatArray, sun_px: FloatArray, gap: float, rounds: int) -> FloatArray:
     """Maximise the merits of all rows (n, 5) at once; return them.
 
     The parameters are scaled so that a unit of each moves the rim by about a pixel: the angle by the difference of the

@@ -37,10 +37,10 @@ def lessons_of(source: PatchSource, seen: Ellipses, rims: Ellipses, weight: Floa
     weight
         (k,) of each: 0 for one that nobody could be blamed for finding or missing.
     """
-    patches = cut_patches(source, seen)
+    pixels, scalars = cut_patches(source, seen)
     if len(rims) == 0:
         none = np.zeros(len(seen), dtype=np.float32)
-        return Lessons(patches.pixels, patches.scalars, none, none + 1, np.zeros((len(seen), 5), np.float32), none)
+        return Lessons(pixels, scalars, none, none + 1, np.zeros((len(seen), 5), np.float32), none)
     best, apart, ratio = nearest(seen, rims)
     right = (apart < NEAR) & (ratio < ALIKE)
     wrong = (apart > FAR) | (ratio > UNLIKE)
@@ -48,8 +48,8 @@ def lessons_of(source: PatchSource, seen: Ellipses, rims: Ellipses, weight: Floa
     of_rim = weight[best]
     verdict = np.where(right, of_rim, np.where(wrong, 1.0, 0.0))
     return Lessons(
-        patches.pixels,
-        patches.scalars,
+        pixels,
+        scalars,
         right.astype(np.float32),
         verdict.astype(np.float32),
         target_outputs(seen, rims[best], source.sun_px).astype(np.float32),

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.detection.edges import EdgePixels, canny
-from boresight.estimators.craters.detection.ellipse_fit import EllipseCandidates, fit_candidates
+from boresight.estimators.craters.detection.ellipse_fit import fit_candidates
 from boresight.estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
 from boresight.estimators.craters.detection.preparation import PreparedImage, prepare_image
 from boresight.estimators.craters.detection.refinement import (
@@ -80,8 +80,8 @@ class DetectionStages:
         Of the small and the large kernel: figure 2b.
     shaded, lit
         Convex rim edges: figure 2c.
-    fitted, refined
-        Ellipses before and after refinement, of all groups.
+    refined
+        Ellipses of all groups after refinement.
     detections
         Figure 2d.
     """
@@ -90,7 +90,6 @@ class DetectionStages:
     edges: tuple[EdgePixels, EdgePixels]
     shaded: tuple[RimArc, ...]
     lit: tuple[RimArc, ...]
-    fitted: Ellipses
     refined: Ellipses
     detections: CraterDetections
 
@@ -155,14 +154,12 @@ class CraterClassic(Configured[ClassicOptions]):
             shaded += one
             lit += other
             groups.append(found)
-        fitted = EllipseCandidates.joined(groups).ellipses
+        fitted = Ellipses.joined(groups)
         scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
         refined, detections = self._refine_and_select(fitted, scales, picture)
-        return DetectionStages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
+        return DetectionStages(picture, (small, large), tuple(shaded), tuple(lit), refined, detections)
 
-    def _fit_groups(
-        self, edges: EdgePixels, picture: PreparedImage
-    ) -> tuple[list[RimArc], list[RimArc], EllipseCandidates]:
+    def _fit_groups(self, edges: EdgePixels, picture: PreparedImage) -> tuple[list[RimArc], list[RimArc], Ellipses]:
         """Group the edges of one pass into arcs and fit ellipses to their pairs."""
         o = self.options
         rising = sunward_edges(edges, picture, np.radians(o.sunward_deg))

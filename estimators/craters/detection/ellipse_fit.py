@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -64,28 +61,6 @@ def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EllipseCandidates:
-    """Ellipses fitted to groups of rim edges.
-
-    Parameters
-    ----------
-    support
-        (n,) share of the sectors of the whole rim, transition arcs included, that have an edge near it.
-    """
-
-    ellipses: Ellipses
-    support: FloatArray
-
-    @classmethod
-    def joined(cls, parts: Sequence[EllipseCandidates]) -> EllipseCandidates:
-        """Concatenate several."""
-        return cls(
-            Ellipses.joined([part.ellipses for part in parts]),
-            np.concatenate([part.support for part in parts]),
-        )
-
-
 def fit_candidates(
     pairs: IndexArray,
     shaded: list[RimArc],
@@ -94,7 +69,7 @@ def fit_candidates(
     picture: PreparedImage,
     radius_px: tuple[float, float],
     axis_ratio_min: float,
-) -> EllipseCandidates:
+) -> Ellipses:
     """Fit an ellipse to each pair of arcs, then to all edges near it; drop those that are no rim of a crater.
 
     Parameters
@@ -106,9 +81,8 @@ def fit_candidates(
     axis_ratio_min
         Least ratio of the shorter to the longer axis.
     """
-    nothing = EllipseCandidates(Ellipses.none(), np.empty(0))
     if len(pairs) == 0:
-        return nothing
+        return Ellipses.none()
     points, normals = _sample_pairs(pairs, shaded, lit)
     ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
     # Two arcs of different craters can be fitted by an ellipse, but its normals then differ from their gradients.
@@ -118,15 +92,14 @@ def fit_candidates(
     order = np.argsort(-agree[sane], kind="stable")[:_COUNT]
     first = ellipses[np.flatnonzero(sane)[order]]
     if len(first) == 0:
-        return nothing
+        return Ellipses.none()
     points, weights = edges_near(first, edges, picture)
     refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
     both = support.min(axis=1) > 0.25  # on both halves: edges on one alone are a ridge or a terminator
     rising = profile_correlation(refitted, picture) > _MIN_PROFILE
-    keep = sane & both & rising
-    return EllipseCandidates(refitted[keep], support[keep].mean(axis=1))
+    return refitted[sane & both & rising]
 
 
 def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) -> tuple[FloatArray, FloatArray]:

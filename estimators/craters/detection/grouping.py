@@ -34,14 +34,11 @@ class RimArc:
         (n, 2) unit normals, out of the crater that it would belong to.
     lit
         Whether it is a lit wall's: the side away from the Sun.
-    turn_rad
-        The angle by which its normal rotates.
     """
 
     uv_px: FloatArray
     outward: FloatArray
     lit: bool
-    turn_rad: float
 
 
 def sunward_edges(edges: EdgePixels, picture: PreparedImage, within_rad: float) -> EdgePixels:
@@ -125,7 +122,7 @@ def rim_arcs(
             # With growing place across the Sun an outward normal turns towards +across. On the shaded side (towards the
             # Sun) the gradient is that normal, on the lit side its opposite, which turns the other way.
             lit = turn < 0.0
-            arcs.append(RimArc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
+            arcs.append(RimArc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit))
     return arcs
 
 

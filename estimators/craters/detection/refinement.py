@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.estimators.craters.detection.edges import gradient_of
-from boresight.estimators.craters.detection.merit import GradientField, side_merits
+from boresight.estimators.craters.detection.edges import Gradient, gradient_of
 from boresight.estimators.craters.detection.preparation import PreparedImage
-from boresight.estimators.craters.kernels import best_of_each, climb
+from boresight.estimators.craters.kernels import RIM_POINTS, best_of_each, climb, divide_softly, rim_merits
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Ellipses
 
@@ -32,8 +31,8 @@ class GradientScales:
         Largest mean radius of each; the last has no limit.
     """
 
-    locating: tuple[GradientField, ...]
-    pointing: tuple[GradientField, ...]
+    locating: tuple[FloatArray, ...]
+    pointing: tuple[FloatArray, ...]
     up_to_px: tuple[float, ...]
 
     def of(self, radius_px: FloatArray) -> NDArray[np.int64]:
@@ -57,9 +56,16 @@ def gradient_scales(
         # Softened by the typical gradient: weak edges count less where the rim is placed, but their direction counts in
         # full for the confidence.
         middle = float(np.median(gradient.strength[picture.ground]))
-        locating.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
-        pointing.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
+        locating.append(softened(gradient, soft * middle))
+        pointing.append(softened(gradient, 1e-3 * middle))
     return GradientScales(tuple(locating), tuple(pointing), tuple(up_to_px))
+
+
+def softened(gradient: Gradient, floor: float) -> FloatArray:
+    """Divide gradients g by sqrt(g^2 + floor^2), (H, W, 2): unit vectors where ``floor`` is 0."""
+    field = np.empty((*gradient.along_u.shape, 2))
+    divide_softly(field, gradient.along_u, gradient.along_v, floor)
+    return field
 
 
 def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
@@ -80,7 +86,7 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
     found = start.copy()
     for i in np.unique(rows):
         chosen = rows == i
-        found[chosen] = climb(start[chosen], scales.locating[i].values, sun_px, gap, rounds)
+        found[chosen] = climb(start[chosen], scales.locating[i], sun_px, gap, rounds)
     radius = ellipses.radius_px
     # A rim that has moved so far has probably locked to another edge.
     far = np.linalg.norm(found[:, :2] - start[:, :2], axis=1) > radius / 3.0
@@ -98,6 +104,22 @@ def from_parameters(rows: FloatArray) -> Ellipses:
     swap = rows[:, 3] > rows[:, 2]
     axes = np.where(swap[:, None], rows[:, [3, 2]], rows[:, 2:4])
     return Ellipses(rows[:, :2], axes, (rows[:, 4] + np.where(swap, np.pi / 2, 0.0)) % np.pi)
+
+
+def side_merits(
+    ellipses: Ellipses, field: FloatArray, sun_px: FloatArray, gap: float, count: int = RIM_POINTS
+) -> tuple[FloatArray, FloatArray]:
+    """Return the means over each side of a rim of the field's component along the signed normal, equation (3).
+
+    On the side towards the Sun the brightness falls inwards, on the other it rises: with the normal signed by the side
+    both contribute positively. The merit of a rim is the mean of both, whatever their numbers of points.
+
+    The field (H, W, 2) is interpolated bilinearly between the centres of pixels. Return the merits (n, 2) of the shaded
+    and the lit side, and their derivatives (n, 2, 5) by u0, v0, a, b and the angle.
+    """
+    value, by = np.empty((len(ellipses), 2)), np.empty((len(ellipses), 2, 5))
+    rim_merits(value, by, parameters(ellipses), field, sun_px, gap, count)
+    return value, by
 
 
 def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:

@@ -215,11 +215,11 @@ class CraterLearned:
 
     def _network_outputs(self, source: PatchSource, seen: Ellipses, mirror: bool) -> FloatArray:
         """Return the outputs (n, OUTPUTS); with ``mirror`` the mean over the patches and their mirror images."""
-        patches = cut_patches(source, seen)
-        outputs = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
+        pixels, scalars = cut_patches(source, seen)
+        outputs = self.network.forward(pixels, scalars).astype(np.float64)
         if not mirror:
             return outputs
         # Mirrored across the direction of the Sun, a crater is still lit from the same side: the two errors of the
         # network partly cancel in the mean.
-        mirrored = self.network.forward(patches.pixels[:, ::-1], patches.scalars).astype(np.float64)
+        mirrored = self.network.forward(pixels[:, ::-1], scalars).astype(np.float64)
         return np.asarray(0.5 * (outputs + mirrored * MIRRORED), dtype=np.float64)

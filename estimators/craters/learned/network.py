@@ -73,14 +73,6 @@ class PatchSource:
         return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RimPatches:
-    """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) further inputs."""
-
-    pixels: Image
-    scalars: Image
-
-
 def patch_grid(ellipses: Ellipses, sun_px: FloatArray, level: int) -> tuple[Image, Image]:
     """Return the samples' columns and rows (n, SIDE * SIDE), as OpenCV counts them, in an image halved ``level`` times.
 
@@ -94,8 +86,11 @@ def patch_grid(ellipses: Ellipses, sun_px: FloatArray, level: int) -> tuple[Imag
     return u.astype(np.float32), v.astype(np.float32)
 
 
-def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
-    """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples."""
+def cut_patches(source: PatchSource, ellipses: Ellipses) -> tuple[Image, Image]:
+    """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples.
+
+    Return patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) further inputs.
+    """
     n = len(ellipses)
     pixels = np.zeros((n, SIDE, SIDE), dtype=np.float32)
     # Sampling a finer level than the step would alias; a coarser one would lose detail.
@@ -121,7 +116,7 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
         ],
         axis=1,
     )
-    return RimPatches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))
+    return np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32)
 
 
 def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:

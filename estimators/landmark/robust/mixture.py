@@ -52,8 +52,6 @@ class MixtureEvaluation:
         (H, 6, 6) Gauss-Newton information, weighted by the responsibilities, with that of the prior.
     gradient
         (H, 6) of the log posterior by [rotation_rad, translation_m].
-    responsibilities
-        (H, N, K) probability that a candidate corner is the landmark's.
     candidates
         (H, N, K) rows of the corners, the nearest first; the number of corners stands for no candidate.
     squares
@@ -63,7 +61,6 @@ class MixtureEvaluation:
     log_posterior: FloatArray
     hessian: FloatArray
     gradient: FloatArray
-    responsibilities: FloatArray
     candidates: IndexArray
     squares: FloatArray
 
@@ -150,7 +147,6 @@ class Mixture:
             np.log(total).sum(axis=1) - 0.5 * np.einsum("hp,hp->h", errors, prior_pull),
             np.einsum("hn,hnip,hniq->hpq", weight, jacobian, weighted, optimize=True) + self._prior.information,
             np.einsum("hnip,hni->hp", weighted, pull, optimize=True) - prior_pull,
-            responsibilities,
             near,
             square,
         )
