@@ -39,22 +39,13 @@ class AltimeterOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeUpdate:
-    """A pose updated with a range.
+    """A pose updated with a range, and its (6, 6) covariance, [rotation_rad, translation_m] in camera axes.
 
-    Parameters
-    ----------
-    T_cam_body, covariance
-        The pose and its (6, 6) covariance, [rotation_rad, translation_m] in camera axes.
-    information
-        (6, 6) information of the range alone, in the same parameters.
-    innovation_m
-        Measured minus predicted range, before the update.
-    sigma_m
-        Standard deviation of the range and of the mesh's heights together, along the boresight.
-    inflation
-        Factor by which the covariance before the update was multiplied.
-    normalised_innovation
-        Absolute innovation over its standard deviation, by the covariances of pose and range before inflation.
+    ``information`` (6, 6) is that of the range alone, in the same parameters, ``innovation_m`` measured minus predicted
+    range, before the update, and ``sigma_m`` the standard deviation of the range and of the mesh's heights together,
+    along the boresight. ``inflation`` is the factor by which the covariance before the update was multiplied, and
+    ``normalised_innovation`` the absolute innovation over its standard deviation, by the covariances of pose and range
+    before inflation.
     """
 
     T_cam_body: Pose
@@ -76,22 +67,8 @@ def fuse_range(
     max(1, (nu^2 - R) / (H P H^T)), after which the innovation nu has the size that is expected of it: the fading
     factor of strong tracking (Zhou and Frank 1996).
 
-    Parameters
-    ----------
-    prior
-        T_cam_body and its (6, 6) covariance.
-    reading
-        The measured range.
-    ground
-        The shape that predicts the range.
-    height_sigma_m
-        RMS error of its heights.
-    adaptive
-        Whether the covariance may be inflated.
-
-    Returns
-    -------
-    The update, or None where the boresight at the prior pose misses the mesh.
+    ``prior`` is T_cam_body and its (6, 6) covariance; ``height_sigma_m`` is the RMS error of the heights of ``ground``.
+    None where the boresight at the prior pose misses the mesh.
     """
     start, covariance = prior
     first = boresight_range(ground, start)
@@ -136,16 +113,11 @@ def fuse_range(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshRange:
-    """The range along the boresight to a mesh.
+    """The range along the boresight from the camera to a mesh.
 
-    Parameters
-    ----------
-    range_m
-        Distance from the camera.
-    gradient
-        (6,) its derivative by [rotation_rad, translation_m] of the pose, perturbed on the left, camera axes.
-    cos_incidence
-        Cosine of the angle between the facet's normal and the direction to the camera, above 0.
+    ``gradient`` (6,) is its derivative by [rotation_rad, translation_m] of the pose, perturbed on the left, camera
+    axes, and ``cos_incidence`` the cosine of the angle between the facet's normal and the direction to the camera,
+    above 0.
     """
 
     range_m: float

@@ -19,17 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """The archive format of one kind of data base.
-
-    Parameters
-    ----------
-    file
-        File name in the folder of the data base.
-    what
-        Name of the content, for error messages.
-    format, version
-        Format and version that its header states.
-    """
+    """The archive format of one kind of data base: file, format and version; ``what`` names the content in messages."""
 
     file: str
     what: str

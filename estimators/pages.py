@@ -45,20 +45,12 @@ class _SeenSpec(SpecModel):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorPage:
-    """The page of an estimator.
+    """The page of an estimator, whose name and version are those of a campaign and a row.
 
-    Parameters
-    ----------
-    name, version
-        As a campaign and a row name it.
-    family
-        A key of `FAMILIES`; '' for a class that no registry holds.
-    summary, text
-        First paragraph of the docstring, and the others before its sections.
-    sections
-        Text of each of `SECTIONS` that the docstring has.
-    options
-        Models of its options: its own, if the class names one, and that of its family, if trials take more.
+    ``family`` is a key of `FAMILIES`; '' for a class that no registry holds. ``summary`` is the first paragraph of the
+    docstring, ``text`` the others before its sections, and ``sections`` the text of each of `SECTIONS` that it has.
+    ``options`` are the models of its options: its own, if the class names one, and that of its family, if trials take
+    more.
     """
 
     name: str

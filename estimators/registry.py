@@ -27,14 +27,8 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """Classes that satisfy one interface, by name.
 
-    Parameters
-    ----------
-    own
-        Our own classes: name to "module:attribute".
-    group
-        Entry-point group of classes of other packages.
-    parts
-        Attributes that a class must have.
+    ``own`` maps our names to "module:attribute", ``group`` is the entry-point group of classes of other packages, and
+    ``parts`` are the attributes that a class must have.
     """
 
     own: Mapping[str, str]

@@ -17,15 +17,9 @@ from boresight.scenarios.observation import Frame
 class CraterDetections:
     """Crater rims found in an image, the most confident first.
 
-    Parameters
-    ----------
-    ellipses
-        n rims at their crests.
-    confidence
-        (n,) descending; its scale is the detector's own.
-    rejected
-        Rims below the detector's threshold, if it returns them: they are not used, but complete the curves over the
-        threshold.
+    ``ellipses`` are n rims at their crests; ``confidence`` (n,) descends, on the detector's own scale. ``rejected`` are
+    rims below the detector's threshold, if it returns them: they are not used, but complete the curves over the
+    threshold.
     """
 
     ellipses: Ellipses
@@ -71,15 +65,10 @@ class CraterDetector(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterImage:
-    """An image after detection: the input of matching.
+    """An image after detection, of a ``number`` that is unique in its campaign: the input of matching.
 
-    Parameters
-    ----------
-    number
-        Of the image in its campaign, unique.
-    common
-        (6, s) effect on the prior pose of s errors of unit variance that are the same for all images of a sequence:
-        the part of its covariance that is correlated with the other images; (6, 0) if there is none.
+    ``common`` (6, s) is the effect on the prior pose of s errors of unit variance that are the same for all images of a
+    sequence: the part of its covariance that is correlated with the other images; (6, 0) if there is none.
     """
 
     number: int
@@ -93,14 +82,8 @@ class CraterImage:
 class CraterMatches:
     """Pairs of detections in two images that are taken for the same crater.
 
-    Parameters
-    ----------
-    pairs
-        (k, 2) rows of the first and the second image's detections; no row twice.
-    score
-        (k,) how well they agree; the scale is the matcher's own.
-    reason
-        Why the pair of images was rejected; empty if it was not.
+    ``pairs`` (k, 2) are rows of the first and the second image's detections, no row twice, and ``score`` (k,) is how
+    well they agree, on the matcher's own scale. ``reason`` is why the pair of images was rejected; empty if it was not.
     """
 
     pairs: IndexArray

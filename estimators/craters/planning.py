@@ -71,18 +71,11 @@ def plan_arc(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ephemeris:
-    """A priori positions and attitudes at n epochs.
+    """A priori positions and attitudes at n epochs; ``time_s`` (n,) ascends.
 
-    Parameters
-    ----------
-    time_s
-        (n,) ascending.
-    position_inertial_m
-        (n, 3) of the spacecraft relative to the origin of the axes of the ground: the a priori orbit.
-    R_body_inertial
-        (n, 3, 3) attitude of the body.
-    sun_dir_inertial
-        (n, 3) unit vectors towards the Sun.
+    ``position_inertial_m`` (n, 3) are those of the spacecraft relative to the origin of the axes of the ground: the a
+    priori orbit. ``R_body_inertial`` (n, 3, 3) is the attitude of the body, and ``sun_dir_inertial`` (n, 3) are unit
+    vectors towards the Sun.
     """
 
     time_s: FloatArray
@@ -99,20 +92,11 @@ class Ephemeris:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedImage:
-    """One image of a plan.
+    """One image of a plan; ``time_s`` is that of its shutter, ``kind`` that of its target.
 
-    Parameters
-    ----------
-    number, time_s
-        Of the image, and of its shutter.
-    kind
-        Of the target.
-    target_body_m
-        (3,) point of the ground on the boresight.
-    planned_R_cam_inertial, actual_R_cam_inertial
-        (3, 3) planned and telemetered pointing; the same until telemetry is added.
-    sun_dir_nadir
-        (3,) direction of the Sun in the axes of a camera that points to the nadir, north up.
+    ``target_body_m`` (3,) is the point of the ground on the boresight. ``planned_R_cam_inertial`` and
+    ``actual_R_cam_inertial`` (3, 3) are planned and telemetered pointing; the same until telemetry is added.
+    ``sun_dir_nadir`` (3,) is the direction of the Sun in the axes of a camera that points to the nadir, north up.
     """
 
     number: int

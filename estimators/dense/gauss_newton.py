@@ -100,20 +100,11 @@ def band_pass(image: Image, level: LevelOptions) -> Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelFit:
-    """The fit of the pose at one level.
+    """The fit of the pose at one level, and the number of steps taken.
 
-    Parameters
-    ----------
-    T_cam_body
-        The pose.
-    information
-        (6, 6) of [rotation_rad, translation_m] in camera axes, prior included.
-    correlation
-        Correlation of the two images over the compared pixels; NaN if the rendering is empty.
-    steps
-        Number of steps taken.
-    masked_share
-        Share of the pixels that were not compared because the rendering or its derivative is not finite there.
+    ``information`` (6, 6) is that of [rotation_rad, translation_m] in camera axes, prior included, and ``correlation``
+    that of the two images over the compared pixels; NaN if the rendering is empty. ``masked_share`` is the share of the
+    pixels that were not compared because the rendering or its derivative is not finite there.
     """
 
     T_cam_body: Pose
@@ -134,16 +125,8 @@ def fit_level(
     have Huber weights with a robust sigma. As they come from errors of the shape rather than from noise,
     ``independent_px`` neighbouring pixels count as one observation.
 
-    Parameters
-    ----------
-    observed
-        (H, W) signal, background 0.
-    start, view, prior
-        Initial pose, view of the shape, and prior.
-    size_m
-        Radius of the body, which converts rotations to motions of its surface.
-    level, options
-        Options of the level and of the registration.
+    ``observed`` (H, W) is a signal of background 0, and ``size_m`` the radius of the body, which converts rotations to
+    motions of its surface.
     """
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
@@ -216,16 +199,8 @@ def parameter_steps(pose: Pose, pixel_rad: float, size_m: float, motion_px: floa
 def linearised(view: MeshView, pose: Pose, gradient: Gradient, steps: FloatArray) -> tuple[Image, Image]:
     """Render an image (H, W) and its derivatives (6, H, W) by [rotation_rad, translation_m] of ``Pose.perturbed``.
 
-    Parameters
-    ----------
-    view
-        View of the shape; the Sun is fixed in camera axes.
-    pose
-        Pose to linearise at.
-    gradient
-        See `available_gradient`.
-    steps
-        (6,) steps of the differences.
+    The Sun is fixed in camera axes. ``steps`` (6,) are those of the differences; see `available_gradient` for
+    ``gradient``.
     """
     renderer = view.renderer
     if gradient == "autodiff" and isinstance(renderer, DifferentiableRenderer):

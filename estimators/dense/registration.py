@@ -22,14 +22,8 @@ STAGE = "registration"
 class Registration:
     """A registration with its stages.
 
-    Parameters
-    ----------
-    shift
-        The first shift across the line of sight.
-    fits
-        Fits of the levels, from coarse to fine, up to one at which the shape went out of view.
-    failure
-        Reason of the failure; empty if the pose is good.
+    ``shift`` is the first shift across the line of sight, and ``fits`` are those of the levels, from coarse to fine, up
+    to one at which the shape went out of view. ``failure`` is the reason of a failure; empty if the pose is good.
     """
 
     shift: Alignment
@@ -52,20 +46,9 @@ def register(
 ) -> Registration:
     """Estimate the maximum a posteriori pose by registering the rendering of a shape with the image.
 
-    Parameters
-    ----------
-    observed
-        (H, W) signal of the image, background 0, not black.
-    frame
-        The frame with its prior, which is the initial pose.
-    view
-        View of the shape.
-    size_m
-        Radius of the shape, which converts rotations to motions of its surface.
-    options
-        Levels and thresholds.
-    clock
-        Records the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
+    ``observed`` (H, W) is the signal of the image, background 0, not black; the frame's prior is the initial pose.
+    ``size_m`` is the radius of the shape, which converts rotations to motions of its surface. ``clock`` records the
+    times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
     """
     start = frame.prior_T_cam_body
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)

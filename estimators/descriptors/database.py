@@ -47,16 +47,8 @@ def view_features(
 ) -> ViewFeatures:
     """Find the features of one image and project them onto the body.
 
-    Parameters
-    ----------
-    image
-        (H, W) noise-free image.
-    view
-        Pose and direction of the Sun.
-    deproject
-        Maps pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel is on the sky.
-    options
-        Options of the data base.
+    ``image`` (H, W) has no noise. ``deproject`` maps pixels (M, 2) to points of the surface (M, 3) in the body frame,
+    m; NaN where a pixel is on the sky.
     """
     features = find_features(image, options.kind, options.features)
     points_m = np.asarray(deproject(features.uv_px), dtype=np.float64).reshape(-1, 3)
@@ -68,16 +60,9 @@ def view_features(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewFeatures:
-    """Features of one image that lie on the body.
+    """Features of one image that lie on the body: points (M, 3), m, and descriptors (M, D), bytes.
 
-    Parameters
-    ----------
-    camera_dir_body, sun_dir_body
-        (3,) unit vectors from the body's origin.
-    points_m
-        (M, 3) points on the body.
-    descriptors
-        (M, D) bytes.
+    ``camera_dir_body`` and ``sun_dir_body`` (3,) are unit vectors from the body's origin.
     """
 
     camera_dir_body: FloatArray
@@ -88,16 +73,7 @@ class ViewFeatures:
 
 @dataclass(frozen=True, eq=False)
 class DescriptorDatabase:
-    """Views of the body with their features.
-
-    Parameters
-    ----------
-    kind
-        Kind of the descriptors.
-    views
-        The features of each image.
-    provenance
-        Origin and options, as JSON values.
+    """Views of the body with the features of each image; ``provenance`` has origin and options, as JSON values.
 
     Raises
     ------

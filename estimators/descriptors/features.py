@@ -30,15 +30,7 @@ class FeatureOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedFeatures:
-    """Features of one image.
-
-    Parameters
-    ----------
-    uv_px
-        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
-    descriptors
-        (M, D) bytes.
-    """
+    """Features of one image: pixels (M, 2), the centre of the first at (0.5, 0.5), and descriptors (M, D) of bytes."""
 
     uv_px: FloatArray
     descriptors: NDArray[np.uint8]
@@ -71,12 +63,7 @@ def match_features(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
     """Match descriptors with their nearest known ones, if these pass the ratio test (Lowe 2004).
 
-    Returns
-    -------
-    observed, known
-        (M,) matched rows of both arrays.
-    distance
-        (M,) distances of the matched descriptors.
+    Return the matched rows (M,) of both arrays, and the distances (M,) of the matched descriptors.
     """
     nothing = np.empty(0, dtype=np.int64)
     if len(observed) == 0 or len(known) < 2:

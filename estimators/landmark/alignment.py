@@ -50,16 +50,10 @@ class MeshView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignmentStep:
-    """One iteration.
+    """One iteration: the pose at which the mesh was rendered, and its image (H, W).
 
-    Parameters
-    ----------
-    T_cam_body
-        Pose at which the mesh was rendered.
-    rendered
-        (H, W) image of the mesh.
-    observed_px, rendered_px
-        (2,) corresponding points of the observed and the rendered image, which the update makes coincide.
+    ``observed_px`` and ``rendered_px`` (2,) are corresponding points of the observed and the rendered image, which the
+    update makes coincide.
     """
 
     T_cam_body: Pose
@@ -82,22 +76,9 @@ def align_translation(
 ) -> Alignment:
     """Render the mesh and shift it onto the observed image, until the rendered point no longer moves.
 
-    The pose after the greatest number of iterations is returned like a converged one.
-
-    Parameters
-    ----------
-    observed
-        (H, W) signal of the observed image, background 0, not black.
-    T_cam_body
-        Initial pose.
-    view
-        Camera, renderer and Sun.
-    measure
-        The corresponding points: ``centroid_pair`` or ``correlation_pair``.
-    options
-        Tolerance and greatest number of iterations.
-    clock
-        Records the times ``mesh_rendering`` and ``centroid``.
+    The pose after the greatest number of iterations is returned like a converged one. ``observed`` (H, W) is the signal
+    of the observed image, background 0, not black. ``measure`` returns the corresponding points: `centroid_pair` or
+    `correlation_pair`. ``clock`` records the times ``mesh_rendering`` and ``centroid``.
     """
     steps: list[AlignmentStep] = []
     while len(steps) < options.max_iterations:
@@ -142,12 +123,7 @@ def brightness_centroid(signal: Image) -> FloatArray:
 
 
 def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the projected origin of the body in both images, related by their best shift.
-
-    Returns
-    -------
-    (2,) position in the observed image and (2,) position in the rendered image, px.
-    """
+    """Return the projected origin (2,) of the body, px, in the observed and the rendered image, by their best shift."""
     return origin_px + best_shift(observed, rendered), origin_px
 
 
@@ -182,20 +158,10 @@ def _peak_offset(profile: NDArray[np.float32], peak: int) -> float:
 
 
 def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> float | None:
-    """Distance between the brightness centroids of the image and of the mesh rendered at a pose.
+    """Distance, px, between the brightness centroids of the image and of the mesh rendered at a pose.
 
-    Parameters
-    ----------
-    observed
-        (H, W) signal of the image, background 0, not black.
-    T_cam_body
-        The pose to check.
-    view
-        Camera, renderer and Sun.
-
-    Returns
-    -------
-    The distance in px, or None where the mesh is out of view or dark at that pose.
+    ``observed`` (H, W) is the signal of the image, background 0, not black. None where the mesh is out of view or dark
+    at that pose.
     """
     signal = extract_signal(view.render(T_cam_body), KNOWN_SKY)
     if signal.empty:

@@ -46,17 +46,7 @@ class DatabaseOptions(CandidateOptions):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkDatabaseBuild:
-    """A data base and the intermediate results of its construction.
-
-    Parameters
-    ----------
-    points_m
-        (N, 3) candidates of all images, body frame.
-    clusters
-        Their clusters after each stage.
-    database
-        The landmarks and their mesh.
-    """
+    """A data base with the candidates (N, 3) of all images, body frame, and their clusters after each stage."""
 
     points_m: FloatArray
     clusters: ClusterStages
@@ -68,18 +58,8 @@ def extract_candidates(
 ) -> FloatArray:
     """Return the candidate landmarks of one image: its corners, projected onto the surface (section 2.2).
 
-    Parameters
-    ----------
-    image
-        (H, W) noise-free image.
-    deproject
-        Maps pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel is on the sky.
-    options
-        Options of the corners.
-
-    Returns
-    -------
-    (C, 3) points in the body frame, m; corners on the sky are left out.
+    ``image`` (H, W) has no noise. ``deproject`` maps pixels (M, 2) to points of the surface (M, 3) in the body frame,
+    m; NaN where a pixel is on the sky. The candidates (C, 3) are in the body frame, m, without corners on the sky.
     """
     corners = detect_corners(image, options.corners)
     if not len(corners):
@@ -97,15 +77,10 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
     """Cluster the candidates of all images and construct the mesh (sections 2.3 and 2.4).
 
     An image counts once for a landmark, however many of its corners are in the cluster. Clusters seen in fewer than
-    ``min_observations`` images are removed before merging: by the trace criterion a large cluster absorbs any small
-    one within reach, so that stray points would inflate the dispersion of good landmarks.
+    ``min_observations`` images are removed before merging: by the trace criterion a large cluster absorbs any small one
+    within reach, so that stray points would inflate the dispersion of good landmarks.
 
-    Parameters
-    ----------
-    candidates
-        (C, 3) points for each image, body frame, m.
-    options
-        Options of clustering.
+    ``candidates`` are the points (C, 3) of each image, body frame, m.
 
     Raises
     ------

@@ -32,14 +32,8 @@ class ClusterOptions(SpecModel):
 class PointCluster:
     """A cluster of candidate points, all of one surface feature.
 
-    Parameters
-    ----------
-    members
-        (M,) ascending rows of the cloud.
-    mean_m
-        (3,) centroid.
-    covariance_m2
-        (3, 3) dispersion tensor.
+    ``members`` (M,) are ascending rows of the cloud, ``mean_m`` (3,) is the centroid, and ``covariance_m2`` (3, 3) the
+    dispersion tensor.
     """
 
     members: IndexArray
@@ -196,16 +190,9 @@ class _ClusterIndex:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterStages:
-    """The clusters of a cloud after each stage.
+    """Clusters of a cloud after growth, those of them that enter the refinement, and those after merging and pruning.
 
-    Parameters
-    ----------
-    grown
-        Seed clusters with a dispersion, after growth.
-    kept
-        The grown clusters that enter the refinement.
-    refined
-        After merging and pruning, sorted by the first member.
+    The last ones are sorted by the first member.
     """
 
     grown: list[PointCluster]

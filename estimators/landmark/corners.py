@@ -54,12 +54,8 @@ class CornerOptions(SpecModel):
 class Corners:
     """Corners of one image, the strongest first.
 
-    Parameters
-    ----------
-    uv_px
-        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
-    strength
-        (M,) response of the detector on an image scaled to 0..1.
+    ``uv_px`` (M, 2) are positions, the centre of the first pixel at (0.5, 0.5), and ``strength`` (M,) is the response
+    of the detector on an image scaled to 0..1.
     """
 
     uv_px: FloatArray

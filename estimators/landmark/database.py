@@ -44,18 +44,9 @@ _FACET = ["i", "j", "k"]
 class LandmarkDatabase:
     """Landmarks and the mesh over them.
 
-    Parameters
-    ----------
-    means_m
-        (N, 3) positions in the body frame.
-    covariances_m2
-        (N, 3, 3) covariances in the body frame, positive definite.
-    n_observations
-        (N,) images in which each landmark was seen.
-    facets
-        (F, 3) closed mesh over the landmarks, outward.
-    provenance
-        Origin and options, as JSON values.
+    ``means_m`` (N, 3) are positions and ``covariances_m2`` (N, 3, 3) positive definite covariances in the body frame,
+    and ``n_observations`` (N,) is the number of images in which each landmark was seen. ``facets`` (F, 3) are a closed
+    mesh over the landmarks, outward. ``provenance`` has origin and options, as JSON values.
 
     Raises
     ------

@@ -27,18 +27,11 @@ _SCALE_OF_SIDE = 1.2 / 9.0
 class Blobs:
     """Blobs of an image, bright and dark.
 
-    Parameters
-    ----------
-    peaks
-        (M, 2) rows and columns of the maxima.
-    offsets_px
-        (M, 2) from the peaks to the interpolated maxima in (u, v), within half a pixel.
-    scale_px
-        (M,) interpolated scale by Bay et al.'s definition: a filter of side 9 stands for a Gaussian of standard
-        deviation 1.2. The second moments of the filters are larger, so that the scale of a Gaussian blob is about
-        three quarters of its standard deviation.
-    strength
-        (M,) determinant of the Hessian at the maximum, of an image scaled to 0..1.
+    ``peaks`` (M, 2) are rows and columns of the maxima, ``offsets_px`` (M, 2) lead from the peaks to the interpolated
+    maxima in (u, v), within half a pixel, and ``strength`` (M,) is the determinant of the Hessian at the maximum, of an
+    image scaled to 0..1. ``scale_px`` (M,) is the interpolated scale by Bay et al.'s definition: a filter of side 9
+    stands for a Gaussian of standard deviation 1.2. The second moments of the filters are larger, so that the scale of
+    a Gaussian blob is about three quarters of its standard deviation.
     """
 
     peaks: NDArray[np.intp]
@@ -48,13 +41,7 @@ class Blobs:
 
 
 def fast_hessian(image: Image) -> Blobs:
-    """Find the maxima of the determinant of the Hessian in position and scale.
-
-    Parameters
-    ----------
-    image
-        (H, W) scaled to 0..1.
-    """
+    """Find the maxima of the determinant of the Hessian in position and scale; the image (H, W) is scaled to 0..1."""
     sides = sorted({side for octave in OCTAVES for side in octave})
     layers = {side: determinant(image, side) for side in sides}
     dilated = {side: np.asarray(cv2.dilate(layer, np.ones((3, 3), np.uint8))) for side, layer in layers.items()}

@@ -34,14 +34,9 @@ _FLAT = 1e-12
 class ConcaveHull:
     """A closed triangle surface.
 
-    Parameters
-    ----------
-    kept
-        (N,) ascending rows of the points that are on the surface.
-    facets
-        (2N - 4, 3) indices into ``kept``, counter-clockwise seen from outside, equation (1).
-    dropped
-        Ascending rows of points that could not be brought to the surface, or that coincide with another point.
+    ``kept`` (N,) are ascending rows of the points that are on the surface, ``facets`` (2N - 4, 3) indices into
+    ``kept``, counter-clockwise seen from outside, equation (1), and ``dropped`` ascending rows of points that could not
+    be brought to the surface, or that coincide with another point.
     """
 
     kept: IndexArray
@@ -50,12 +45,7 @@ class ConcaveHull:
 
 
 def concave_hull(points_m: FloatArray) -> ConcaveHull:
-    """Construct a closed surface through the points.
-
-    Parameters
-    ----------
-    points_m
-        (N, 3) landmarks; at least four, not in one plane.
+    """Construct a closed surface through points (N, 3): at least four landmarks, not in one plane.
 
     Raises
     ------

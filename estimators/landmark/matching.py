@@ -20,16 +20,9 @@ _POINT_COLUMNS = ("x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Matched landmarks and corners, in ascending order of the landmark.
+    """Matched landmarks (M,), ascending rows of the data base, and corners (M,), rows of the list of corners.
 
-    Parameters
-    ----------
-    landmark
-        (M,) rows of the data base.
-    corner
-        (M,) rows of the list of corners.
-    d2
-        (M,) covariance-weighted squared distances.
+    ``d2`` (M,) are the covariance-weighted squared distances.
     """
 
     landmark: IndexArray
@@ -53,16 +46,9 @@ def match_landmarks(
 ) -> Matches:
     """Match each visible landmark with its nearest corner, if no other landmark is nearer to that corner.
 
-    Parameters
-    ----------
-    uv_px, covariances_px2
-        (N, 2) and (N, 2, 2) landmarks in the image.
-    visible
-        (N,) landmarks that may be matched.
-    corners_px
-        (M, 2) observed corners.
-    d2_max
-        Upper limit of the weighted squared distance; 36 is 6 standard deviations.
+    ``uv_px`` (N, 2) and ``covariances_px2`` (N, 2, 2) are landmarks in the image, of which those in ``visible`` (N,)
+    may be matched, and ``corners_px`` (M, 2) the observed corners. ``d2_max`` is the upper limit of the weighted
+    squared distance; 36 is 6 standard deviations.
     """
     candidates = np.flatnonzero(visible)
     if not candidates.size or not len(corners_px):

@@ -22,15 +22,7 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """Landmarks projected into an image.
-
-    Parameters
-    ----------
-    uv_px
-        (N, 2) means in the image; NaN behind the camera.
-    covariances_px2
-        (N, 2, 2) covariances in the image; NaN behind the camera.
-    """
+    """Means (N, 2), px, and covariances (N, 2, 2), px^2, of landmarks in an image; NaN behind the camera."""
 
     uv_px: FloatArray
     covariances_px2: FloatArray
@@ -80,16 +72,9 @@ def is_occluded(mesh: TriangleMesh, camera_position_body_m: FloatArray, vertices
     """(len(vertices),): whether a facet lies between the camera and each vertex (intervening-terrain test).
 
     Facets of which the vertex is a corner are left out. As in the paper, lines of sight are first tested against a
-    bounding sphere of each facet; those that enter it are intersected by Moeller and Trumbore's method.
-
-    Parameters
-    ----------
-    mesh
-        Closed, with the camera outside: any occlusion then involves a facet that faces the camera.
-    camera_position_body_m
-        (3,) camera in the body frame.
-    vertices
-        Rows of the mesh's vertices.
+    bounding sphere of each facet; those that enter it are intersected by Moeller and Trumbore's method. ``mesh`` is
+    closed, with the camera outside: any occlusion then involves a facet that faces the camera. The camera's position
+    (3,) is in the body frame; ``vertices`` are rows of the mesh's vertices.
     """
     hidden = np.zeros(len(vertices), dtype=bool)
     if not len(vertices):

@@ -40,14 +40,9 @@ POINT_PAIRS = {"centroid": centroid_pair, "image": correlation_pair}
 
 @dataclass(frozen=True, slots=True)
 class MeshAligner:
-    """The method that aligns the mesh with the image before landmarks are predicted.
+    """The method that aligns the mesh with the image before landmarks are predicted, and the name of its stage.
 
-    Parameters
-    ----------
-    stage
-        Name of the stage in the estimate.
-    align
-        (observed signal, frame, view of the mesh, clock) -> alignment.
+    ``align`` maps (observed signal, frame, view of the mesh, clock) to the alignment.
     """
 
     stage: str
@@ -90,24 +85,11 @@ class LandmarkOptions(RecognitionOptions):
 class Recognition:
     """All intermediate results of recognition in one image.
 
-    Parameters
-    ----------
-    prior
-        The initial pose.
-    alignment
-        Iterations of the alignment; none where alignment is off.
-    corners
-        Corners of the image; None after a failure before this stage.
-    solution
-        Rounds of matching and solving; None after a failure before this stage.
-    timings_s
-        Wall time by stage, as in the paper's Table 1.
-    failure
-        Reason why there is no pose; empty if there is one.
-    centroid_residual_px
-        Distance of the brightness centroids of the image and of the mesh rendered at the solution; None if unknown.
-    correlations
-        Image correlation of the onboard shape at the aligned and at the recognised pose; None with ``keep: always``.
+    ``alignment`` has no iterations where alignment is off; ``corners`` and ``solution`` are None after a failure before
+    that stage. ``timings_s`` is the wall time by stage, as in the paper's Table 1. ``failure`` is the reason why there
+    is no pose; empty if there is one. ``centroid_residual_px`` is the distance of the brightness centroids of the image
+    and of the mesh rendered at the solution, None if unknown. ``correlations`` are the image correlations of the
+    onboard shape at the aligned and at the recognised pose, None with ``keep: always``.
     """
 
     prior: Pose
@@ -157,20 +139,8 @@ def recognise(
 ) -> Recognition:
     """Run all stages on one image.
 
-    Parameters
-    ----------
-    frame
-        The image with its prior.
-    view
-        The view of the landmark mesh.
-    database
-        The landmarks.
-    options
-        Options of corners, matching and pose.
-    aligner
-        Finds the pose from which landmarks are first predicted.
-    shape_view
-        The view of the onboard shape, with ``keep: if-better``; None otherwise.
+    ``aligner`` finds the pose from which landmarks are first predicted. ``view`` is that of the landmark mesh, and
+    ``shape_view`` that of the onboard shape, with ``keep: if-better``; None otherwise.
 
     Raises
     ------

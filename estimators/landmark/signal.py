@@ -27,15 +27,9 @@ _MAD_TO_SIGMA = 1.4826
 class Signal:
     """An image without its background.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32; 0 on the background, 1 at the body's bright level (the 99th percentile of its pixels),
-        whatever the unit of the image.
-    background
-        Level that was subtracted, in the image's unit.
-    noise
-        Standard deviation of the background, in the image's unit.
+    ``image`` (H, W) float32 is 0 on the background, 1 at the body's bright level (the 99th percentile of its pixels),
+    whatever the unit of the image. ``background`` is the level that was subtracted, and ``noise`` its standard
+    deviation, in the image's unit.
     """
 
     image: NDArray[np.float32]
@@ -51,12 +45,7 @@ class Signal:
 def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None) -> NDArray[np.float32] | str:
     """Return the signal (H, W) of an observed image, see `Signal`, or the reason why no pose can be estimated from it.
 
-    Parameters
-    ----------
-    frame, camera
-        The image and its camera.
-    clock
-        Adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it.
+    ``clock`` adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it.
 
     Raises
     ------
@@ -99,16 +88,10 @@ def extract_signal(
 ) -> Signal:
     """Subtract the background and scale the rest to a fixed range.
 
-    Parameters
-    ----------
-    image
-        (H, W) any linear measure of radiance.
-    sky
-        Level and standard deviation of the background, where they are known; measured in the image if None.
-    threshold_sigma
-        Pixels less than this many standard deviations above the background become 0.
-    threshold_fraction
-        Pixels below this fraction of the body's bright level become 0 too, which removes haze and quantisation.
+    ``image`` (H, W) is any linear measure of radiance. ``sky`` is level and standard deviation of the background, where
+    they are known; measured in the image if None. Pixels less than ``threshold_sigma`` standard deviations above the
+    background become 0. So do those below ``threshold_fraction`` of the body's bright level, which removes haze and
+    quantisation.
 
     Raises
     ------

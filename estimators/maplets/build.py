@@ -48,19 +48,11 @@ class MapletOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A square grid of S x S nodes in a local frame.
+    """A square grid of S x S nodes in a local frame; S is odd, so that its middle, ``centre_m``, is a node.
 
-    Parameters
-    ----------
-    centre_m
-        (3,) its middle, body frame.
-    axes
-        (3, 3) rows: the unit vectors x and y along the columns and the rows of the grid, and the upward normal,
-        right-handed, body frame.
-    spacing_m
-        Between neighbouring nodes.
-    side
-        S, odd, so that the centre is a node.
+    ``centre_m`` (3,) is in the body frame. The rows of ``axes`` (3, 3) are the unit vectors x and y along the columns
+    and the rows of the grid, and the upward normal, right-handed, body frame. ``spacing_m`` is between neighbouring
+    nodes.
     """
 
     centre_m: FloatArray
@@ -143,14 +135,8 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     """Sample the heights of the surface above the nodes of a plane, and its albedo there.
 
     Of several layers of the surface the highest is sampled that faces up and is no farther from the plane than half the
-    grid's width.
-
-    Returns
-    -------
-    heights_m
-        (S, S), rows along y; NaN where there is no surface.
-    albedo
-        (S, S), or None where the mesh has none.
+    grid's width. Return heights (S, S), m, rows along y, NaN where there is no surface, and the albedo (S, S), None
+    where the mesh has none.
     """
     mesh = surface.mesh
     # To the corners of the box of half the grid's width above and below the plane, plus the size of a facet.
@@ -177,21 +163,9 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
 
 
 def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Find the nodes under each facet.
+    """Find the nodes, ``side`` along each axis, under facets (F, 3, 2) in grid units, x (column) and y (row).
 
-    Parameters
-    ----------
-    corners
-        (F, 3, 2) in grid units, x (column) and y (row).
-    side
-        Nodes along each axis.
-
-    Returns
-    -------
-    facet, node
-        (P,) pairs; nodes are numbered row by row.
-    weights
-        (P, 3) barycentric coordinates.
+    Return pairs of facet and node (P,), nodes numbered row by row, and barycentric coordinates (P, 3).
     """
     low = np.clip(np.ceil(-_largest(-corners) - _EDGE_TOLERANCE), 0, side).astype(np.int64)
     high = np.clip(np.floor(_largest(corners) + _EDGE_TOLERANCE), -1, side - 1).astype(np.int64)

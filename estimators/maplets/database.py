@@ -34,20 +34,11 @@ _SAME_SURFACE = 1.5  # largest height, in steps of the grid, of a point that cou
 class MapletDatabase:
     """N maplets of S x S nodes each.
 
-    Parameters
-    ----------
-    centres_m
-        (N, 3) middles of the reference planes, body frame: on or near the surface.
-    axes
-        (N, 3, 3) rows: the unit vectors along columns and rows and the upward normal, right-handed, body frame.
-    heights_m
-        (N, S, S) heights above the planes; NaN where the surface is not seen from above.
-    spacing_m
-        Between neighbouring nodes.
-    albedo
-        (N, S, S) factor on the reflectance, or None for 1 everywhere.
-    provenance
-        Origin and options, as JSON values.
+    ``centres_m`` (N, 3) are the middles of the reference planes, body frame: on or near the surface. The rows of
+    ``axes`` (N, 3, 3) are the unit vectors along columns and rows and the upward normal, right-handed, body frame.
+    ``heights_m`` (N, S, S) are above the planes, NaN where the surface is not seen from above, at nodes ``spacing_m``
+    apart. ``albedo`` (N, S, S) is a factor on the reflectance, or None for 1 everywhere. ``provenance`` has origin and
+    options, as JSON values.
 
     Raises
     ------

@@ -28,16 +28,9 @@ _FARTHEST_PX = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """The displacement of a window from its rendered to its observed position.
+    """The displacement (2,), px, of a window from rendered to observed position, and its covariance (2, 2), px^2.
 
-    Parameters
-    ----------
-    shift_px
-        (2,) displacement.
-    covariance_px2
-        (2, 2) of the shift.
-    correlation
-        Correlation coefficient of the two images after the shift.
+    ``correlation`` is the correlation coefficient of the two images after the shift.
     """
 
     shift_px: FloatArray
@@ -50,23 +43,11 @@ def correlate_window(
 ) -> Displacement | None:
     """Find a template in its surroundings in the observed image by normalised cross-correlation.
 
-    Parameters
-    ----------
-    observed
-        (H, W) image, taken as 0 beyond its edges.
-    template, usable
-        (h, w) window of the rendered image, and its mask: 1 where pixels are used, 0 elsewhere.
-    corner
-        Column and row of the template's first pixel in the rendered image.
-    reach
-        Largest shift along columns and rows, integers of 1 or more.
-    noise_px2
-        Area over which differences of the two images are correlated.
-
-    Returns
-    -------
-    The displacement at the peak of the correlation, or None where the template has no contrast or the peak is at the
-    edge of the search region.
+    ``observed`` (H, W) is taken as 0 beyond its edges. ``template`` (h, w) is a window of the rendered image,
+    ``usable`` (h, w) its mask, 1 where pixels are used, 0 elsewhere, and ``corner`` has column and row of its first
+    pixel in the rendered image. ``reach`` is the largest shift along columns and rows, integers of 1 or more, and
+    ``noise_px2`` the area over which differences of the two images are correlated. None where the template has no
+    contrast or the peak is at the edge of the search region.
     """
     counted = template[usable > 0.0]
     if not counted.size or np.ptp(counted) == 0.0:
@@ -114,14 +95,9 @@ def shift_covariance(correlation: float, curvature: FloatArray, samples: float) 
     """Return the covariance (2, 2) of a shift from the curvature of its correlation peak.
 
     With unknown gain and offset, and Gaussian noise of unknown variance, the log-likelihood of a shift is
-    -n/2 log(1 - rho^2); its second derivatives at the peak, n rho rho'' / (1 - rho^2), are the information.
-
-    Parameters
-    ----------
-    correlation, curvature
-        rho and its second derivatives (2, 2), per px^2, negative definite.
-    samples
-        Number n of independent samples.
+    -n/2 log(1 - rho^2); its second derivatives at the peak, n rho rho'' / (1 - rho^2), are the information. The
+    correlation is rho, ``curvature`` (2, 2) has its second derivatives, per px^2, negative definite, and ``samples`` is
+    the number n of independent samples.
     """
     # Clipped, as the information is infinite for a perfect correlation.
     rho = float(np.clip(correlation, 1e-3, 1.0 - 1e-6))
@@ -131,16 +107,10 @@ def shift_covariance(correlation: float, curvature: FloatArray, samples: float) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePair:
-    """Observed and rendered image, smoothed alike, with derivatives and mask.
+    """Observed and rendered image (H, W), smoothed alike, scaled so that the bright level of the body is 1.
 
-    Parameters
-    ----------
-    observed, rendered
-        (H, W) images, scaled so that the bright level of the body is 1.
-    du, dv
-        (H, W) derivatives of the rendered image along columns and rows.
-    usable
-        (H, W) pixels on the body that are dark in neither image.
+    ``du`` and ``dv`` (H, W) are derivatives of the rendered image along columns and rows, and ``usable`` (H, W) pixels
+    on the body that are dark in neither image.
     """
 
     observed: Image
@@ -153,16 +123,9 @@ class ImagePair:
 def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: float, dark: float) -> ImagePair:
     """Smooth both images, differentiate the rendered one, and find the usable pixels.
 
-    Parameters
-    ----------
-    observed, rendered
-        (H, W) signals, bright level 1.
-    on_body
-        (H, W) pixels well within the body's outline.
-    blur_px
-        Standard deviation of the smoothing, which the derivative of a sampled image needs.
-    dark
-        Level below which a pixel is dark; it is left out together with its neighbours.
+    ``observed`` and ``rendered`` (H, W) are signals, bright level 1, and ``on_body`` (H, W) pixels well within the
+    body's outline. ``blur_px`` is the standard deviation of the smoothing, which the derivative of a sampled image
+    needs. ``dark`` is the level below which a pixel is left out together with its neighbours.
     """
     # Dark in either image: a shadow that only one of them has would pull the shift.
     shade = (observed < dark) | (rendered < dark)
@@ -177,20 +140,9 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
     """Solve for the shift of a window, together with gain, offset and a linear trend of the brightness.
 
     The rendered image is expanded to first order about zero shift, so the shift should be well below a pixel; the next
-    rendering reduces the remaining error.
-
-    Parameters
-    ----------
-    pair
-        The images.
-    window
-        Rows and columns.
-    noise_px2
-        Area over which differences of the two images are correlated.
-
-    Returns
-    -------
-    The displacement, or None where too few pixels are usable or their contrast does not determine both components.
+    rendering reduces the remaining error. ``window`` has rows and columns, and ``noise_px2`` is the area over which
+    differences of the two images are correlated. None where too few pixels are usable or their contrast does not
+    determine both components.
     """
     row, column = np.nonzero(pair.usable[window])
     if len(row) < _LEAST_PIXELS:

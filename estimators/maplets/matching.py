@@ -67,18 +67,9 @@ class MapletScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletRendering:
-    """A rendering of the data base.
+    """A rendering of the data base with a camera and a pose, and the windows of the visible maplets.
 
-    Parameters
-    ----------
-    database, camera, T_cam_body
-        The data base, and the camera and pose that it was rendered with.
-    signal
-        (H, W) rendered signal, bright level 1.
-    on_body
-        (H, W) pixels well within the outline.
-    windows
-        Windows of the visible maplets.
+    ``signal`` (H, W) has the bright level 1; ``on_body`` (H, W) are pixels well within the outline.
     """
 
     database: MapletDatabase
@@ -102,22 +93,11 @@ class MapletRendering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletMatches:
-    """Maplets matched with an image.
+    """Maplets (M,) matched with an image, rows of the data base, and correlation coefficients (M,) of their windows.
 
-    Parameters
-    ----------
-    maplet
-        (M,) rows of the data base.
-    uv_px
-        (M, 2) where their anchors are in the observed image.
-    covariances_px2
-        (M, 2, 2) covariances of those positions, including the uncertainty of the onboard heights.
-    correlation
-        (M,) correlation coefficients of the windows.
-    shared
-        (M, M) share of the pixels that each two windows have in common.
-    height_sigma_m
-        Standard deviation of the mean onboard height of a maplet.
+    ``uv_px`` (M, 2) are where their anchors are in the observed image, with ``covariances_px2`` (M, 2, 2), including
+    the uncertainty of the onboard heights. ``shared`` (M, M) is the share of the pixels that each two windows have in
+    common, and ``height_sigma_m`` the standard deviation of the mean onboard height of a maplet.
     """
 
     maplet: NDArray[np.int64]

@@ -48,16 +48,9 @@ class MapletFit:
 class MapletRecognition:
     """All intermediate results of recognition in one image.
 
-    Parameters
-    ----------
-    stages
-        Poses after alignment, correlation and refinement, as far as they were reached.
-    fits
-        Rounds of matching and solving: by correlation first, then by least squares.
-    timings_s
-        Wall time by stage.
-    failure
-        Reason why there is no pose; empty if there is one.
+    ``stages`` are poses after alignment, correlation and refinement, as far as they were reached, and ``fits`` the
+    rounds of matching and solving: by correlation first, then by least squares. ``failure`` is the reason why there is
+    no pose; empty if there is one.
     """
 
     stages: tuple[Stage, ...]

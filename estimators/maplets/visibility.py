@@ -21,16 +21,9 @@ _HIDDEN_STEPS = 10.0  # an anchor deeper than the nearest surface by this, in st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """Windows of M maplets in an image.
+    """Windows of M maplets in an image: rows (M,) of the data base, and projected anchors (M, 2), px.
 
-    Parameters
-    ----------
-    maplet
-        (M,) rows of the data base.
-    uv_px
-        (M, 2) projected anchors.
-    first, last
-        (M, 2) column and row of the first pixel of the window, and of the first one after it.
+    ``first`` and ``last`` (M, 2) are column and row of the first pixel of the window, and of the first one after it.
     """
 
     maplet: IntArray
@@ -53,15 +46,8 @@ def visible_windows(
     """Return the windows of maplets that face the camera and whose anchors are in the image and not hidden.
 
     A window covers the footprint of its maplet about the projected anchor, between a least and a largest size.
-
-    Parameters
-    ----------
-    database, camera, T_cam_body
-        The maplets, and camera and pose.
-    vertices_m
-        (V, 3) vertices of the mesh over all maplets, no farther apart than the spacing.
-    half_px
-        Least and largest distance from the anchor to the edge of a window.
+    ``vertices_m`` (V, 3) are those of the mesh over all maplets, no farther apart than the spacing, and ``half_px`` the
+    least and the largest distance from the anchor to the edge of a window.
     """
     anchors_cam_m = T_cam_body.transform(database.anchors_m)
     uv = camera.project(anchors_cam_m)

@@ -24,19 +24,10 @@ _MIN_SECOND_RAYS = 3
 class BatchState:
     """Estimates, and the assignment of sightings to landmarks, between two adjustments.
 
-    Parameters
-    ----------
-    x
-        (n,) shared unknowns, as `ParameterLayout` orders them.
-    tilts
-        (I, 2) pan and tilt of all images, rad; 0 where they have not been estimated.
-    points
-        (L, 3) landmarks, m, body axes; NaN where one has no position yet. There are more of them than landmark numbers
-        once numbers have been split.
-    numbering
-        (K,) row of the landmark of each sighting.
-    kept
-        (K,) whether a sighting is used; False where it was edited.
+    ``x`` (n,) are shared unknowns, as `ParameterLayout` orders them, and ``tilts`` (I, 2) pan and tilt of all images,
+    rad; 0 where they have not been estimated. ``points`` (L, 3) are landmarks, m, body axes; NaN where one has no
+    position yet. There are more of them than landmark numbers once numbers have been split. ``numbering`` (K,) is the
+    row of the landmark of each sighting; ``kept`` (K,) is False where a sighting was edited.
     """
 
     x: FloatArray
@@ -59,16 +50,8 @@ class BatchState:
 class DataArc:
     """The data up to an epoch, arranged for the adjustment.
 
-    Parameters
-    ----------
-    data, layout, options
-        Of the whole problem.
-    model
-        Predicts the measurements of the arc.
-    rows
-        (K',) rows of ``data.pictures`` of its sightings.
-    landmarks
-        (L',) rows of its landmarks in the state.
+    ``model`` predicts the measurements of the arc. ``rows`` (K',) are rows of ``data.pictures`` of its sightings, and
+    ``landmarks`` (L',) rows of its landmarks in the state.
     """
 
     data: OrbitData

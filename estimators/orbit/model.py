@@ -28,22 +28,11 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """The measurements of an arc; sightings are sorted by landmark.
+    """The measurements of an arc of I images and ``count`` landmarks; its K sightings are sorted by landmark.
 
-    Parameters
-    ----------
-    times_s, R_cam_inertial, R_body_inertial
-        (I,), (I, 3, 3) and (I, 3, 3) of the images.
-    image, point
-        (K,) rows of image and landmark of each sighting; ``point`` ascends.
-    uv_px
-        (K, 2).
-    sigma_px
-        (K,) of one coordinate; includes the effect of the camera's roll error, which is not estimated.
-    count
-        Number of landmarks.
-    radiometry
-        Of the arc, or None.
+    The images have times (I,) and attitudes (I, 3, 3). ``image`` and ``point`` (K,) are rows of image and landmark of
+    each sighting; ``point`` ascends. ``uv_px`` is (K, 2), and ``sigma_px`` (K,) that of one coordinate, with the effect
+    of the camera's roll error, which is not estimated.
     """
 
     times_s: FloatArray
@@ -76,16 +65,9 @@ class Measurements:
 class SightingResiduals:
     """Residuals (observed minus predicted), px, and derivatives of the prediction, px per unit.
 
-    Parameters
-    ----------
-    residuals
-        (K, 2).
-    by_image
-        (K, 2, 7) by the camera's inertial position, its rotation about its axes, and the relative focal length.
-    by_point
-        (K, 2, 3) by the landmark's position in body axes.
-    in_front
-        (K,) whether the landmark is in front of the camera.
+    ``residuals`` are (K, 2). ``by_image`` (K, 2, 7) is by the camera's inertial position, its rotation about its axes,
+    and the relative focal length, and ``by_point`` (K, 2, 3) by the landmark's position in body axes. ``in_front`` (K,)
+    is whether the landmark is in front of the camera.
     """
 
     residuals: FloatArray
@@ -219,12 +201,8 @@ def measurements_until(
 ) -> tuple[Measurements, IndexArray]:
     """Take the measurements up to a time; also return the rows of ``data.pictures`` of the sightings.
 
-    Parameters
-    ----------
-    numbering
-        (K,) row of the landmark of every sighting of the data.
-    kept
-        (K,) which of them to take.
+    ``numbering`` (K,) is the row of the landmark of every sighting of the data, and ``kept`` (K,) which of them to
+    take.
     """
     pictures, known = data.pictures, data.knowledge
     images = int(np.searchsorted(pictures.times_s, until_s, side="right"))

@@ -50,22 +50,11 @@ class ParameterLayout:
     """The order and scaling of the shared unknowns ``x``: a parameter is its a priori value plus its sigma times x.
 
     Parameters that are certain a priori (sigma 0) are left out. In order: state at the epoch, forces (ratio of GM,
-    factor on solar pressure, gravity coefficients), camera mounting, focal length, range bias, accelerations.
-
-    Parameters
-    ----------
-    knowledge
-        A priori values and their uncertainties.
-    field
-        The a priori force model, with derivatives by the gravity coefficients that are unknown.
-    edges_s
-        (P + 1,) bounds of the intervals in which the unmodelled acceleration is constant; (0,) for none.
-    force_sigma
-        (2 + K,) of the force model's parameters.
-    bias_sigma_m
-        Of the range bias; 0 where there is none.
-    flights
-        The last propagated orbits, by unknowns and times: several steps of the filter need the same ones.
+    factor on solar pressure, gravity coefficients), camera mounting, focal length, range bias, accelerations. ``field``
+    is the a priori force model, with derivatives by the gravity coefficients that are unknown, ``force_sigma`` (2 + K,)
+    has the sigmas of its parameters, and ``bias_sigma_m`` is that of the range bias; 0 where there is none. ``edges_s``
+    (P + 1,) are bounds of the intervals in which the unmodelled acceleration is constant; (0,) for none. ``flights``
+    are the last propagated orbits, by unknowns and times: several steps of the filter need the same ones.
     """
 
     knowledge: Knowledge

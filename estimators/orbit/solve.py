@@ -23,12 +23,8 @@ _MAX_DAMPING = 1e8
 class HuberLoss:
     """Huber's loss of a sighting's residual length in sigmas; least squares if ``limit`` is infinite.
 
-    Parameters
-    ----------
-    limit
-        In units of ``scale``; beyond it the loss grows linearly.
-    scale
-        Factor on the expected sigmas: far from the solution all residuals are large.
+    Beyond ``limit``, in units of ``scale``, the loss grows linearly. ``scale`` is a factor on the expected sigmas: far
+    from the solution all residuals are large.
     """
 
     limit: float

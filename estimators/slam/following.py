@@ -82,12 +82,8 @@ class ConfiguredEstimator(Configured[Model], ABC):
 class InnovationTest:
     """Divergence test: squared normalised innovation (NIS) per degree of freedom over the last frames; 1 is expected.
 
-    Parameters
-    ----------
-    frames, limit
-        Over how many frames the mean is taken, and the mean that counts as divergence.
-    method, cause
-        Words of the failure's reason: what diverges, and why it may.
+    The mean is taken over ``frames`` frames; a mean above ``limit`` is divergence. ``method`` and ``cause`` are words
+    of the failure's reason: what diverges, and why it may.
     """
 
     def __init__(self, frames: int, limit: float, method: str, cause: str = "") -> None:

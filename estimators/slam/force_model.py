@@ -22,14 +22,8 @@ LONGEST_STEP = 0.01
 class ForceModel:
     """Point-mass gravity and constant solar radiation pressure.
 
-    Parameters
-    ----------
-    length_m, time_s
-        L and T.
-    gm_m3_s2
-        Prior gravity parameter.
-    radiation_m
-        (3,) acceleration by solar radiation pressure times T^2, inertial axes.
+    ``length_m`` and ``time_s`` are L and T, ``gm_m3_s2`` is the prior gravity parameter, and ``radiation_m`` (3,) the
+    acceleration by solar radiation pressure times T^2, inertial axes.
     """
 
     length_m: float

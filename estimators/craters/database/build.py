@@ -22,18 +22,9 @@ _PASSES = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterDatabaseBuild:
-    """A database with its intermediate results.
+    """A database with the pairs of images that were matched, the matches of each, and the numbers of all detections.
 
-    Parameters
-    ----------
-    database
-        Landmarks and pictures.
-    pairs
-        Of images that were matched.
-    found
-        Matches of each pair.
-    numbering
-        Numbers of all detections, including craters that no image places on the body.
+    The numbers include craters that no image places on the body.
     """
 
     database: CraterDatabase

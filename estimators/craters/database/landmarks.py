@@ -20,18 +20,9 @@ from boresight.scenarios.orbits.data import LandmarkFile
 class Landmarks:
     """Craters of the database, ascending by number.
 
-    Parameters
-    ----------
-    number
-        (n,) each once.
-    position_body_m, normal_body
-        (n, 3) centres of the rims, and outward unit normals of their planes.
-    radius_m
-        (n,) of the rims.
-    covariance_m2
-        (n, 3, 3) of the positions.
-    images
-        (n,) number of images in which each was found.
+    ``number`` (n,) has each once. ``position_body_m`` (n, 3) are the centres of the rims, ``covariance_m2`` (n, 3, 3)
+    is that of these, ``normal_body`` (n, 3) are the outward unit normals of the rims' planes, and ``radius_m`` (n,)
+    their radii. ``images`` (n,) is the number of images in which each was found.
     """
 
     number: IndexArray

@@ -28,13 +28,9 @@ class PairMatches:
 class Numbering:
     """Numbers of the detections of all images.
 
-    Parameters
-    ----------
-    numbers
-        For each image the numbers of its detections; ``NO_NUMBER`` if a detection has no match. No number occurs twice
-        in an image. They count from 0 in the order of the images.
-    conflicts
-        Matches that were refused, because they would have given two detections of an image one number.
+    ``numbers`` has for each image the numbers of its detections, ``NO_NUMBER`` if a detection has no match. No number
+    occurs twice in an image. They count from 0 in the order of the images. ``conflicts`` counts the matches that were
+    refused, because they would have given two detections of an image one number.
     """
 
     numbers: tuple[IndexArray, ...]

@@ -18,24 +18,11 @@ from boresight.scenarios.orbits.data import Pictures
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequencePicture:
-    """One image in the picture sequence, the input of orbit determination.
+    """One image in the picture sequence, the input of orbit determination; its ``number`` is unique in the sequence.
 
-    Parameters
-    ----------
-    number
-        Of the image, unique in its sequence.
-    time_s
-        Epoch of the exposure.
-    camera
-        Its parameters, without distortion.
-    T_cam_body
-        The prior pose.
-    sun_dir_cam
-        (3,) unit vector towards the Sun.
-    landmark
-        (k,) numbers of the craters that were found, each once.
-    ellipses
-        k rims: their centres are the measurements.
+    ``time_s`` is the epoch of the exposure, ``camera`` has no distortion, ``T_cam_body`` is the prior pose, and
+    ``sun_dir_cam`` (3,) the unit vector towards the Sun. ``landmark`` (k,) are the numbers of the craters that were
+    found, each once, and ``ellipses`` their rims, whose centres are the measurements.
     """
 
     number: int
@@ -59,10 +46,7 @@ def numbered_pictures(
 ) -> tuple[SequencePicture, ...]:
     """Convert images to pictures in the order of time, with the numbered craters that have a position.
 
-    Parameters
-    ----------
-    placed
-        (n,) numbers of the landmarks with a position; sightings of other numbers are left out.
+    ``placed`` (n,) are the numbers of the landmarks with a position; sightings of other numbers are left out.
     """
     pictures = []
     for image, numbers in zip(images, numbering.numbers, strict=True):
@@ -79,12 +63,8 @@ def numbered_pictures(
 def pictures_for_orbit(pictures: Sequence[SequencePicture], camera: Camera, rotation: UniformRotation) -> Pictures:
     """Convert pictures to the input of orbit determination: attitudes in inertial axes, times ascending.
 
-    Parameters
-    ----------
-    camera
-        The camera model of orbit determination.
-    rotation
-        Of the body, the same as the poses of the pictures were made with.
+    ``camera`` is the camera model of orbit determination, and ``rotation`` that of the body with which the poses of the
+    pictures were made.
 
     Raises
     ------

@@ -74,16 +74,8 @@ class ClassicOptions(SpecModel):
 class DetectionStages:
     """The results of each stage, as in the paper's figure 2.
 
-    Parameters
-    ----------
-    edges
-        Of the small and the large kernel: figure 2b.
-    shaded, lit
-        Convex rim edges: figure 2c.
-    refined
-        Ellipses of all groups after refinement.
-    detections
-        Figure 2d.
+    ``edges`` are those of the small and the large kernel, figure 2b, ``shaded`` and ``lit`` convex rim edges, figure
+    2c, ``refined`` the ellipses of all groups after refinement, and ``detections`` is figure 2d.
     """
 
     picture: PreparedImage
@@ -125,23 +117,11 @@ class CraterClassic(Configured[ClassicOptions]):
     options_model = ClassicOptions
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
-        """Find rims, the most confident first.
-
-        Raises
-        ------
-        BoresightError
-            As ``prepare_image``.
-        """
+        """Find rims, the most confident first; raise BoresightError as `prepare_image` does."""
         return self.stages(frame, camera).detections
 
     def stages(self, frame: Frame, camera: Camera) -> DetectionStages:
-        """Return the results of each stage.
-
-        Raises
-        ------
-        BoresightError
-            As ``prepare_image``.
-        """
+        """Return the results of each stage; raise BoresightError as `prepare_image` does."""
         o = self.options
         picture = prepare_image(frame, camera, o.window_px)
         # Two passes as in the paper: a small kernel places sharp rims, a large one finds degraded ones.

@@ -33,14 +33,8 @@ class Gradient:
 class EdgePixels:
     """Edge pixels of one pass.
 
-    Parameters
-    ----------
-    uv_px
-        (n, 2) subpixel positions of the steepest gradient.
-    gradient
-        (n, 2) there.
-    mask
-        (H, W) the pixels.
+    ``uv_px`` (n, 2) are subpixel positions of the steepest gradient, ``gradient`` (n, 2) is that there; ``mask`` (H, W)
+    are the pixels.
     """
 
     uv_px: FloatArray
@@ -68,10 +62,7 @@ def noise_gain(kernel_px: int) -> float:
 def canny(picture: PreparedImage, kernel_px: int, strong_share: float, weak_ratio: float) -> EdgePixels:
     """Run one pass; ``strong_share`` of the ground exceeds the upper threshold, the lower is ``weak_ratio`` times it.
 
-    Parameters
-    ----------
-    kernel_px
-        Odd width of the derivative kernel.
+    ``kernel_px`` is the odd width of the derivative kernel.
     """
     gradient = gradient_of(picture.even, kernel_px)
     strength = gradient.strength

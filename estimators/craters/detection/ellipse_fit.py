@@ -72,14 +72,8 @@ def fit_candidates(
 ) -> Ellipses:
     """Fit an ellipse to each pair of arcs, then to all edges near it; drop those that are no rim of a crater.
 
-    Parameters
-    ----------
-    pairs
-        (k, 2) rows of ``shaded`` and ``lit``.
-    radius_px
-        Least and largest mean radius.
-    axis_ratio_min
-        Least ratio of the shorter to the longer axis.
+    ``pairs`` (k, 2) are rows of ``shaded`` and ``lit``, ``radius_px`` are the least and the largest mean radius, and
+    ``axis_ratio_min`` is the least ratio of the shorter to the longer axis.
     """
     if len(pairs) == 0:
         return Ellipses.none()
@@ -147,10 +141,7 @@ def plausible(
 def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) -> tuple[FloatArray, FloatArray]:
     """Gather the edges near each rim whose gradient agrees with their side of it.
 
-    Returns
-    -------
-    points, weights
-        (n, k, 2) px and (n, k): 1, and 0 for the padding of rims with fewer than k edges.
+    Return points (n, k, 2), px, and weights (n, k): 1, and 0 for the padding of rims with fewer than k edges.
     """
     tree = cKDTree(edges.uv_px)
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)

@@ -24,16 +24,10 @@ _LINK_PX = 1.9  # distance of neighbours: a pixel's diagonal plus the subpixel o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RimArc:
-    """A convex edge on one side of a rim.
+    """A convex edge on one side of a rim: points (n, 2), ordered across the Sun's direction.
 
-    Parameters
-    ----------
-    uv_px
-        (n, 2) ordered across the Sun's direction.
-    outward
-        (n, 2) unit normals, out of the crater that it would belong to.
-    lit
-        Whether it is a lit wall's: the side away from the Sun.
+    ``outward`` (n, 2) are unit normals, out of the crater that it would belong to. ``lit`` is whether it is a lit
+    wall's: the side away from the Sun.
     """
 
     uv_px: FloatArray
@@ -92,14 +86,8 @@ def rim_arcs(
 ) -> list[RimArc]:
     """Cut the chains of sunward edges into convex arcs and classify them as lit or shaded.
 
-    Parameters
-    ----------
-    least_turn_rad
-        Least rotation of the normal along an arc.
-    bend_rad
-        Largest rotation between neighbours of one arc.
-    least_points
-        Of an arc.
+    ``least_turn_rad`` is the least rotation of the normal along an arc, ``bend_rad`` the largest one between neighbours
+    of an arc, and ``least_points`` the least number of points of an arc.
     """
     sun = picture.sun_px
     across = np.array([-sun[1], sun[0]])
@@ -138,14 +126,9 @@ def _smoothed(gradient: FloatArray) -> FloatArray:
 class ArcTable:
     """Measures of n arcs for pairing, each (n,) px.
 
-    Parameters
-    ----------
-    low, high, across
-        Coordinates of the ends and their mean, on the axis across the direction of the Sun.
-    along
-        Median coordinate on the axis towards the Sun.
-    radius
-        From the normals, as in `arc_radius`.
+    ``low``, ``high`` and ``across`` are coordinates of the ends and their mean, on the axis across the direction of the
+    Sun, ``along`` is the median coordinate on the axis towards the Sun, and ``radius`` that from the normals, as in
+    `arc_radius`.
     """
 
     low: FloatArray

@@ -23,18 +23,10 @@ GROUND_SHARE = 0.02  # of the image that must be lit ground
 class PreparedImage:
     """An image ready for detection.
 
-    Parameters
-    ----------
-    even
-        (H, W) brightness minus its local mean, in units of its local standard deviation; 0 off the ground.
-    relief
-        (H, W) brightness minus its local mean, divided by that mean.
-    noise
-        (H, W) standard deviation of the noise in ``even``.
-    ground
-        (H, W) the lit surface, eroded at its edges.
-    sun_px
-        (2,) unit vector towards the Sun along columns and rows.
+    ``even`` (H, W) is the brightness minus its local mean, in units of its local standard deviation, 0 off the ground,
+    and ``noise`` (H, W) the standard deviation of the noise in it. ``relief`` (H, W) is the brightness minus its local
+    mean, divided by that mean. ``ground`` (H, W) is the lit surface, eroded at its edges, and ``sun_px`` (2,) the unit
+    vector towards the Sun along columns and rows.
     """
 
     even: Image
@@ -53,13 +45,7 @@ class PreparedImage:
 
 
 def check_image(image: Image, camera: Camera) -> None:
-    """Raise for an image that cannot be searched.
-
-    Raises
-    ------
-    BoresightError
-        If it is not of the camera's size, not finite, black, of one brightness, or saturated.
-    """
+    """Raise BoresightError for an image of another size than the camera's, not finite, black, uniform, or saturated."""
     if image.shape != (camera.height_px, camera.width_px):
         size = f"{camera.width_px} x {camera.height_px}"
         raise BoresightError(
@@ -112,17 +98,8 @@ def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedIma
     """Check an image, find its lit ground and normalise its contrast.
 
     Fixed thresholds fail at high or low Sun; the brightness is therefore divided by its local standard deviation.
-
-    Parameters
-    ----------
-    window_px
-        Standard deviation of the Gaussian window of mean and variance.
-
-    Raises
-    ------
-    BoresightError
-        As ``check_image``, and if less than a fiftieth of the image is lit ground, or if the Sun is along the
-        boresight.
+    ``window_px`` is the standard deviation of the Gaussian window of mean and variance. Raise BoresightError as
+    `check_image` does, if less than a fiftieth of the image is lit ground, and if the Sun is along the boresight.
     """
     check_image(frame.image, camera)
     ground = lit_ground(frame.image)

@@ -21,14 +21,8 @@ SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to
 class GradientScales:
     """Gradient fields of increasing kernels, each for rims up to a radius.
 
-    Parameters
-    ----------
-    locating
-        Fields with softened lengths: steep edges determine the rim.
-    pointing
-        Fields of unit vectors, for the confidence.
-    up_to_px
-        Largest mean radius of each; the last has no limit.
+    ``locating`` are fields with softened lengths: steep edges determine the rim. ``pointing`` are fields of unit
+    vectors, for the confidence. ``up_to_px`` is the largest mean radius of each; the last has no limit.
     """
 
     locating: tuple[FloatArray, ...]
@@ -45,10 +39,7 @@ def gradient_scales(
 ) -> GradientScales:
     """Differentiate the image at each kernel.
 
-    Parameters
-    ----------
-    soft
-        Softening length of the gradients in ``locating``, in units of their median over the ground.
+    ``soft`` is the softening length of the gradients in ``locating``, in units of their median over the ground.
     """
     locating, pointing = [], []
     for kernel in kernels_px:
@@ -72,14 +63,7 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
     """Maximise each rim's merit over its centre, axes and angle, by the gradient field of its size.
 
     A rim that moves by more than a third of its radius, or changes its axes by more than a factor of 1.5, is left as it
-    was.
-
-    Parameters
-    ----------
-    gap
-        As in ``side_weights``.
-    rounds
-        Most iterations of conjugate gradients.
+    was. ``gap`` is that of `side_weights`, and ``rounds`` are the most iterations of conjugate gradients.
     """
     start = parameters(ellipses)
     rows = scales.of(ellipses.radius_px)
@@ -141,12 +125,8 @@ def suppress_duplicates(
 ) -> NDArray[np.int64]:
     """Keep the best of ellipses on the same crater: their rows, the highest score first.
 
-    Parameters
-    ----------
-    least_apart
-        Distance of centres, in units of the smaller mean radius, from which two are different craters.
-    least_ratio
-        Ratio of mean radii from which two are different craters, one in the other.
+    Two are different craters if their centres are at least ``least_apart`` smaller mean radii apart, or, one in the
+    other, if the ratio of their mean radii is at least ``least_ratio``.
     """
     # The stable sort keeps the order of equal scores the same on every machine.
     order = np.argsort(-score, kind="stable")

@@ -175,10 +175,7 @@ class CraterLearned:
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
         """Find rims, the most probable first; the confidence is a probability to the accuracy of the training.
 
-        Raises
-        ------
-        BoresightError
-            As ``prepare_image``.
+        Raise BoresightError as `prepare_image` does.
         """
         o = self.options
         picture = prepare_image(frame, camera, o.window_px)

@@ -50,16 +50,9 @@ class Network:
 class PatchSource:
     """An image pyramid with the illumination and noise of the image.
 
-    Parameters
-    ----------
-    levels
-        The image and its halves.
-    sun_px
-        (2,) towards the Sun.
-    sun_depth
-        Cosine of the angle between the Sun and the boresight, which is 180 degrees minus the phase angle.
-    noise
-        Of the image, in its own units.
+    ``levels`` are the image and its halves, and ``sun_px`` (2,) points towards the Sun. ``sun_depth`` is the cosine of
+    the angle between the Sun and the boresight, which is 180 degrees minus the phase angle. ``noise`` is that of the
+    image, in its own units.
     """
 
     levels: tuple[Image, ...]

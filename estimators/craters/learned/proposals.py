@@ -24,12 +24,8 @@ _GAP = 0.3
 class RingTemplates:
     """m templates at one level.
 
-    Parameters
-    ----------
-    shape
-        (m, 3) semi-axes and angle, in pixels of the level.
-    kernels
-        (m, 2, K, K, 2): side (towards and away from the Sun), rows, columns, component of the gradient.
+    ``shape`` (m, 3) are semi-axes and angle, in pixels of the level. The axes of ``kernels`` (m, 2, K, K, 2) are side
+    (towards and away from the Sun), rows, columns, component of the gradient.
     """
 
     shape: FloatArray

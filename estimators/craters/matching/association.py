@@ -59,20 +59,12 @@ class CraterAssociationOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedCraters:
-    """Predicted rims with their errors.
+    """n predicted rims with their errors.
 
-    Parameters
-    ----------
-    ellipses
-        n predicted rims.
-    by_error
-        (n, 2, s) H: derivatives of the centres, px, by the common error.
-    covariance
-        (s, s) P: of the common error, in the units of its components.
-    noise_px2
-        (n, 2, 2) R: covariance of the independent error of each centre.
-    mean
-        (s,) of the common error: zero unless the rims were predicted with a better estimate of it.
+    ``by_error`` (n, 2, s) is H, the derivatives of the centres, px, by the common error; ``covariance`` (s, s) is P,
+    that of the common error, in the units of its components; ``noise_px2`` (n, 2, 2) is R, the covariance of the
+    independent error of each centre. ``mean`` (s,) of the common error is zero unless the rims were predicted with a
+    better estimate of it.
     """
 
     ellipses: Ellipses
@@ -84,18 +76,10 @@ class ExpectedCraters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """Pairs that were found.
+    """Pairs (k, 2) of expected crater and detection, none twice, and the probability (k,) of each.
 
-    Parameters
-    ----------
-    pairs
-        (k, 2) expected crater and detection; none twice.
-    probability
-        (k,) of each pair.
-    error, covariance
-        (s,) and (s, s): the common error given all pairs.
-    reason
-        Why there are none; empty if there are.
+    ``error`` (s,) and ``covariance`` (s, s) are those of the common error given all pairs. ``reason`` is why there are
+    none; empty if there are.
     """
 
     pairs: IndexArray

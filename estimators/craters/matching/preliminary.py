@@ -33,16 +33,10 @@ class PreliminaryOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePairs:
-    """Pairs of images that are likely to share craters.
+    """Pairs (k, 2) of images that are likely to share craters, by their places in the sequence of images, ascending.
 
-    Parameters
-    ----------
-    pairs
-        (k, 2) places in the sequence of images, ascending.
-    landmarks
-        (k,) how many landmarks may be the same.
-    overlap
-        (k,) share of the sunlit points of one image that are in the frame of the other; the larger of both.
+    ``landmarks`` (k,) is how many landmarks may be the same, and ``overlap`` (k,) the share of the sunlit points of one
+    image that are in the frame of the other; the larger of both.
     """
 
     pairs: IndexArray

@@ -18,14 +18,9 @@ _MIN_ON_BODY = 5
 class LocatedCraters:
     """Positions of the craters of an image on the shape, from its prior pose.
 
-    Parameters
-    ----------
-    points_body_m
-        (n, 3) where the line of sight of a rim's centre meets the plane of the rim; NaN off the body.
-    normals_body
-        (n, 3) outward unit normals of those planes.
-    T_cam_body
-        The prior pose that was used.
+    ``points_body_m`` (n, 3) are where the line of sight of a rim's centre meets the plane of the rim, NaN off the body,
+    and ``normals_body`` (n, 3) the outward unit normals of those planes. ``T_cam_body`` is the prior pose that was
+    used.
     """
 
     points_body_m: FloatArray
@@ -138,18 +133,10 @@ def _fit_plane(rims: FloatArray) -> tuple[FloatArray, FloatArray]:
 class CraterTransfer:
     """Craters of a first image as expected in a second one.
 
-    Parameters
-    ----------
-    rows
-        (p,) rows of the first image's detections: those that the second image should show.
-    homographies
-        (p, 3, 3) from pixels of the first to pixels of the second: equation (5) as a matrix.
-    ellipses
-        p predicted rims in the second image.
-    by_error
-        (p, 2, 12) px by the errors of the prior poses, [rotation_rad, translation_m] of the first and the second.
-    by_height
-        (p, 2) px per metre of error in the shape's height.
+    ``rows`` (p,) are those of the first image's detections that the second image should show, ``homographies``
+    (p, 3, 3) equation (5) as a matrix, from pixels of the first to pixels of the second, and ``ellipses`` the p
+    predicted rims. ``by_error`` (p, 2, 12) is px by the errors of the prior poses, [rotation_rad, translation_m] of the
+    first and the second, and ``by_height`` (p, 2) px per metre of error in the shape's height.
     """
 
     rows: IndexArray

@@ -63,18 +63,10 @@ class NavigationOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationRound:
-    """One pass through the chain.
+    """One pass through the chain: matches of each pair of images, numbers of all detections, and the orbit.
 
-    Parameters
-    ----------
-    found
-        Matches of each pair of images, by their places in the sequence.
-    numbering
-        Numbers of all detections.
-    data
-        The input of orbit determination, from the database as read back from its files.
-    estimate
-        The orbit; ``positions_m`` are those at ``data.wanted_s``.
+    ``data`` is the input of orbit determination, from the database as read back from its files; the ``positions_m`` of
+    ``estimate`` are those at ``data.wanted_s``.
     """
 
     found: tuple[PairMatches, ...]

@@ -15,16 +15,9 @@ from boresight.scenarios.sequences.ground import MeshGround
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AprioriShape:
-    """The shape that landmarks are located on.
+    """The shape that landmarks are located on, in axes whose origin need not be the centre of mass.
 
-    Parameters
-    ----------
-    ground
-        In axes whose origin need not be the centre of mass.
-    centre_of_mass_m
-        (3,) in the same axes.
-    height_sigma_m
-        Standard deviation of the shape's height.
+    ``centre_of_mass_m`` (3,) is in the same axes; ``height_sigma_m`` is the standard deviation of the shape's height.
     """
 
     ground: MeshGround
@@ -36,18 +29,8 @@ class AprioriShape:
 class Exposure:
     """An image with its craters and its attitude; its position comes from the trajectory.
 
-    Parameters
-    ----------
-    number, time_s
-        Of the image; the time is relative to the epoch of the orbit.
-    R_cam_inertial
-        (3, 3) telemetered attitude.
-    sun_dir_cam
-        (3,) unit vector towards the Sun.
-    pixels
-        (H, W).
-    detections
-        Its craters.
+    ``time_s`` is relative to the epoch of the orbit, ``R_cam_inertial`` (3, 3) the telemetered attitude,
+    ``sun_dir_cam`` (3,) the unit vector towards the Sun; ``pixels`` are (H, W).
     """
 
     number: int
@@ -60,16 +43,9 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationTask:
-    """The input of the chain other than the images.
+    """The input of the chain other than the images; ``knowledge`` and ``radiometry`` are as in `OrbitData`.
 
-    Parameters
-    ----------
-    knowledge, radiometry
-        As in `OrbitData`.
-    shape
-        A priori.
-    wanted_s
-        (E,) times at which the orbit is wanted; later than the last image for a prediction.
+    ``wanted_s`` (E,) are the times at which the orbit is wanted; later than the last image for a prediction.
     """
 
     knowledge: Knowledge

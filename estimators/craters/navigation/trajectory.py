@@ -20,17 +20,10 @@ from boresight.scenarios.orbits.data import Knowledge
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Positions at n times, relative to the centre of mass, inertial axes.
+    """Positions (n, 3) and covariances (n, 3, 3) at ascending times (n,), about the centre of mass, inertial axes.
 
-    Parameters
-    ----------
-    times_s
-        (n,) ascending.
-    positions_m, covariances_m2
-        (n, 3) and (n, 3, 3).
-    by_common_m
-        (n, 3, s) effect on the positions of s errors of unit variance that are the same at all times: the part of their
-        covariances that is correlated between times.
+    ``by_common_m`` (n, 3, s) is the effect on the positions of s errors of unit variance that are the same at all
+    times: the part of their covariances that is correlated between times.
     """
 
     times_s: FloatArray

@@ -47,18 +47,10 @@ class MarquardtOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """A refined pose.
+    """A refined pose, and the number of steps tried.
 
-    Parameters
-    ----------
-    T_cam_body
-        The pose.
-    chi2
-        Weighted sum of squared residuals at it, equation (20).
-    covariance
-        (6, 6) of [rotation_rad, translation_m] in camera axes, by the inverse normal matrix; NaN where singular.
-    iterations
-        Number of steps tried.
+    ``chi2`` is the weighted sum of squared residuals at it, equation (20), and ``covariance`` (6, 6) that of
+    [rotation_rad, translation_m] in camera axes, by the inverse normal matrix; NaN where singular.
     """
 
     T_cam_body: Pose

@@ -42,18 +42,9 @@ class PoseOptions(SpecModel):
 class MatchingRound:
     """One round of matching and solving.
 
-    Parameters
-    ----------
-    projection
-        All landmarks, projected at the pose before the round.
-    visible
-        (N,) landmarks visible from that pose.
-    matches
-        The matched landmarks and corners.
-    closed_form
-        The pose by EPnP; None if not wanted or not found.
-    fit
-        The pose after the round; None if there were too few matches or no solution.
+    ``projection`` has all landmarks, projected at the pose before the round, and ``visible`` (N,) those visible from
+    there. ``closed_form`` is the pose by EPnP, None if not wanted or not found; ``fit`` is the pose after the round,
+    None if there were too few matches or no solution.
     """
 
     projection: Projection
@@ -92,19 +83,7 @@ def solve_matches(problem: PoseProblem, start: Pose, options: PoseOptions) -> tu
 def solve_pose(
     database: LandmarkDatabase, camera: Camera, start: Pose, corners_px: FloatArray, options: PoseOptions
 ) -> PoseSolution:
-    """Recognise landmarks among the corners and solve for the pose.
-
-    Parameters
-    ----------
-    database
-        Landmarks and mesh.
-    camera, start
-        The camera, and the pose from which landmarks are first predicted.
-    corners_px
-        (M, 2) corners of the image.
-    options
-        Method, threshold and greatest number of rounds.
-    """
+    """Recognise landmarks among corners (M, 2), px, and solve for the pose; they are first predicted from ``start``."""
     mesh = database.mesh()
     pose = start
     rounds: list[MatchingRound] = []

@@ -64,18 +64,9 @@ class PosePrior:
 class Posterior:
     """A maximum a posteriori pose.
 
-    Parameters
-    ----------
-    T_cam_body
-        The pose.
-    covariance
-        (6, 6) of its error, [rotation_rad, translation_m] in camera axes.
-    bound
-        (6, 6) Cramer-Rao bound: the covariance of the best estimator for Gaussian noise.
-    d2
-        (N,) squared residuals, weighted by the given covariances.
-    scale2
-        Estimated factor on those covariances.
+    ``covariance`` (6, 6) is that of its error, [rotation_rad, translation_m] in camera axes, and ``bound`` (6, 6) the
+    Cramer-Rao bound: the covariance of the best estimator for Gaussian noise. ``d2`` (N,) are squared residuals,
+    weighted by the given covariances, and ``scale2`` is the estimated factor on those covariances.
     """
 
     T_cam_body: Pose
@@ -93,15 +84,9 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
     because errors of the shape add to the noise of the image. The covariance of the result is that of an M-estimator
     (Huber 1981, section 7.6), with the moments of weight and influence from the residuals.
 
-    Parameters
-    ----------
-    problem
-        Points and their observed positions.
-    prior, start
-        The prior, and the initial pose.
-    shared
-        (N, N) share of the pixels that each two observations have in common, 1 on the diagonal: the correlation of
-        their errors, see `window_overlap`. The total information is divided by the mean redundancy that follows.
+    ``shared`` (N, N) is the share of the pixels that each two observations have in common, 1 on the diagonal: the
+    correlation of their errors, see `window_overlap`. The total information is divided by the mean redundancy that
+    follows.
     """
     redundancy = float(shared.sum()) / len(shared)
     independent = len(shared) / redundancy
@@ -134,12 +119,8 @@ def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
     """Return the common area (N, N) of each two windows over the geometric mean of their areas.
 
     This is the correlation of two observations' errors if these come from white noise in the pixels of the windows. As
-    the Gram matrix of the windows it is positive semidefinite.
-
-    Parameters
-    ----------
-    first_px, last_px
-        (N, 2) columns and rows of the windows' first corners and of their opposite corners.
+    the Gram matrix of the windows it is positive semidefinite. ``first_px`` and ``last_px`` (N, 2) are columns and rows
+    of the windows' first corners and of their opposite corners.
     """
     # Windows are intervals along both axes: where the common one is empty, the clipped length is 0.
     low = np.maximum(first_px[:, None], first_px[None])

@@ -30,16 +30,9 @@ class Transform(Protocol):
 class PoseProblem:
     """Landmarks in the body frame with their observed positions in the image, of one problem or of a stack of them.
 
-    Parameters
-    ----------
-    points_body_m
-        (..., N, 3) positions in the body frame.
-    uv_px
-        (..., N, 2) observed positions: the data vector D of equation (16).
-    information_px2
-        (..., N, 2, 2) inverse covariances of the projections: the blocks of the inverse of equation (18).
-    camera
-        The camera.
+    ``points_body_m`` (..., N, 3) are positions in the body frame, ``uv_px`` (..., N, 2) the observed positions, the
+    data vector D of equation (16), and ``information_px2`` (..., N, 2, 2) inverse covariances of the projections, the
+    blocks of the inverse of equation (18).
 
     Raises
     ------
@@ -81,9 +74,7 @@ class PoseProblem:
 def solve_epnp(problem: PoseProblem) -> Pose | None:
     """Solve for the pose in closed form by OpenCV's EPnP (Lepetit, Moreno-Noguer and Fua 2009).
 
-    Returns
-    -------
-    T_cam_body, or None where there is no solution with all landmarks in front of the camera.
+    Return T_cam_body, or None where there is no solution with all landmarks in front of the camera.
     """
     camera = problem.camera
     matrix = camera.matrix
@@ -99,20 +90,10 @@ def solve_epnp(problem: PoseProblem) -> Pose | None:
 
 
 def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: FloatArray) -> FloatArray:
-    """Differentiate the projections by attitude and translation.
+    """Differentiate the projections by A attitude parameters and the translation, (..., N, 2, A + 3).
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    points_cam_m
-        (..., N, 3) landmarks in camera axes.
-    point_by_attitude
-        (..., N, 3, A) their derivatives by the A attitude parameters.
-
-    Returns
-    -------
-    (..., N, 2, A + 3).
+    ``points_cam_m`` (..., N, 3) are landmarks in camera axes, ``point_by_attitude`` (..., N, 3, A) their derivatives by
+    the attitude parameters.
     """
     # The translation moves the point in the camera by itself, so that its columns are those of the point.
     by_point = camera.jacobian(points_cam_m)
@@ -120,18 +101,9 @@ def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: 
 
 
 def point_by_quaternion(quat_wxyz: FloatArray, points_body_m: FloatArray) -> FloatArray:
-    """Differentiate R(q) x by the components of a unit quaternion, without renormalisation.
+    """Differentiate R(q) x by the components of a unit quaternion, without renormalisation, (..., N, 3, 4).
 
-    Parameters
-    ----------
-    quat_wxyz
-        (..., 4) attitudes.
-    points_body_m
-        (..., N, 3) landmarks.
-
-    Returns
-    -------
-    (..., N, 3, 4).
+    ``quat_wxyz`` (..., 4) are attitudes, ``points_body_m`` (..., N, 3) landmarks.
     """
     q0, q1, q2, q3 = np.moveaxis(quat_wxyz, -1, 0)
     entries = [  # eq. (23): entry [k, i, j] is half the derivative of R_ij by q_k

@@ -34,15 +34,7 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStack:
-    """A stack of B poses T_cam_body.
-
-    Parameters
-    ----------
-    rotations
-        (B, 3, 3).
-    translations_m
-        (B, 3).
-    """
+    """A stack of B poses T_cam_body: rotations (B, 3, 3) and translations (B, 3), m."""
 
     rotations: FloatArray
     translations_m: FloatArray
@@ -103,17 +95,7 @@ class ProblemStack(PoseProblem):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitStack:
-    """B refined poses.
-
-    Parameters
-    ----------
-    poses
-        The poses.
-    chi2
-        (B,) weighted sums of squared residuals at them, equation (20).
-    iterations
-        (B,) numbers of steps tried.
-    """
+    """B refined poses, weighted sums of squared residuals (B,), equation (20), and numbers (B,) of steps tried."""
 
     poses: PoseStack
     chi2: FloatArray
@@ -140,18 +122,7 @@ def solve_stack(
 ) -> FitStack:
     """Solve each problem; if EPnP finds no pose, the refinement begins at the prior, as in ``solve_matches``.
 
-    Parameters
-    ----------
-    problems, priors
-        B problems and prior poses.
-    closed
-        Their solutions by EPnP, see `closed_forms`.
-    options
-        Options of the solver.
-
-    Returns
-    -------
-    The fits; chi-square is infinite where there is no solution.
+    ``closed`` are the solutions by EPnP, see `closed_forms`. Chi-square is infinite where there is no solution.
     """
     starts = priors
     if options.method != "non-linear":

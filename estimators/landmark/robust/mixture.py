@@ -44,18 +44,11 @@ class MixtureOptions(SpecModel):
 class MixtureEvaluation:
     """The mixture evaluated at H poses.
 
-    Parameters
-    ----------
-    log_posterior
-        (H,) log likelihood and log prior, up to a constant.
-    hessian
-        (H, 6, 6) Gauss-Newton information, weighted by the responsibilities, with that of the prior.
-    gradient
-        (H, 6) of the log posterior by [rotation_rad, translation_m].
-    candidates
-        (H, N, K) rows of the corners, the nearest first; the number of corners stands for no candidate.
-    squares
-        (H, N, K) weighted squared distances of the candidates; infinite for no candidate.
+    ``log_posterior`` (H,) is log likelihood and log prior, up to a constant, ``gradient`` (H, 6) its derivative by
+    [rotation_rad, translation_m], and ``hessian`` (H, 6, 6) the Gauss-Newton information, weighted by the probabilities
+    that a candidate is the landmark's corner, with that of the prior. ``candidates`` (H, N, K) are rows of the corners,
+    the nearest first; the number of corners stands for no candidate. ``squares`` (H, N, K) are their weighted squared
+    distances; infinite for no candidate.
     """
 
     log_posterior: FloatArray
@@ -68,16 +61,8 @@ class MixtureEvaluation:
 class Mixture:
     """The posterior of the pose, from visible landmarks, the corners of an image and a prior.
 
-    Parameters
-    ----------
-    points_m, covariances_m2
-        (N, 3) and (N, 3, 3) landmarks in the body frame.
-    corners_px
-        (C, 2) corners of the image.
-    area_px2
-        Area of the image that the corners are spread over.
-    prior
-        Of the pose; its information must be regular.
+    ``points_m`` (N, 3) and ``covariances_m2`` (N, 3, 3) are landmarks in the body frame, and ``corners_px`` (C, 2) the
+    corners, spread over an area of ``area_px2`` of the image. The information of the prior must be regular.
     """
 
     def __init__(

@@ -66,14 +66,8 @@ class Motions:
 class QuadraticPrior:
     """Prior as a quadratic cost of some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
 
-    Parameters
-    ----------
-    views, points
-        (a,), (b,): the variables by their numbers in the problem.
-    origin_m
-        (a + b, 3): x0, the point of linearisation.
-    information, gradient
-        H (3 (a + b), 3 (a + b)), 1/m^2, and g (3 (a + b),), 1/m.
+    ``views`` (a,) and ``points`` (b,) are the variables by their numbers in the problem, ``origin_m`` (a + b, 3) is x0,
+    the point of linearisation, ``information`` H (3 (a + b), 3 (a + b)), 1/m^2, and ``gradient`` g (3 (a + b),), 1/m.
     """
 
     views: IndexArray
@@ -103,21 +97,12 @@ _NO_PRIOR = QuadraticPrior(_none(), _none(), np.zeros((0, 3)), np.zeros((0, 0)),
 class Adjustment:
     """Least-squares problem of views with known attitude and landmarks in Cartesian coordinates.
 
-    Parameters
-    ----------
-    camera
-        Pinhole of all views; the kernels refuse one with distortion.
-    R_cam_body
-        (V, 3, 3) attitude of each view.
-    pixels, distances, motions
-        Measurements; the depth gauge of equation (5) is one of the distances.
-    free_views, free_points
-        (V,), (L,): what is solved for; the others are fixed. All points of a prior are free.
-    kept_points
-        (L,): landmarks, besides those of the prior, that stay in the reduced system (Schur complement); None: none.
-    frozen
-        First-estimates Jacobians: points of linearisation of the variables in the prior; NaN for all others.
-        None: all derivatives are taken at the present state.
+    ``R_cam_body`` (V, 3, 3) is the attitude of each view; the kernels refuse a camera with distortion. The depth gauge
+    of equation (5) is one of the distances. ``free_views`` (V,) and ``free_points`` (L,) are what is solved for; the
+    others are fixed. All points of a prior are free. ``kept_points`` (L,) are landmarks, besides those of the prior,
+    that stay in the reduced system (Schur complement); None: none. ``frozen`` has the points of linearisation of the
+    variables in the prior (first-estimates Jacobians), NaN for all others; None: all derivatives are taken at the
+    present state.
     """
 
     camera: Camera
@@ -199,10 +184,7 @@ def pinhole_of(camera: Camera) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdjustedWindow:
-    """Adjusted window: problem, state at the minimum, frame numbers of its views, and tracks (n,) of its landmarks.
-
-    The tracks are ascending.
-    """
+    """Adjusted window: problem, state at the minimum, views by frame number, and ascending tracks (n,) of landmarks."""
 
     problem: Adjustment
     state: State

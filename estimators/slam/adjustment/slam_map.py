@@ -36,12 +36,8 @@ class _FrameIndex:
 class SlamMap:
     """Frames by number, a camera position for each, and a point for each landmark by its track (m, body frame).
 
-    Attributes
-    ----------
-    guessed
-        Tracks whose points lie at a guessed distance.
-    gated
-        Whether pixels may be refused, so that a frame may be left without a mapped landmark for a while.
+    Tracks in ``guessed`` have points at a guessed distance. With ``gated``, pixels may be refused, so that a frame may
+    be left without a mapped landmark for a while.
     """
 
     def __init__(self, camera: Camera) -> None:

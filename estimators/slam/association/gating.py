@@ -24,16 +24,10 @@ _LEAST_KNOWN = 3
 
 
 def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, false_alarm: float) -> BoolArray:
-    """(n,) which pixels pass the gate.
+    """(n,) which pixels pass the gate, by their innovation (n, 2), px, and its joint covariance (2 n, 2 n), px^2.
 
-    Parameters
-    ----------
-    residual_px, covariance_px2
-        (n, 2) innovation and its joint covariance (2 n, 2 n).
-    gate
-        ``none``, ``individual`` (chi-square of each pixel) or ``one-point`` (RANSAC).
-    false_alarm
-        Probability that a correct pixel is refused.
+    The gate is ``none``, ``individual`` (chi-square of each pixel) or ``one-point`` (RANSAC); ``false_alarm`` is the
+    probability that a correct pixel is refused.
     """
     n = len(residual_px)
     if gate == "none" or n == 0:
@@ -140,12 +134,9 @@ def pixel_squares(
 ) -> FloatArray:
     """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame.
 
-    The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind the camera.
-
-    Parameters
-    ----------
-    lines_m, own_m2
-        (n, 3) landmark minus camera position, body frame, m, and (n, 3, 3) covariances of its error, body frame.
+    ``lines_m`` (n, 3) are landmark minus camera position, body frame, m, and ``own_m2`` (n, 3, 3) the covariances of
+    their errors. The noise of the pixels is added to the covariance of the prediction. NaN where a landmark is behind
+    the camera.
     """
     residual, by_line = _linearised_pixels(camera, frame, rows, lines_m)
     spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)

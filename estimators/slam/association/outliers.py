@@ -91,16 +91,9 @@ def residual_squares(problem: Adjustment, state: State) -> FloatArray:
 class OutlierGate:
     """Outlier gate of a window: removes refused pixels from the frames of a map, and readmits those that fit again.
 
-    It refuses none if the options say that all pixels are used.
-
-    Attributes
-    ----------
-    raw_frames
-        The frames as measured; those of the map lack the refused pixels.
-    refused
-        Refused tracks of each view in the window.
-    in_a_row
-        Consecutive views that refused a track.
+    It refuses none if the options say that all pixels are used. ``raw_frames`` are the frames as measured; those of the
+    map lack the refused pixels. ``refused`` has the refused tracks of each view in the window, ``in_a_row`` the
+    consecutive views that refused a track.
     """
 
     def __init__(self, slam_map: SlamMap, options: OutlierOptions) -> None:

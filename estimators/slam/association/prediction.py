@@ -70,22 +70,12 @@ def predict_from_window(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedLines:
-    """Predicted lines of sight from the new camera to the landmarks of its frame.
+    """Predicted lines of sight from the new camera to the landmarks in the rows (n,) of its frame.
 
-    Parameters
-    ----------
-    rows
-        (n,) of the frame.
-    lines_m
-        (n, 3) landmark minus camera, body axes.
-    by_shared
-        (n, 3, m) derivative of a line by the shared variables.
-    covariance
-        (m, m) of the shared variables: those of the adjustment's reduced system, and the last motion.
-    own_m2
-        (n, 3, 3) covariance of the independent error of each line.
-    known
-        (n,): mapped; the others have a guessed distance.
+    ``lines_m`` (n, 3) are landmark minus camera, body axes, and ``by_shared`` (n, 3, m) their derivatives by the shared
+    variables: those of the adjustment's reduced system, and the last motion, with ``covariance`` (m, m). ``own_m2``
+    (n, 3, 3) is the covariance of the independent error of each line. Landmarks that are ``known`` (n,) are mapped; the
+    others have a guessed distance.
     """
 
     rows: IndexArray
@@ -105,12 +95,8 @@ class PredictedLines:
 class SharedUncertainty:
     """Joint covariance of the shared variables: free views, landmarks of the prior, and the motion to the new frame.
 
-    Parameters
-    ----------
-    covariance
-        (m, m); the motion has the last three columns.
-    views, points
-        First column of each free view, by frame number, and of each landmark of the prior.
+    The motion has the last three columns of ``covariance`` (m, m). ``views``, by frame number, and ``points`` have the
+    first column of each free view and of each landmark of the prior.
     """
 
     covariance: FloatArray
@@ -199,18 +185,11 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMatches:
-    """Tracks of a new frame matched with the map.
+    """Tracks of a new frame matched with the map; its camera position is that of the motion-only adjustment.
 
-    Parameters
-    ----------
-    view
-        The frame; its camera position is that of the motion-only adjustment.
-    points
-        (n,) for each of its tracks the landmark of the last adjustment, or -1.
-    once
-        Rows of tracks that were seen before but are not mapped, and (view, track) of the last such pixel.
-    depth_m
-        Their guessed distance.
+    ``points`` (n,) is for each of its tracks the landmark of the last adjustment, or -1. ``once`` has the rows of
+    tracks that were seen before but are not mapped, and (view, track) of the last such pixel; ``depth_m`` is their
+    guessed distance.
     """
 
     view: int

@@ -77,14 +77,9 @@ class PoseState(FilterState):
     does not average out, and the error of the body's known rotation, which grows from the first frame on (a random walk
     of the same variance). Landmarks are fixed in the true body's axes, and only they make this error observable.
 
-    Parameters
-    ----------
-    R_camera
-        (3, 3) R_cam_body of the camera.
-    turn_noise_rad
-        Standard deviation, about each axis, of the rotation between two frames that the rate does not predict.
-    misalignment_rad
-        Standard deviation of the misalignment: the lasting error at the first frame, which defines the body axes.
+    ``R_camera`` (3, 3) is R_cam_body of the camera, ``turn_noise_rad`` the standard deviation, about each axis, of the
+    rotation between two frames that the rate does not predict, and ``misalignment_rad`` that of the misalignment: the
+    lasting error at the first frame, which defines the body axes.
     """
 
     R_camera: FloatArray

@@ -60,21 +60,11 @@ class FilterState:
     """Equation (7), ``x = [X_C, l_1, ..., l_N]``, with the position alone for the camera.
 
     The attitude is the measured one, and the motion between frames is an input with covariance instead of a
-    propagation. `estimators.slam.filters.ekf_pose.PoseState` has the 13 camera elements of the paper.
-
-    Parameters
-    ----------
-    x, covariance
-        (C + L n,), C elements of the camera and L of each landmark, and the covariance of their errors.
-    tracks
-        (n,) tracks of the landmarks, in the order of the state.
-    R_cam_body
-        (n, 3, 3) attitudes of the anchors.
-    settled
-        (n, 4) fixed inverse distance and anchor for the derivatives by a landmark (first-estimates Jacobians); NaN if
-        they are taken at the present estimate.
-    frame
-        The present frame.
+    propagation. `estimators.slam.filters.ekf_pose.PoseState` has the 13 camera elements of the paper. ``x`` (C + L n,)
+    has C elements of the camera and L of each landmark, and ``covariance`` is that of their errors. ``tracks`` (n,) are
+    those of the landmarks, in the order of the state, ``R_cam_body`` (n, 3, 3) the attitudes of their anchors.
+    ``settled`` (n, 4) has the fixed inverse distance and anchor for the derivatives by a landmark (first-estimates
+    Jacobians); NaN if they are taken at the present estimate.
     """
 
     x: FloatArray
@@ -191,12 +181,8 @@ class FilterState:
         """Add landmarks anchored at the present camera: equations (9) to (11).
 
         ``x_aug = [x, u, v, rho, T]``, with the covariance ``P_ll = dl/dx_c P_XX dl/dx_c' + R_l``. R_l has the variances
-        R_y of the pixel and R_rho of the inverse distance, and zeros for the anchor.
-
-        Parameters
-        ----------
-        elements, noise
-            (m, 3) pixel and inverse distance, and the variances of their errors.
+        R_y of the pixel and R_rho of the inverse distance, and zeros for the anchor. ``elements`` (m, 3) are pixel and
+        inverse distance, ``noise`` (m, 3) the variances of their errors.
         """
         old, new, anchor = len(self.x), len(tracks), len(self.POSE)
         pose = self.x[list(self.POSE)]

@@ -33,12 +33,9 @@ class Innovation:
 class FrameMeasurements:
     """Measurements of a frame of the landmarks in a state.
 
-    Parameters
-    ----------
-    rows, uv_px, sigma_px
-        (k,) landmarks by their index in the state, (k, 2) pixels, and the standard deviation of a coordinate.
-    range_rows, range_m, range_sigma_m
-        (r,) landmarks with a measured distance, the distances, and their standard deviations.
+    ``rows`` (k,) are landmarks by their index in the state, ``uv_px`` (k, 2) their pixels, and ``sigma_px`` is the
+    standard deviation of a coordinate. ``range_rows`` (r,) are the landmarks with a measured distance ``range_m`` (r,)
+    of standard deviation ``range_sigma_m`` (r,).
     """
 
     camera: Camera

@@ -29,16 +29,9 @@ def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) 
     """Return the steady-state Kalman gain of one axis, by the discrete algebraic Riccati equation.
 
     The axes are treated as independent: the gravity gradient gm / r^3 times duration^2 is about 0.001 for frames 2 deg
-    of the orbit apart.
-
-    Parameters
-    ----------
-    duration_s
-        Between two frames.
-    acceleration_m_s2
-        Standard deviation of the unmodelled acceleration, zeta of equation (6), constant in each interval.
-    position_m
-        Standard deviation of a measured position.
+    of the orbit apart. ``duration_s`` is the time between two frames, ``acceleration_m_s2`` the standard deviation of
+    the unmodelled acceleration, zeta of equation (6), constant in each interval, and ``position_m`` that of a measured
+    position.
     """
     # A double integrator: eq. (6) without the forces, which the propagation of the state has.
     move = np.array([[1.0, duration_s], [0.0, 1.0]])
@@ -56,16 +49,8 @@ def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) 
 class MotionFilter:
     """Position and velocity in inertial axes about the body's centre, propagated by equation (6).
 
-    Equation (6) is printed as ``mu / r^3 r``, which would repel: gravity is ``-mu / r^3 r``.
-
-    Parameters
-    ----------
-    field
-        Gravity and solar radiation pressure.
-    time_s
-        Epoch of the state.
-    position_m, velocity_m_s
-        (3,) each.
+    Equation (6) is printed as ``mu / r^3 r``, which would repel: gravity is ``-mu / r^3 r``. ``time_s`` is the epoch of
+    ``position_m`` (3,) and ``velocity_m_s`` (3,).
     """
 
     field: ForceModel

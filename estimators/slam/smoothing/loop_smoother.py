@@ -41,14 +41,8 @@ def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, proba
     the smallest chi-square given the set is added and conditions the others, until none passes. This is a greedy
     version of joint compatibility branch and bound (Neira and Tardos 2001), which searches a tree.
 
-    Parameters
-    ----------
-    differences_m
-        (k, 3) difference of the two estimates of each pair.
-    covariance_m2
-        (3 k, 3 k) joint covariance of the differences.
-    probability
-        Probability that a correct pair passes the test.
+    ``differences_m`` (k, 3) are those of the two estimates of each pair, ``covariance_m2`` (3 k, 3 k) is their joint
+    covariance, and ``probability`` that with which a correct pair passes the test.
     """
     gate = 2.0 * float(gammaincinv(1.5, probability))  # the quantile of chi-square of 3 degrees of freedom
     same_place = _SAME_PLACE_M**2 * np.eye(3)
@@ -85,14 +79,8 @@ def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, proba
 class GlobalMap:
     """Map of all frames, whose tracks are renumbered to landmarks: a landmark has the number of its oldest track.
 
-    Attributes
-    ----------
-    landmark
-        Landmark of each track that was merged into another one.
-    members
-        Tracks of each landmark with more than one.
-    seen
-        Frames of each landmark.
+    ``landmark`` has the landmark of each track that was merged into another one, ``members`` the tracks of each
+    landmark with more than one, and ``seen`` the frames of each landmark.
     """
 
     def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
@@ -200,12 +188,8 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
 class _LoopClosingWindow(WindowSmoother):
     """Window on one sequence, with the map of all frames.
 
-    Attributes
-    ----------
-    raw
-        Frames of the window as measured, weighted.
-    pending
-        Recognised pairs (new track, old track) that have not been tested yet.
+    ``raw`` has its frames as measured, weighted, and ``pending`` the recognised pairs (new track, old track) that have
+    not been tested yet.
     """
 
     def __init__(self, sequence: TrackSequence, options: LoopOptions) -> None:

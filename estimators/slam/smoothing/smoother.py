@@ -95,12 +95,8 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
 class WindowSmoother:
     """Window of a smoother on one sequence; ``prior`` numbers its views and landmarks by frame and track.
 
-    Attributes
-    ----------
-    absorbed
-        Tracks of marginalised landmarks, whose further pixels are not used.
-    first_positions_m, first_points_m
-        First estimates of the variables in the prior, by view and by track.
+    ``absorbed`` are tracks of marginalised landmarks, whose further pixels are not used. ``first_positions_m`` and
+    ``first_points_m`` are first estimates of the variables in the prior, by view and by track.
     """
 
     def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:

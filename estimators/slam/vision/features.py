@@ -31,14 +31,9 @@ _OPENING_PX = 9
 class ImageFeatures:
     """Features of one image, the strongest first.
 
-    Parameters
-    ----------
-    uv_px
-        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
-    descriptors
-        (M, D): float32, compared by Euclidean distance, or bytes, by Hamming distance.
-    strength
-        (M,) response of the detector, in its own unit.
+    ``uv_px`` (M, 2) are positions, the centre of the first pixel at (0.5, 0.5). ``descriptors`` (M, D) are float32,
+    compared by Euclidean distance, or bytes, by Hamming distance. ``strength`` (M,) is the response of the detector, in
+    its own unit.
     """
 
     uv_px: FloatArray
@@ -53,16 +48,10 @@ class ImageFeatures:
 
 
 def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
-    """Find the strongest features well within the lit part of the body.
+    """Find the ``count`` strongest features well within the lit part of the body.
 
-    Parameters
-    ----------
-    image
-        (H, W) linear radiance in any unit; it is scaled by the 99th percentile of the body.
-    detector
-        ``surf``, ``sift`` or ``orb``.
-    count
-        Features at most.
+    ``image`` (H, W) is linear radiance in any unit; it is scaled by the 99th percentile of the body. ``detector`` is
+    ``surf``, ``sift`` or ``orb``.
     """
     signal = extract_signal(image)
     if signal.empty:

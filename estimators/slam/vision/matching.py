@@ -36,10 +36,7 @@ _REFITS = 3
 def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: float) -> IndexArray:
     """Match features that are each other's nearest and clearly nearer than the second nearest (Lowe 2004).
 
-    Returns
-    -------
-    ndarray
-        (K, 2) rows of ``before``, ascending, and of ``after``.
+    Return (K, 2) rows of ``before``, ascending, and of ``after``.
     """
     if len(before) == 0 or len(after) < 2:
         return np.empty((0, 2), dtype=np.int64)
@@ -69,16 +66,9 @@ def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, r
     """(K,) which matches are inliers of the best direction of motion, with known attitude: RANSAC.
 
     Epipolar constraint: two rays to one point and the baseline are coplanar, ``t . (r1 x r2) = 0``. Two matches
-    determine t, so that a few hundred samples are enough for any useful share of correct matches.
-
-    Parameters
-    ----------
-    before, after
-        (K, 3) unit directions from the camera in common axes.
-    limit_rad
-        Largest angle of the second ray from its epipolar plane.
-    rng
-        Generator of the samples.
+    determine t, so that a few hundred samples are enough for any useful share of correct matches. ``before`` and
+    ``after`` (K, 3) are unit directions from the camera in common axes, and ``limit_rad`` is the largest angle of the
+    second ray from its epipolar plane. ``rng`` draws the samples.
     """
     if len(before) < 3:
         return np.zeros(len(before), dtype=np.bool_)
@@ -128,14 +118,8 @@ def guided_rows(
 ) -> IndexArray:
     """(n,) row of the feature that each predicted landmark is matched with; -1 for none.
 
-    Parameters
-    ----------
-    descriptors
-        (n, D) of the landmarks, from their last image.
-    features
-        Of the new image.
-    sigma_px
-        Noise of a feature's coordinate.
+    ``descriptors`` (n, D) are those of the landmarks, from their last image, and ``features`` those of the new image,
+    with the noise ``sigma_px`` of a coordinate.
     """
     none = np.full(len(prediction.tracks), -1, dtype=np.int64)
     if len(features) == 0 or len(none) < _LEAST_AGREEMENT:

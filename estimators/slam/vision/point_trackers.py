@@ -30,19 +30,8 @@ _KEPT_SHARE = 0.75
 def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit an affine map (local optical flow) to the matches nearest to each point, without the worst quarter.
 
-    Parameters
-    ----------
-    before_px, after_px
-        (K, 2) matches, K at least 3.
-    at_px
-        (n, 2) points of the first image.
-
-    Returns
-    -------
-    ndarray
-        (n, 2) predicted points in the second image.
-    ndarray
-        (n, 2, 2) derivative of the map there.
+    ``before_px`` and ``after_px`` (K, 2) are matches, K at least 3, and ``at_px`` (n, 2) points of the first image.
+    Return the predicted points (n, 2) in the second image, and the derivatives (n, 2, 2) of the map there.
     """
     # Over a few neighbours the ground is nearly a plane and the flow nearly affine.
     count = min(_NEIGHBOURS, len(before_px))
@@ -90,10 +79,7 @@ class MatchedImage:
 class FeatureTracker:
     """Tracking by matched features: of n points, in the order in which they were started.
 
-    Attributes
-    ----------
-    rows, places_px
-        (n,) features of the points in the present image, and (n, 2) their pixels.
+    ``rows`` (n,) are the features of the points in the present image, ``places_px`` (n, 2) their pixels.
     """
 
     def __init__(self) -> None:

@@ -27,13 +27,8 @@ _CONVERGED_PX = 1e-3
 class TrackPatches:
     """Patches about n points, of P = (2 HALF_PX + 1)^2 pixels.
 
-    Parameters
-    ----------
-    values
-        (n, P) brightness, of mean 0 and length 1.
-    steps
-        (n, 6, P): pseudo-inverse of the steepest-descent images: brightness misfit to step of the warp, [linear part
-        (4), shift (2)].
+    ``values`` (n, P) is the brightness, of mean 0 and length 1. ``steps`` (n, 6, P) is the pseudo-inverse of the
+    steepest-descent images: brightness misfit to step of the warp, [linear part (4), shift (2)].
     """
 
     values: FloatArray
@@ -105,15 +100,7 @@ def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
 
 
 def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -> tuple[AffineWarps, FloatArray]:
-    """Register patches to an image.
-
-    Returns
-    -------
-    AffineWarps
-        After at most 15 steps.
-    ndarray
-        (n,) correlation of patch and image there.
-    """
+    """Register patches to an image in at most 15 steps; also return the correlation (n,) of patch and image there."""
     offsets = grid()
     linear, place = start.linear.copy(), start.place_px.copy()
     for _ in range(_ITERATIONS):

@@ -35,16 +35,10 @@ _LEAST_APART_PX = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """Tracks of a frame.
+    """Tracks of a frame: their numbers (n,), ascending, and pixels (n, 2).
 
-    Parameters
-    ----------
-    tracks, uv_px
-        (n,) numbers of the tracks, ascending, and (n, 2) their pixels.
-    kept
-        (K,) epipolar inliers of the matches with the previous frame.
-    seconds
-        Computing time, without detection and matching of descriptors.
+    ``kept`` (K,) are the epipolar inliers of the matches with the previous frame, ``seconds`` is the computing time
+    without detection and matching of descriptors.
     """
 
     tracks: IndexArray

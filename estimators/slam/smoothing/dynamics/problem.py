@@ -48,12 +48,8 @@ class Arcs:
 class DynamicPrior:
     """A quadratic ``(x - x0)' H (x - x0) / 2 + g' (x - x0)`` of some views, the parameters, and some landmarks.
 
-    Parameters
-    ----------
-    views, points
-        (a,), (b,): the views and landmarks by their numbers in the problem.
-    origin_m, information, gradient
-        (n,), (n, n), (n,) with n = 6 a + 2 + 3 b: all positions, all velocities, the parameters, the landmarks.
+    ``views`` (a,) and ``points`` (b,) are their numbers in the problem. ``origin_m`` (n,), ``information`` (n, n) and
+    ``gradient`` (n,), with n = 6 a + 2 + 3 b, are of all positions, all velocities, the parameters, the landmarks.
     """
 
     views: IndexArray
@@ -71,19 +67,11 @@ class DynamicPrior:
 class DynamicAdjustment:
     """Least-squares problem of views that are coupled by their orbital motion.
 
-    Parameters
-    ----------
-    vision
-        Pixels and distances, without motions or a prior. Its ``kept_points`` are those of `prior`, and its ``frozen``
-        are the first estimates of positions and landmarks.
-    R_body_inertial
-        (V, 3, 3) of each view.
-    field, arcs
-        Force model and arcs of free motion.
-    free_velocities, free_parameters
-        (V,), (2,): what is solved for.
-    frozen_velocities_m, frozen_parameters_m
-        (V, 3), (2,): first estimates of the variables in the prior, where derivatives are taken; NaN elsewhere.
+    ``vision`` has pixels and distances, without motions or a prior; its ``kept_points`` are those of `prior`, and its
+    ``frozen`` are the first estimates of positions and landmarks. ``R_body_inertial`` (V, 3, 3) is that of each view.
+    ``free_velocities`` (V,) and ``free_parameters`` (2,) are what is solved for. ``frozen_velocities_m`` (V, 3) and
+    ``frozen_parameters_m`` (2,) are first estimates of the variables in the prior, where derivatives are taken; NaN
+    elsewhere.
     """
 
     vision: Adjustment
@@ -158,14 +146,8 @@ def arc_information(durations: FloatArray, acceleration_m: float, length_m: floa
     position and velocity are fully correlated. White noise of 5 % of each sigma, at least 1e-8 of the distance, makes
     it invertible.
 
-    Parameters
-    ----------
-    durations
-        (k,) in T.
-    acceleration_m
-        Standard deviation of a coordinate, m per T^2.
-    length_m
-        L.
+    ``durations`` (k,) are in T, ``acceleration_m`` is the standard deviation of a coordinate, m per T^2, and
+    ``length_m`` is L.
     """
     # An acceleration a over dt displaces by a dt^2 / 2 and changes the velocity by a dt: the covariance is gain gain'.
     gain = acceleration_m * np.stack([0.5 * durations**2, durations], axis=1)

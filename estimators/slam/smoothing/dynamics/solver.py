@@ -24,20 +24,9 @@ from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 class DynamicOrdering:
     """Rows of the unknowns in the dense system, -1 for fixed ones.
 
-    The order is that of the vision part's reduced system, then velocities, then parameters.
-
-    Parameters
-    ----------
-    flat, ordering
-        The vision part, and the order of its variables.
-    position, velocity
-        (V, 3) each.
-    parameters
-        (2,).
-    point
-        (L, 3); -1 for landmarks that are eliminated, too.
-    count
-        Number of rows.
+    The order is that of the vision part's reduced system, then velocities, then parameters. ``flat`` is the vision
+    part, ``ordering`` the order of its variables. ``position`` and ``velocity`` are (V, 3), ``parameters`` (2,), and
+    ``point`` (L, 3), -1 for landmarks that are eliminated, too; ``count`` is the number of rows.
     """
 
     flat: FlatProblem
