@@ -72,10 +72,7 @@ def family_of(name: str) -> str:
 def page_of(name: str) -> EstimatorPage:
     """Return the page of a registered estimator.
 
-    Raises
-    ------
-    BoresightError
-        If the name is unknown, or a foreign class cannot be imported.
+    Raise BoresightError if the name is unknown, or a foreign class cannot be imported.
     """
     family = family_of(name)
     found = FAMILIES[family].find(name) if family else ESTIMATORS.find(name)

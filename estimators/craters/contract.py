@@ -55,10 +55,7 @@ class CraterDetector(Protocol):
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
         """Find rims from the image and the Sun direction in camera axes; an image without a crater gives none.
 
-        Raises
-        ------
-        BoresightError
-            If the image is unusable: black, saturated, not finite.
+        Raise BoresightError if the image is unusable: black, saturated, not finite.
         """
         ...
 

@@ -53,12 +53,8 @@ def plan_arc(
 ) -> tuple[PlannedImage, ...]:
     """Propagate the a priori orbit to ``times_s``, (n,) ascending, and plan an image at each if there is lit ground.
 
-    ``centre_of_mass_m``, (3,), is its position in the axes of ``ground``.
-
-    Raises
-    ------
-    OrbitLostError
-        If the a priori orbit hits the body.
+    ``centre_of_mass_m``, (3,), is its position in the axes of ``ground``. Raise OrbitLostError if the a priori orbit
+    hits the body.
     """
     flown = propagate_partials(
         knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
@@ -189,13 +185,7 @@ def write_plan(path: Path, images: Sequence[PlannedImage]) -> None:
 
 
 def read_plan(path: Path) -> tuple[PlannedImage, ...]:
-    """Read a plan.
-
-    Raises
-    ------
-    BoresightError
-        With file and line: a record is malformed, or a number is listed twice.
-    """
+    """Read a plan; raise BoresightError with file and line if a record is malformed, or a number is listed twice."""
     images: list[PlannedImage] = []
     seen: set[int] = set()
     for record in read_records(path, _HEAD, {"image": 27}):

@@ -173,10 +173,7 @@ def fit_level(
 def available_gradient(wanted: Gradient | None, renderer: ImageRenderer) -> Gradient:
     """Return how images are differentiated: as ``wanted``, or else by the renderer where it can.
 
-    Raises
-    ------
-    BoresightError
-        If ``autodiff`` is wanted and the renderer cannot differentiate.
+    Raise BoresightError if ``autodiff`` is wanted and the renderer cannot differentiate.
     """
     able = isinstance(renderer, DifferentiableRenderer) and renderer.differentiable
     if wanted == "autodiff" and not able:

@@ -75,10 +75,7 @@ class ViewFeatures:
 class DescriptorDatabase:
     """Views of the body with the features of each image; ``provenance`` has origin and options, as JSON values.
 
-    Raises
-    ------
-    BoresightError
-        If there is no view or shapes disagree.
+    Raises BoresightError if there is no view or shapes disagree.
     """
 
     kind: Kind
@@ -128,10 +125,7 @@ class DescriptorDatabase:
     def load(cls, folder: Path) -> DescriptorDatabase:
         """Read what ``save`` wrote.
 
-        Raises
-        ------
-        BoresightError
-            If the file is missing or its content is wrong; the message gives its path.
+        Raise BoresightError if the file is missing or its content is wrong; the message gives its path.
         """
         return _ARCHIVE.load(folder, cls._made)
 

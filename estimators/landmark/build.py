@@ -80,12 +80,8 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
     ``min_observations`` images are removed before merging: by the trace criterion a large cluster absorbs any small one
     within reach, so that stray points would inflate the dispersion of good landmarks.
 
-    ``candidates`` are the points (C, 3) of each image, body frame, m.
-
-    Raises
-    ------
-    NoProductError
-        If there are fewer than four landmarks, or they lie in one plane.
+    ``candidates`` are the points (C, 3) of each image, body frame, m. Raise NoProductError if there are fewer than four
+    landmarks, or they lie in one plane.
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
     image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])

@@ -96,10 +96,7 @@ class CentroidAligner:
     def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
         """Align the frame; also return the diagnostics of the observed body's size.
 
-        Raises
-        ------
-        BoresightError
-            If the image is not of the camera's size.
+        Raise BoresightError if the image is not of the camera's size.
         """
         prior = frame.prior_T_cam_body
         observed = observed_signal(frame, camera, clock)

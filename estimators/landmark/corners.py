@@ -68,12 +68,8 @@ class Corners:
 def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corners:
     """Find the strongest corners that are distinct from their surroundings; a black image has none.
 
-    The image is scaled to a fixed range first, so its unit does not matter.
-
-    Raises
-    ------
-    BoresightError
-        If the image has a wrong shape or is not finite.
+    The image is scaled to a fixed range first, so its unit does not matter. Raise BoresightError if the image has a
+    wrong shape or is not finite.
     """
     signal = extract_signal(image)
     if signal.empty:

@@ -46,12 +46,8 @@ class LandmarkDatabase:
 
     ``means_m`` (N, 3) are positions and ``covariances_m2`` (N, 3, 3) positive definite covariances in the body frame,
     and ``n_observations`` (N,) is the number of images in which each landmark was seen. ``facets`` (F, 3) are a closed
-    mesh over the landmarks, outward. ``provenance`` has origin and options, as JSON values.
-
-    Raises
-    ------
-    BoresightError
-        If shapes disagree, a number is not finite, a covariance is not positive definite or the mesh is not closed.
+    mesh over the landmarks, outward. ``provenance`` has origin and options, as JSON values. Raises BoresightError if
+    shapes disagree, a number is not finite, a covariance is not positive definite or the mesh is not closed.
     """
 
     means_m: FloatArray
@@ -99,10 +95,7 @@ class LandmarkDatabase:
     def load(cls, folder: Path) -> LandmarkDatabase:
         """Read a folder written by ``save`` or by other software in the same format.
 
-        Raises
-        ------
-        BoresightError
-            If a file is missing or its content is wrong; the message gives the path.
+        Raise BoresightError if a file is missing or its content is wrong; the message gives the path.
         """
         provenance = _read_head(folder / "database.json")
         landmarks = _read_table(folder / "landmarks.csv", [*_MEAN, *_COVARIANCE, _COUNT])

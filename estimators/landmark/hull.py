@@ -47,10 +47,7 @@ class ConcaveHull:
 def concave_hull(points_m: FloatArray) -> ConcaveHull:
     """Construct a closed surface through points (N, 3): at least four landmarks, not in one plane.
 
-    Raises
-    ------
-    BoresightError
-        If the points do not span a volume.
+    Raise BoresightError if the points do not span a volume.
     """
     kept = np.arange(len(points_m))
     while True:

@@ -140,12 +140,8 @@ def recognise(
     """Run all stages on one image.
 
     ``aligner`` finds the pose from which landmarks are first predicted. ``view`` is that of the landmark mesh, and
-    ``shape_view`` that of the onboard shape, with ``keep: if-better``; None otherwise.
-
-    Raises
-    ------
-    BoresightError
-        If the image does not have the camera's size.
+    ``shape_view`` that of the onboard shape, with ``keep: if-better``; None otherwise. Raise BoresightError if the
+    image does not have the camera's size.
     """
     prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
     observed = observed_signal(frame, camera, clock)

@@ -45,12 +45,8 @@ class Signal:
 def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None) -> NDArray[np.float32] | str:
     """Return the signal (H, W) of an observed image, see `Signal`, or the reason why no pose can be estimated from it.
 
-    ``clock`` adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it.
-
-    Raises
-    ------
-    BoresightError
-        If the image does not have the camera's size: the caller has passed another image.
+    ``clock`` adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it. Raise BoresightError
+    if the image does not have the camera's size: the caller has passed another image.
     """
     expected = (camera.height_px, camera.width_px)
     if frame.image.shape != expected:
@@ -91,12 +87,7 @@ def extract_signal(
     ``image`` (H, W) is any linear measure of radiance. ``sky`` is level and standard deviation of the background, where
     they are known; measured in the image if None. Pixels less than ``threshold_sigma`` standard deviations above the
     background become 0. So do those below ``threshold_fraction`` of the body's bright level, which removes haze and
-    quantisation.
-
-    Raises
-    ------
-    BoresightError
-        If the image is not two-dimensional or holds NaN or infinity.
+    quantisation. Raise BoresightError if the image is not two-dimensional or holds NaN or infinity.
     """
     if image.ndim != 2 or min(image.shape) < _MIN_SIDE_PX:
         raise BoresightError(f"an image must be (H, W) with at least {_MIN_SIDE_PX} pixels a side, not {image.shape}")

@@ -106,12 +106,8 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     """Cut maplets out of a shape so that they cover it.
 
     Candidates cover the surface at half the wanted separation. They are accepted in descending order of relief, unless
-    an accepted one is too near (Poisson-disc sampling that prefers contrast); then others fill the gaps.
-
-    Raises
-    ------
-    NoProductError
-        If the shape is smaller than a maplet, or than the steps of its grid.
+    an accepted one is too near (Poisson-disc sampling that prefers contrast); then others fill the gaps. Raise
+    NoProductError if the shape is smaller than a maplet, or than the steps of its grid.
     """
     surface = Surface(mesh)
     separation_m = options.separation * options.width_m

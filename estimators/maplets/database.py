@@ -38,13 +38,8 @@ class MapletDatabase:
     ``axes`` (N, 3, 3) are the unit vectors along columns and rows and the upward normal, right-handed, body frame.
     ``heights_m`` (N, S, S) are above the planes, NaN where the surface is not seen from above, at nodes ``spacing_m``
     apart. ``albedo`` (N, S, S) is a factor on the reflectance, or None for 1 everywhere. ``provenance`` has origin and
-    options, as JSON values.
-
-    Raises
-    ------
-    BoresightError
-        If shapes disagree, S is even, the middle of a maplet has no height or axes are not right-handed and
-        orthonormal.
+    options, as JSON values. Raises BoresightError if shapes disagree, S is even, the middle of a maplet has no height
+    or axes are not right-handed and orthonormal.
     """
 
     centres_m: FloatArray
@@ -184,10 +179,7 @@ class MapletDatabase:
     def load(cls, folder: Path) -> MapletDatabase:
         """Read what ``save`` wrote.
 
-        Raises
-        ------
-        BoresightError
-            If the file is missing or its content is wrong; the message gives its path.
+        Raise BoresightError if the file is missing or its content is wrong; the message gives its path.
         """
         return _ARCHIVE.load(folder, cls._made)
 

@@ -115,13 +115,7 @@ class MapletsOptions(SpecModel):
 
 
 def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> MapletRecognition:
-    """Run all stages on one image.
-
-    Raises
-    ------
-    BoresightError
-        If the image does not have the camera's size.
-    """
+    """Run all stages on one image; raise BoresightError if the image does not have the camera's size."""
     clock = Stopwatch()
     stages: list[Stage] = []
 

@@ -108,13 +108,7 @@ class GaussNewtonResult:
 
 
 def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss) -> Linearisation:
-    """Compute residuals, derivatives and cost.
-
-    Raises
-    ------
-    OrbitLostError
-        If the orbit hits the body.
-    """
+    """Compute residuals, derivatives and cost; raise OrbitLostError if the orbit hits the body."""
     flown = model.propagate(unknowns.x)
     sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
     lengths = np.linalg.norm(sightings.residuals, axis=1) / model.measured.sigma_px
@@ -223,10 +217,7 @@ def adjust(
 ) -> GaussNewtonResult:
     """Take Gauss-Newton steps, damped where the cost rises, until the stopping criteria are met.
 
-    Raises
-    ------
-    OrbitLostError
-        If the orbit of the starting values hits the body.
+    Raise OrbitLostError if the orbit of the starting values hits the body.
     """
     here, damping = linearise(model, prior, start, robust), 0.0
     step = gauss_newton_step(model, prior, here, robust, damping)

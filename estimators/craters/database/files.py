@@ -88,10 +88,8 @@ def write_detections(path: Path, image: ImageDetections) -> None:
 def read_detections(path: Path) -> ImageDetections:
     """Read the craters of an image.
 
-    Raises
-    ------
-    BoresightError
-        With file and line: a record is malformed, there is not one image, or rows do not count up from 0.
+    Raise BoresightError with file and line if a record is malformed, there is not one image, or rows do not count up
+    from 0.
     """
     records = list(read_records(path, _DETECTIONS_HEAD, {"image": 3, "crater": 8}))
     if [record.kind for record in records].count("image") != 1 or records[0].kind != "image":
@@ -121,10 +119,8 @@ def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
 def read_matches(path: Path) -> tuple[PairMatches, ...]:
     """Read the matches of pairs of images.
 
-    Raises
-    ------
-    BoresightError
-        With file and line: a record is malformed, a match does not follow its pair, or a pair is listed twice.
+    Raise BoresightError with file and line if a record is malformed, a match does not follow its pair, or a pair is
+    listed twice.
     """
     heads: list[TextRecord] = []
     rows: list[list[TextRecord]] = []
@@ -155,10 +151,7 @@ def _pair(head: TextRecord, rows: Sequence[TextRecord]) -> PairMatches:
 class CraterDatabase:
     """Landmarks, and the pictures that show them.
 
-    Raises
-    ------
-    BoresightError
-        If a picture shows a landmark that is not in the list.
+    Raises BoresightError if a picture shows a landmark that is not in the list.
     """
 
     pictures: tuple[SequencePicture, ...]
@@ -206,11 +199,8 @@ def write_pictures(path: Path, pictures: Sequence[SequencePicture]) -> None:
 def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
     """Read a picture-sequence file.
 
-    Raises
-    ------
-    BoresightError
-        With file and line: a record is malformed, a picture is listed twice, or a landmark twice in a picture, or a
-        sighting does not follow its picture.
+    Raise BoresightError with file and line if a record is malformed, a picture is listed twice, or a landmark twice in
+    a picture, or a sighting does not follow its picture.
     """
     heads: list[TextRecord] = []
     sightings: list[list[TextRecord]] = []
@@ -250,10 +240,8 @@ def write_landmarks(path: Path, landmarks: Landmarks) -> None:
 def read_landmarks(path: Path) -> Landmarks:
     """Read a landmark file.
 
-    Raises
-    ------
-    BoresightError
-        With file and line: a record is malformed, a number is listed twice, or numbers do not ascend.
+    Raise BoresightError with file and line if a record is malformed, a number is listed twice, or numbers do not
+    ascend.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []

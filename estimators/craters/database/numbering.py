@@ -52,12 +52,8 @@ def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Number
 
     Matches are joined into groups in the order of reliability: first those confirmed by most other images (both
     detections matched with the same third one), among equals those with the higher score. A match that would bring two
-    detections of an image into one group is a conflict: it is refused and counted.
-
-    Raises
-    ------
-    BoresightError
-        If a match refers to an image or a detection that does not exist.
+    detections of an image into one group is a conflict: it is refused and counted. Raise BoresightError if a match
+    refers to an image or a detection that does not exist.
     """
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     edges, scores = _all_pairs(starts, found)

@@ -64,12 +64,7 @@ def pictures_for_orbit(pictures: Sequence[SequencePicture], camera: Camera, rota
     """Convert pictures to the input of orbit determination: attitudes in inertial axes, times ascending.
 
     ``camera`` is the camera model of orbit determination, and ``rotation`` that of the body with which the poses of the
-    pictures were made.
-
-    Raises
-    ------
-    BoresightError
-        If there is no picture, or one of another camera.
+    pictures were made. Raise BoresightError if there is no picture, or one of another camera.
     """
     if not pictures:
         raise BoresightError("the data base has no picture: there is nothing to determine an orbit from")

@@ -56,23 +56,14 @@ class TextRecord:
 
 
 def write_records(path: Path, head: str, lines: Iterable[str]) -> None:
-    """Write a file whole or not at all.
-
-    Raises
-    ------
-    BoresightError
-        If it cannot be written.
-    """
+    """Write a file whole or not at all; raise BoresightError if it cannot be written."""
     write_text(path, "".join(f"{line}\n" for line in (f"# {head}", *lines)))
 
 
 def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[TextRecord]:
     """Read the records of a file; ``fields`` gives the number of fields of each kind.
 
-    Raises
-    ------
-    BoresightError
-        If the file cannot be read, is of another format, or a line is of an unknown kind or length.
+    Raise BoresightError if the file cannot be read, is of another format, or a line is of an unknown kind or length.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -101,13 +101,7 @@ class LearnedOptions(SpecModel):
 
 @lru_cache(maxsize=1)
 def packaged_network() -> Network:
-    """Load the network in this package.
-
-    Raises
-    ------
-    BoresightError
-        If it is damaged.
-    """
+    """Load the network in this package; raise BoresightError if it is damaged."""
     with as_file(files(__package__ or "") / WEIGHTS) as path:
         return read_network(path)
 
@@ -115,10 +109,7 @@ def packaged_network() -> Network:
 def read_network(path: Path) -> Network:
     """Read the weights of a network.
 
-    Raises
-    ------
-    BoresightError
-        If the file is missing or damaged, or its weights do not fit together.
+    Raise BoresightError if the file is missing or damaged, or its weights do not fit together.
     """
     try:
         stored = read_arrays(path)

@@ -112,10 +112,7 @@ class CraterNavigation(Configured[NavigationOptions]):
     def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: StageFiles) -> NavigationResult:
         """Repeat rounds until an orbit is accepted, none is found, or the limit on rounds is reached.
 
-        Raises
-        ------
-        OrbitLostError
-            If the a priori orbit hits the body.
+        Raise OrbitLostError if the a priori orbit hits the body.
         """
         times = np.array([exposure.time_s for exposure in exposures])
         trajectory, rounds = Trajectory.a_priori(task.knowledge, times), []

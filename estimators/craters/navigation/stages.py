@@ -49,10 +49,7 @@ class StageFiles:
     def seconds(self) -> dict[str, float]:
         """Return the time that each stage took, over all starts.
 
-        Raises
-        ------
-        BoresightError
-            If the file of times is damaged.
+        Raise BoresightError if the file of times is damaged.
         """
         path = self.folder / _SECONDS
         spent = read_json(path, "the times of stages") if path.exists() else {}

@@ -35,10 +35,7 @@ class Trajectory:
     def a_priori(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
         """Propagate the a priori orbit, with the errors of the state at the epoch, of GM and of the solar pressure.
 
-        Raises
-        ------
-        OrbitLostError
-            If the a priori orbit hits the body.
+        Raise OrbitLostError if the a priori orbit hits the body.
         """
         flown = propagate_partials(
             knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))

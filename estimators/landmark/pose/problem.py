@@ -32,12 +32,8 @@ class PoseProblem:
 
     ``points_body_m`` (..., N, 3) are positions in the body frame, ``uv_px`` (..., N, 2) the observed positions, the
     data vector D of equation (16), and ``information_px2`` (..., N, 2, 2) inverse covariances of the projections, the
-    blocks of the inverse of equation (18).
-
-    Raises
-    ------
-    BoresightError
-        If there are fewer than four landmarks or the shapes disagree.
+    blocks of the inverse of equation (18). Raises BoresightError if there are fewer than four landmarks or the shapes
+    disagree.
     """
 
     points_body_m: FloatArray

@@ -172,10 +172,7 @@ class Adjustment:
 def pinhole_of(camera: Camera) -> FloatArray:
     """(4,) fx, fy, cx, cy, px.
 
-    Raises
-    ------
-    ValueError
-        If the camera has distortion: pixels must be corrected for the lens before tracking.
+    Raise ValueError if the camera has distortion: pixels must be corrected for the lens before tracking.
     """
     if camera.distortion is not None:
         raise ValueError("the camera of an adjustment has distortion: correct the pixels for the lens first")

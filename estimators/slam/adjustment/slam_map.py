@@ -108,10 +108,7 @@ class SlamMap:
     ) -> AdjustmentSolution:
         """Minimise an adjustment of ``views`` and ``tracks`` from the present estimates, and keep its estimates.
 
-        Raises
-        ------
-        LostError
-            If a landmark is behind its camera.
+        Raise LostError if a landmark is behind its camera.
         """
         solution = minimise(problem, self.state(views, tracks), rule)
         # The solver never steps to an infinite cost, so that the start had one.
@@ -162,10 +159,7 @@ class SlamMap:
     def median_depth(self, view: int) -> float:
         """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m.
 
-        Raises
-        ------
-        LostError
-            If no distance is known in this view.
+        Raise LostError if no distance is known in this view.
         """
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]

@@ -115,10 +115,7 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
 def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     """(3, 3) covariance of a free view's position, marginal over all other variables, m^2.
 
-    Raises
-    ------
-    scipy.linalg.LinAlgError
-        If the reduced matrix is not positive definite.
+    Raise LinAlgError if the reduced matrix is not positive definite.
     """
     # The inverse of the Schur complement is the kept block of the inverse of the whole matrix: marginal over the
     # landmarks.
@@ -132,12 +129,7 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
 def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
     """Reduced matrix (3n, 3n) and right-hand side (3n,) at a state, and the slots of views (V,) and landmarks (L,).
 
-    Slots of fixed or eliminated variables are -1.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a landmark that is eliminated is not determined.
+    Slots of fixed or eliminated variables are -1. Raise LinAlgError if a landmark that is eliminated is not determined.
     """
     at = floats(state.positions_m), floats(state.points_m)
     known, values, right, shape, views, points = descent.reduced_at(*at, *problem.flat)
@@ -149,12 +141,8 @@ def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, Float
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
     """(3n, 3n) joint covariance of the kept variables, m^2, and the slots of views (V,) and landmarks (L,).
 
-    It is marginal over the landmarks that are eliminated. Slots of fixed or eliminated variables are -1.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If they are not determined.
+    It is marginal over the landmarks that are eliminated. Slots of fixed or eliminated variables are -1. Raise
+    LinAlgError if they are not determined.
     """
     matrix, _, views, points = reduced_system(problem, state)
     if not len(matrix):
@@ -196,12 +184,7 @@ def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -
     The prior is the Schur complement of the removed variables in the normal equations of the removed measurements, eq.
     (3), linearised at ``state``: exact for linear measurements. Motions between two remaining views remain. It covers
     the remaining views and landmarks that a removed measurement or the old prior constrains, by their numbers in
-    ``problem``.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the removed variables are not determined.
+    ``problem``. Raise LinAlgError if the removed variables are not determined.
     """
     # Two steps: block-diagonal elimination of the landmarks that go, then dense elimination of the views that go and of
     # landmarks that an old prior couples.

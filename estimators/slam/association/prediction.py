@@ -109,10 +109,7 @@ class SharedUncertainty:
     ) -> SharedUncertainty:
         """Combine the covariance of an adjustment with that of the motion after it.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the adjustment is not determined.
+        Raise LinAlgError if the adjustment is not determined.
         """
         if adjusted is None:
             return cls(motion_covariance_m2.copy(), {}, {})

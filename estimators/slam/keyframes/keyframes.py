@@ -53,12 +53,7 @@ def hand_over_gauge(
     maintained": while the leading view sees its landmark; with ``connected: whole-window`` while any other view does.
     Otherwise it is handed over to a landmark of the oldest view, at the distance measured there, or else at the
     estimated one: of the landmarks in the leading view the one with the most views, since a gauge on a short track
-    loses the scale.
-
-    Raises
-    ------
-    LostError
-        If no landmark of the oldest view has a known distance and is seen twice.
+    loses the scale. Raise LostError if no landmark of the oldest view has a known distance and is seen twice.
     """
     oldest, lead = views[0], views[-1]
     by = seen.get(gauge.track, ())
@@ -107,12 +102,8 @@ def trailing_views(
     paper's, the window is shifted as soon as the leading view is no longer connected with the oldest one.
 
     While the window grows, which the paper does not detail, views are added at equal ratios of shared landmarks, so
-    that the full window spans just the connectivity.
-
-    Raises
-    ------
-    LostError
-        If the leading view shares too few landmarks with every trailing view and with the frame before.
+    that the full window spans just the connectivity. Raise LostError if the leading view shares too few landmarks with
+    every trailing view and with the frame before.
     """
     views = list(trailing)
     if len(views) < options.views - 1:

@@ -70,10 +70,7 @@ class MotionFilter:
 class Propagator:
     """Motion filter coupled with an adjustment: predicts each displacement, and is corrected by the adjusted position.
 
-    Raises
-    ------
-    LostError
-        If the forces are unknown, or the unmodelled acceleration is zero, which would make the gain zero.
+    Raises LostError if the forces are unknown, or the unmodelled acceleration is zero, which would make the gain zero.
     """
 
     def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:

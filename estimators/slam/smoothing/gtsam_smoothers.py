@@ -27,13 +27,7 @@ _FREE_SIGMA_RAD = 1e3
 
 
 def load_gtsam() -> Any:
-    """Import gtsam.
-
-    Raises
-    ------
-    BoresightError
-        If it is not installed.
-    """
+    """Import gtsam; raise BoresightError if it is not installed."""
     try:
         return import_module("gtsam")
     except ImportError as error:

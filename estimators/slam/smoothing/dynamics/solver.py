@@ -85,10 +85,7 @@ class DynamicEquations:
     def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the dense matrix, the right-hand side, and the inverse blocks of the eliminated landmarks.
 
-        Raises
-        ------
-        scipy.linalg.LinAlgError
-            If a landmark is undetermined.
+        Raise LinAlgError if a landmark is undetermined.
         """
         determined, values, part_right, inverse = reduced(self.vision, self.rows.ordering, damping)
         if not determined:
@@ -197,10 +194,7 @@ def covariance_of(
 ) -> FloatArray:
     """(k, k) covariance of the unknowns in the rows ``wanted``, marginal over all others; zero for rows of -1.
 
-    Raises
-    ------
-    scipy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    Raise LinAlgError if the matrix is not positive definite.
     """
     matrix, _, _ = dynamic_equations(problem, state, rows).reduced()
     columns = np.zeros((rows.count + 1, len(wanted)))
@@ -215,12 +209,8 @@ def covariance_of(
 def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
     """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), linearised at ``state``.
 
-    The prior covers all other views, the parameters, and the landmarks that a removed measurement constrains.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the removed variables are not determined.
+    The prior covers all other views, the parameters, and the landmarks that a removed measurement constrains. Raise
+    LinAlgError if the removed variables are not determined.
     """
     part = replace(problem, arcs=problem.arcs.of_view(view))
     stays = Retained.without_view(problem.vision, view, lost)
