@@ -16,8 +16,7 @@ from boresight.estimators.craters.matching.association import (
     Association,
     CraterAssociationOptions,
     ExpectedCraters,
-    _Likelihoods,
-    _log_ratios,
+    PairHypotheses,
     _shape_ratios,
     adjust_robustly,
     associate,
@@ -306,7 +305,8 @@ def test_likelihoods_of_pairs_are_those_of_scipy() -> None:
     residuals, root = rng.normal(size=(3, 4, 2)), rng.normal(size=(3, 2, 2))
     spread = root @ np.swapaxes(root, 1, 2) + np.eye(2)
     place = [multivariate_normal(np.zeros(2), spread[i]).logpdf(residuals[i]) for i in range(3)]
-    ratios = _log_ratios(residuals, spread, _Likelihoods(found, 1e-4), options)
+    nowhere = ExpectedCraters(first, np.zeros((3, 2, 0)), np.zeros((0, 0)), np.zeros((3, 2, 2)), np.zeros(0))
+    ratios = PairHypotheses(nowhere, residuals, found, 1e-4, options).log_ratios(residuals, spread)
     np.testing.assert_allclose(ratios, np.array(place) - np.log(1e-4) + found + np.log(0.3 / 0.7), rtol=1e-9)
 
 

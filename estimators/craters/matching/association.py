@@ -89,14 +89,6 @@ class Association:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Likelihoods:
-    """Log-likelihood ratios of the shapes of all pairs against clutter, and the density of clutter in the image."""
-
-    shape: FloatArray  # (n, m)
-    density_px2: float
-
-
 def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
     """Return the (n, 2, 2) covariance of the centres of rims due to the detector."""
     sigma = np.hypot(options.centre_sigma_px, options.centre_sigma_radii * ellipses.radius_px)
@@ -115,15 +107,15 @@ def associate(
     if len(expected.ellipses) == 0 or len(seen) == 0:
         what = "no crater is expected in the image" if len(expected.ellipses) == 0 else "the image has no crater"
         return replace(none, reason=what)
-    likelihoods = _Likelihoods(_shape_ratios(expected.ellipses, seen, options), len(seen) / area_px2)
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
-    offsets = seen.centre_px[None] - foretold[:, None]
+    shape = _shape_ratios(expected.ellipses, seen, options)
+    pairs = PairHypotheses(expected, seen.centre_px - foretold[:, None], shape, len(seen) / area_px2, options)
     # The prior moves all craters together by many pixels: pairs found one by one would be wrong. One pair fixes most of
     # the common error, and the others then vote within their own noise.
-    elected = _best_supported_pair(expected, offsets, likelihoods, options)
+    elected = pairs.best_supported()
     if len(elected) == 0:
         return replace(none, reason="no detection fits an expected crater in place, size and shape")
-    return _refine(expected, offsets, elected, likelihoods, options)
+    return pairs.refined(elected)
 
 
 def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociationOptions) -> FloatArray:
@@ -150,108 +142,128 @@ def _log_normal(standard: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * (standard**2).sum(axis=-1) - 0.5 * standard.shape[-1] * np.log(2.0 * np.pi))
 
 
-def _log_ratios(
-    residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
-) -> FloatArray:
-    """Return (..., n, m) log-odds of each pair against its detection being clutter.
+@dataclass(frozen=True, slots=True, eq=False)
+class PairHypotheses:
+    """All pairs of n expected craters and m detections: offsets (n, m, 2), px, from the expected places.
 
-    Parameters
-    ----------
-    residuals
-        (..., n, m, 2) px.
-    spread
-        (..., n, 2, 2) their covariances.
+    ``shape`` (n, m) are log-likelihood ratios of their shapes against clutter, of which there is ``density_px2``.
     """
-    a, b, c = spread[..., 0, 0, None], spread[..., 0, 1, None], spread[..., 1, 1, None]
-    det = a * c - b * b
-    u, v = residuals[..., 0], residuals[..., 1]
-    # The 2 x 2 inverse is written out: the arrays are (hypotheses, craters, detections).
-    square = (c * u * u - 2.0 * b * u * v + a * v * v) / det
-    # Density of the offset if it is the same crater, over that of clutter, uniform in the image.
-    place = -0.5 * square - 0.5 * np.log(det) - np.log(2.0 * np.pi * likelihoods.density_px2)
-    odds = np.log(options.redetected / (1.0 - options.redetected))
-    return np.asarray(np.maximum(place + likelihoods.shape + odds, _IMPOSSIBLE), dtype=np.float64)
 
+    expected: ExpectedCraters
+    offsets: FloatArray
+    shape: FloatArray
+    density_px2: float
+    options: CraterAssociationOptions
 
-def _best_supported_pair(
-    expected: ExpectedCraters, offsets: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
-) -> IndexArray:
-    """Return the pair, (1, 2), whose offset has the most support; (0, 2) if no pair is possible.
+    def log_ratios(self, residuals: FloatArray, spread: FloatArray) -> FloatArray:
+        """Return (..., n, m) log-odds of each pair against its detection being clutter.
 
-    If there are very many pairs, only the most likely of them are hypotheses; all of them count as support.
-    """
-    H, P, R = expected.by_error, expected.covariance, expected.noise_px2
-    # S_i = H_i P H_i^T + R_i, the covariance of an offset before any pair is known.
-    prior = H @ P @ np.swapaxes(H, 1, 2) + R
-    far = np.einsum("nmi,nij,nmj->nm", offsets, np.linalg.inv(prior), offsets)
-    couples = np.argwhere((far < options.gate_sigma**2) & (likelihoods.shape > -0.5 * options.gate_sigma**2))
-    voters = max(1, _MAX_WORK // offsets[..., 0].size)
-    if len(couples) > voters:
-        # Sorted back into the order of rows, so that among equally supported pairs the first wins as without the limit.
-        odds = _log_ratios(offsets, prior, likelihoods, options)[couples[:, 0], couples[:, 1]]
-        couples = couples[np.sort(np.argsort(-odds, kind="stable")[:voters])]
-    if len(couples) == 0:
-        return couples
-    scores = [
-        _support(expected, offsets, couples[start : start + _VOTES_AT_ONCE], prior, likelihoods, options)
-        for start in range(0, len(couples), _VOTES_AT_ONCE)
-    ]
-    return couples[[int(np.argmax(np.concatenate(scores)))]]
+        ``residuals`` are (..., n, m, 2) px, and ``spread`` (..., n, 2, 2) their covariances.
+        """
+        a, b, c = spread[..., 0, 0, None], spread[..., 0, 1, None], spread[..., 1, 1, None]
+        det = a * c - b * b
+        u, v = residuals[..., 0], residuals[..., 1]
+        # The 2 x 2 inverse is written out: the arrays are (hypotheses, craters, detections).
+        square = (c * u * u - 2.0 * b * u * v + a * v * v) / det
+        # Density of the offset if it is the same crater, over that of clutter, uniform in the image.
+        place = -0.5 * square - 0.5 * np.log(det) - np.log(2.0 * np.pi * self.density_px2)
+        odds = np.log(self.options.redetected / (1.0 - self.options.redetected))
+        return np.asarray(np.maximum(place + self.shape + odds, _IMPOSSIBLE), dtype=np.float64)
 
+    def best_supported(self) -> IndexArray:
+        """Return the pair, (1, 2), whose offset has the most support; (0, 2) if no pair is possible.
 
-def _support(
-    expected: ExpectedCraters,
-    offsets: FloatArray,
-    couples: IndexArray,
-    prior: FloatArray,
-    likelihoods: _Likelihoods,
-    options: CraterAssociationOptions,
-) -> FloatArray:
-    """Return (v,) the support of each of v hypotheses, the pairs (v, 2) of ``couples``.
+        If there are very many pairs, only the most likely of them are hypotheses; all of them count as support.
+        """
+        H, P, R = self.expected.by_error, self.expected.covariance, self.expected.noise_px2
+        # S_i = H_i P H_i^T + R_i, the covariance of an offset before any pair is known.
+        prior = H @ P @ np.swapaxes(H, 1, 2) + R
+        far = np.einsum("nmi,nij,nmj->nm", self.offsets, np.linalg.inv(prior), self.offsets)
+        couples = np.argwhere((far < self.options.gate_sigma**2) & (self.shape > -0.5 * self.options.gate_sigma**2))
+        voters = max(1, _MAX_WORK // self.offsets[..., 0].size)
+        if len(couples) > voters:
+            # Sorted back into the order of rows, so that among equally supported pairs the first wins as without the
+            # limit.
+            odds = self.log_ratios(self.offsets, prior)[couples[:, 0], couples[:, 1]]
+            couples = couples[np.sort(np.argsort(-odds, kind="stable")[:voters])]
+        if len(couples) == 0:
+            return couples
+        scores = [
+            self._support(couples[start : start + _VOTES_AT_ONCE], prior)
+            for start in range(0, len(couples), _VOTES_AT_ONCE)
+        ]
+        return couples[[int(np.argmax(np.concatenate(scores)))]]
 
-    It is the sum of the log-odds of all pairs, each crater and each detection once, given the field conditioned on the
-    hypothesis, minus half of the squared distance of its offset in standard deviations of the prior.
-    """
-    H, P, R = expected.by_error, expected.covariance, expected.noise_px2
-    i = couples[:, 0]
-    offset = offsets[i, couples[:, 1]]
-    # Kalman update of the common error by the offset of one pair.
-    gain = P @ np.swapaxes(H[i], 1, 2) @ np.linalg.inv(prior[i])
-    error = np.einsum("vsi,vi->vs", gain, offset)
-    left = P - gain @ H[i] @ P
-    spread = np.einsum("nis,vst,njt->vnij", H, left, H, optimize=True) + R
-    residuals = offsets[None] - np.einsum("nis,vs->vni", H, error)[:, :, None]
-    # A pair less likely than clutter is no evidence: it is left out instead of counting against the hypothesis.
-    ratios = np.maximum(_log_ratios(residuals, spread, likelihoods, options), 0.0)
-    # Each detection and each crater counts once; the smaller sum bounds the one-to-one assignment.
-    once = np.minimum(ratios.max(axis=2).sum(axis=1), ratios.max(axis=1).sum(axis=1))
-    # The hypothesis itself costs what its offset is improbable under the prior.
-    far = np.einsum("vi,vij,vj->v", offset, np.linalg.inv(prior[i]), offset)
-    return np.asarray(once - 0.5 * far)
+    def _support(self, couples: IndexArray, prior: FloatArray) -> FloatArray:
+        """Return (v,) the support of each of v hypotheses, the pairs (v, 2) of ``couples``.
 
+        It is the sum of the log-odds of all pairs, each crater and each detection once, given the field conditioned on
+        the hypothesis, minus half of the squared distance of its offset in standard deviations of the prior.
+        """
+        H, P, R = self.expected.by_error, self.expected.covariance, self.expected.noise_px2
+        i = couples[:, 0]
+        offset = self.offsets[i, couples[:, 1]]
+        # Kalman update of the common error by the offset of one pair.
+        gain = P @ np.swapaxes(H[i], 1, 2) @ np.linalg.inv(prior[i])
+        error = np.einsum("vsi,vi->vs", gain, offset)
+        left = P - gain @ H[i] @ P
+        spread = np.einsum("nis,vst,njt->vnij", H, left, H, optimize=True) + R
+        residuals = self.offsets[None] - np.einsum("nis,vs->vni", H, error)[:, :, None]
+        # A pair less likely than clutter is no evidence: it is left out instead of counting against the hypothesis.
+        ratios = np.maximum(self.log_ratios(residuals, spread), 0.0)
+        # Each detection and each crater counts once; the smaller sum bounds the one-to-one assignment.
+        once = np.minimum(ratios.max(axis=2).sum(axis=1), ratios.max(axis=1).sum(axis=1))
+        # The hypothesis itself costs what its offset is improbable under the prior.
+        far = np.einsum("vi,vij,vj->v", offset, np.linalg.inv(prior[i]), offset)
+        return np.asarray(once - 0.5 * far)
 
-def _refine(
-    expected: ExpectedCraters,
-    offsets: FloatArray,
-    pairs: IndexArray,
-    likelihoods: _Likelihoods,
-    options: CraterAssociationOptions,
-) -> Association:
-    """Start from the best supported pair, and condition the field on all its pairs until they no longer change."""
-    for _ in range(_REFITS):
-        ratios = _given_pairs(expected, offsets, pairs, likelihoods, options)
-        # Odds below 0 cost the same as no pair, so that no crater is forced into a bad one.
-        rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
-        taken = ratios[rows, columns] > 0.0
-        found = np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
-        if np.array_equal(found, pairs) or len(found) == 0:
-            break
-        pairs = found
-    probability = _probability(expected, offsets, pairs, likelihoods, options)
-    sure = probability >= options.probability
-    error, covariance = condition_on_pairs(expected, offsets, pairs[sure])
-    reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
-    return Association(pairs[sure], probability[sure], expected.mean + error, covariance, reason)
+    def refined(self, pairs: IndexArray) -> Association:
+        """Start from the best supported pair, and condition the field on all its pairs until they no longer change."""
+        for _ in range(_REFITS):
+            ratios = self._given(pairs)
+            # Odds below 0 cost the same as no pair, so that no crater is forced into a bad one.
+            rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
+            taken = ratios[rows, columns] > 0.0
+            found = np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
+            if np.array_equal(found, pairs) or len(found) == 0:
+                break
+            pairs = found
+        probability = self._probability(pairs)
+        sure = probability >= self.options.probability
+        error, covariance = condition_on_pairs(self.expected, self.offsets, pairs[sure])
+        reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
+        return Association(pairs[sure], probability[sure], self.expected.mean + error, covariance, reason)
+
+    def _probability(self, pairs: IndexArray) -> FloatArray:
+        """Return (k,) the probability of each pair, against other pairs of its crater, of its detection, and clutter.
+
+        Against other pairs of the crater it is that given all other pairs: leaving pair i out of a Gaussian field with
+        covariance S gives the residual (W_ii)^-1 (W y)_i with covariance (W_ii)^-1, W = S^-1.
+        """
+        _, joint = _joint(self.expected, pairs)
+        weights = np.linalg.inv(joint)
+        weighted = (weights @ self.offsets[pairs[:, 0], pairs[:, 1]].ravel()).reshape(-1, 2)
+        probability = np.empty(len(pairs))
+        for row, (i, k) in enumerate(pairs):
+            block = slice(2 * row, 2 * row + 2)
+            # Without its own pair: an offset that has helped to fit the common error would agree with it too well.
+            spread = np.linalg.inv(weights[block, block])
+            place = self.offsets[i, k] - spread @ weighted[row]
+            alone = replace(self, shape=self.shape[i : i + 1])
+            own = alone.log_ratios((self.offsets[i] - place)[None], spread[None])[0]
+            # The 1 is the event that none of the detections is this crater.
+            probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
+        # Against the other expected craters of its detection, given all pairs.
+        ratios = np.exp(self._given(pairs))
+        rivals = ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0))
+        return np.asarray(np.minimum(probability, rivals), dtype=np.float64)
+
+    def _given(self, pairs: IndexArray) -> FloatArray:
+        """Return (n, m) log-odds of all pairs, given the field conditioned on ``pairs``."""
+        error, covariance = condition_on_pairs(self.expected, self.offsets, pairs)
+        H = self.expected.by_error
+        spread = H @ covariance @ np.swapaxes(H, 1, 2) + self.expected.noise_px2
+        return self.log_ratios(self.offsets - (H @ error)[:, None], spread)
 
 
 def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -276,51 +288,6 @@ def condition_on_pairs(
     error = gain @ offsets[pairs[:, 0], pairs[:, 1]].ravel()
     # Symmetric within rounding: made so exactly.
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
-
-
-def _probability(
-    expected: ExpectedCraters,
-    offsets: FloatArray,
-    pairs: IndexArray,
-    likelihoods: _Likelihoods,
-    options: CraterAssociationOptions,
-) -> FloatArray:
-    """Return (k,) the probability of each pair, against other pairs of its crater, of its detection, and clutter.
-
-    Against other pairs of the crater it is that given all other pairs: leaving pair i out of a Gaussian field with
-    covariance S gives the residual (W_ii)^-1 (W y)_i with covariance (W_ii)^-1, W = S^-1.
-    """
-    _, joint = _joint(expected, pairs)
-    weights = np.linalg.inv(joint)
-    weighted = (weights @ offsets[pairs[:, 0], pairs[:, 1]].ravel()).reshape(-1, 2)
-    probability = np.empty(len(pairs))
-    for row, (i, k) in enumerate(pairs):
-        block = slice(2 * row, 2 * row + 2)
-        # Without its own pair: an offset that has helped to fit the common error would agree with it too well.
-        spread = np.linalg.inv(weights[block, block])
-        place = offsets[i, k] - spread @ weighted[row]
-        alone = replace(likelihoods, shape=likelihoods.shape[i : i + 1])
-        own = _log_ratios((offsets[i] - place)[None], spread[None], alone, options)[0]
-        # The 1 is the event that none of the detections is this crater.
-        probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
-    # Against the other expected craters of its detection, given all pairs.
-    ratios = np.exp(_given_pairs(expected, offsets, pairs, likelihoods, options))
-    rivals = ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0))
-    return np.asarray(np.minimum(probability, rivals), dtype=np.float64)
-
-
-def _given_pairs(
-    expected: ExpectedCraters,
-    offsets: FloatArray,
-    pairs: IndexArray,
-    likelihoods: _Likelihoods,
-    options: CraterAssociationOptions,
-) -> FloatArray:
-    """Return (n, m) log-odds of all pairs, given the field conditioned on ``pairs``."""
-    error, covariance = condition_on_pairs(expected, offsets, pairs)
-    H = expected.by_error
-    spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
-    return _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
 
 
 def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:
