@@ -85,7 +85,11 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
     image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])
-    stages = cluster_stages(points_m, options.clusters, keep=_seen_in(image_of, options.min_observations))
+
+    def seen_enough(cluster: PointCluster) -> bool:
+        return len(np.unique(image_of[cluster.members])) >= options.min_observations
+
+    stages = cluster_stages(points_m, options.clusters, keep=seen_enough)
     clusters = stages.refined
     if len(clusters) < 4:
         raise NoProductError(
@@ -115,12 +119,3 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
         },
     )
     return LandmarkDatabaseBuild(points_m, stages, database)
-
-
-def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[PointCluster], bool]:
-    """Return the test whether a cluster has points of enough different images."""
-
-    def enough(cluster: PointCluster) -> bool:
-        return len(np.unique(image_of[cluster.members])) >= min_observations
-
-    return enough

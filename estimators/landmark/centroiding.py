@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
 from boresight.estimators.landmark.alignment import (
@@ -84,12 +83,17 @@ class CentroidAligner:
         clock = Stopwatch()
         alignment, extent = self.align(observation.frame, observation.camera, clock)
         ok = not alignment.failure
+        offset: dict[str, float] = {}
+        if alignment.steps:
+            du, dv = (float(value) for value in alignment.steps[0].observed_px - alignment.steps[0].rendered_px)
+            offset = {"centroid_du_px": du, "centroid_dv_px": dv, "centroid_offset_px": float(np.hypot(du, dv))}
+            offset["centroid_iterations"] = float(len(alignment.steps))
         return Estimate(
             status="ok" if ok else "failed",
             reason=alignment.failure,
             pose=alignment.T_cam_body if ok else None,
             stages=(Stage("centroid", alignment.T_cam_body),) if ok else (),
-            diagnostics={**_offset(alignment), **extent},
+            diagnostics={**offset, **extent},
             timings_s=clock.seconds,
         )
 
@@ -105,25 +109,6 @@ class CentroidAligner:
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         options = self._options.alignment_loop
         alignment = align_translation(observed, prior, view, centroid_pair, options, clock)
-        return alignment, _extent(observed)
-
-
-def _extent(signal: NDArray[np.float32]) -> dict[str, float]:
-    rows, columns = np.nonzero(signal)
-    return {
-        "extent_px": float(max(np.ptp(rows), np.ptp(columns)) + 1),
-        "diameter_px": float(np.sqrt(4.0 / np.pi * len(rows))),
-    }
-
-
-def _offset(alignment: Alignment) -> dict[str, float]:
-    if not alignment.steps:
-        return {}
-    first = alignment.steps[0]
-    du, dv = (float(value) for value in first.observed_px - first.rendered_px)
-    return {
-        "centroid_du_px": du,
-        "centroid_dv_px": dv,
-        "centroid_offset_px": float(np.hypot(du, dv)),
-        "centroid_iterations": float(len(alignment.steps)),
-    }
+        rows, columns = np.nonzero(observed)
+        extent_px = float(max(np.ptp(rows), np.ptp(columns)) + 1)
+        return alignment, {"extent_px": extent_px, "diameter_px": float(np.sqrt(4.0 / np.pi * len(rows)))}

@@ -124,7 +124,14 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
             f"the shape is too small for maplets with nodes {options.spacing_m:g} m apart, which span no facet: lower"
             f" the option spacing_m ({options.spacing_m:g}) of the maplets"
         )
-    return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
+    provenance = {
+        "method": METHOD,
+        "method_version": METHOD_VERSION,
+        "options": options.model_dump(mode="json", exclude_none=True),
+        "shape_facets": len(mesh.faces),
+        "candidates": len(candidates),
+    }
+    return replace(chosen, provenance=provenance)
 
 
 def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArray | None]:
@@ -257,16 +264,6 @@ def _plane(surface: Surface, centre_m: FloatArray, options: MapletOptions) -> Pl
     first = np.cross(helper, normal)
     first /= np.linalg.norm(first)
     return Plane(centre_m, np.stack([first, np.cross(normal, first), normal]), options.spacing_m, options.side)
-
-
-def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> dict[str, object]:
-    return {
-        "method": METHOD,
-        "method_version": METHOD_VERSION,
-        "options": options.model_dump(mode="json", exclude_none=True),
-        "shape_facets": len(mesh.faces),
-        "candidates": candidates,
-    }
 
 
 def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:

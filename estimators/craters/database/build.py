@@ -11,7 +11,7 @@ from boresight.estimators.craters.contract import CraterImage, CraterMatcher, Gr
 from boresight.estimators.craters.database.files import CraterDatabase
 from boresight.estimators.craters.database.landmarks import Landmarks, locate_landmarks
 from boresight.estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from boresight.estimators.craters.database.pictures import SequencePicture, numbered_pictures
+from boresight.estimators.craters.database.pictures import numbered_pictures
 from boresight.estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
 from boresight.estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from boresight.scenarios.arrays import FloatArray, IndexArray
@@ -84,22 +84,16 @@ def _lines_of_sight(
     database: CraterDatabase, options: CraterAssociationOptions
 ) -> tuple[IndexArray, LinesOfSight, FloatArray]:
     """Return the landmark rows (K,) of all sightings, their lines in body axes, and their information (K,), 1 / m^2."""
-    parts = [_lines_of(picture, database.landmarks, options) for picture in database.pictures]
-    if not parts:
-        return np.zeros(0, np.int64), LinesOfSight(np.zeros((0, 3)), np.zeros((0, 3))), np.zeros(0)
+    parts = [(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+    for picture in database.pictures:
+        # Landmark numbers ascend, and every picture's numbers are among them.
+        rows = np.searchsorted(database.landmarks.number, picture.landmark)
+        pose = picture.T_cam_body
+        camera_m = np.broadcast_to(pose.camera_position_m, (len(rows), 3))
+        direction = pose.inverse().rotate(picture.camera.unproject(picture.ellipses.centre_px))
+        ranges = np.linalg.norm(database.landmarks.position_body_m[rows] - camera_m, axis=1)
+        # Isotropic noise of the centre, pixels to metres across the line of sight at the a priori range.
+        sigma_m = np.sqrt(centre_noise(picture.ellipses, options)[:, 0, 0]) * ranges * picture.camera.pixel_angle_rad
+        parts.append((rows, camera_m, direction, sigma_m**-2.0))
     row, camera_m, direction, information = (np.concatenate(column) for column in zip(*parts, strict=True))
     return row, LinesOfSight(camera_m, direction), information
-
-
-def _lines_of(
-    picture: SequencePicture, landmarks: Landmarks, options: CraterAssociationOptions
-) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
-    # Landmark numbers ascend, and every picture's numbers are among them.
-    rows = np.searchsorted(landmarks.number, picture.landmark)
-    pose = picture.T_cam_body
-    camera_m = np.broadcast_to(pose.camera_position_m, (len(rows), 3))
-    direction = pose.inverse().rotate(picture.camera.unproject(picture.ellipses.centre_px))
-    ranges = np.linalg.norm(landmarks.position_body_m[rows] - camera_m, axis=1)
-    # Isotropic noise of the centre, pixels to metres across the line of sight at the a priori range.
-    sigma_m = np.sqrt(centre_noise(picture.ellipses, options)[:, 0, 0]) * ranges * picture.camera.pixel_angle_rad
-    return rows, camera_m, direction, sigma_m**-2.0

@@ -70,16 +70,10 @@ class ImageDetections:
 
 def write_detections(path: Path, image: ImageDetections) -> None:
     """Write the craters of an image, whole or not at all."""
-    found = image.detections
+    rims = image.detections.ellipses
     lines = [format_record("image", image.number, image.time_s, "_".join(image.reason.split()) or "-")]
     for row, (centre, axes, angle, confidence) in enumerate(
-        zip(
-            found.ellipses.centre_px,
-            found.ellipses.semi_axes_px,
-            found.ellipses.angle_rad,
-            found.confidence,
-            strict=True,
-        )
+        zip(rims.centre_px, rims.semi_axes_px, rims.angle_rad, image.detections.confidence, strict=True)
     ):
         lines.append(format_record("crater", image.number, row, *centre, *axes, angle, confidence))
     write_records(path, _DETECTIONS_HEAD, lines)
@@ -122,8 +116,7 @@ def read_matches(path: Path) -> tuple[PairMatches, ...]:
     Raise BoresightError with file and line if a record is malformed, a match does not follow its pair, or a pair is
     listed twice.
     """
-    heads: list[TextRecord] = []
-    rows: list[list[TextRecord]] = []
+    pairs: list[tuple[TextRecord, list[TextRecord]]] = []
     seen: set[tuple[int, int]] = set()
     for record in read_records(path, _MATCHES_HEAD, {"pair": 3, "match": 5}):
         images = (record.integer(0), record.integer(1))
@@ -131,13 +124,12 @@ def read_matches(path: Path) -> tuple[PairMatches, ...]:
             if images in seen:
                 raise record.error(f"images {images[0]} and {images[1]} are listed twice")
             seen.add(images)
-            heads.append(record)
-            rows.append([])
-        elif not heads or (heads[-1].integer(0), heads[-1].integer(1)) != images:
+            pairs.append((record, []))
+        elif not pairs or (pairs[-1][0].integer(0), pairs[-1][0].integer(1)) != images:
             raise record.error(f"a match of images {images[0]} and {images[1]} does not follow that pair")
         else:
-            rows[-1].append(record)
-    return tuple(_pair(head, own) for head, own in zip(heads, rows, strict=True))
+            pairs[-1][1].append(record)
+    return tuple(_pair(head, own) for head, own in pairs)
 
 
 def _pair(head: TextRecord, rows: Sequence[TextRecord]) -> PairMatches:
@@ -202,8 +194,7 @@ def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
     Raise BoresightError with file and line if a record is malformed, a picture is listed twice, or a landmark twice in
     a picture, or a sighting does not follow its picture.
     """
-    heads: list[TextRecord] = []
-    sightings: list[list[TextRecord]] = []
+    pictures: list[tuple[TextRecord, list[TextRecord]]] = []
     seen: set[int] = set()
     shown: set[int] = set()
     for record in read_records(path, _SEQUENCE_HEAD, {"picture": 23, "sighting": 7}):
@@ -213,17 +204,16 @@ def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
                 raise record.error(f"picture {number} is listed twice")
             seen.add(number)
             shown = set()
-            heads.append(record)
-            sightings.append([])
+            pictures.append((record, []))
             continue
-        if not heads or heads[-1].integer(0) != number:
+        if not pictures or pictures[-1][0].integer(0) != number:
             raise record.error(f"a sighting of picture {number} does not follow that picture")
         landmark = record.integer(1)
         if landmark in shown:
             raise record.error(f"landmark {landmark} is listed twice in picture {number}")
         shown.add(landmark)
-        sightings[-1].append(record)
-    return tuple(_picture(head, rows) for head, rows in zip(heads, sightings, strict=True))
+        pictures[-1][1].append(record)
+    return tuple(_picture(head, rows) for head, rows in pictures)
 
 
 def write_landmarks(path: Path, landmarks: Landmarks) -> None:

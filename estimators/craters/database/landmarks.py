@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterImage, GroundModel
 from boresight.estimators.craters.database.numbering import Numbering
@@ -14,6 +15,9 @@ from boresight.estimators.craters.matching.transfer import locate_craters
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.orbits.data import LandmarkFile
+
+# No crater: number, position, normal, logarithm of the radius, covariance.
+_NOWHERE = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +57,7 @@ def locate_landmarks(
     The locations of an image are weighted with their covariances, from the prior pose, the rim's centre and the height
     of the shape. A crater that no image places on the body has no position and is left out.
     """
-    parts = []
+    parts: list[tuple[NDArray[np.generic], ...]] = [_NOWHERE]
     for image, numbers in zip(images, numbering.numbers, strict=True):
         located = locate_craters(image, ground)
         known = (numbers >= 0) & located.on_body
@@ -63,10 +67,6 @@ def locate_landmarks(
         spread = landmark_covariances(image, located, height_sigma_m)
         values = (numbers, located.points_body_m, located.normals_body, np.log(radii), spread)
         parts.append(tuple(value[known] for value in values))
-    if not parts:
-        return _average_by_number(
-            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3))
-        )
     return _average_by_number(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -120,7 +120,9 @@ class CraterNavigation(Configured[NavigationOptions]):
         spent: dict[str, float] = {}
         for _ in range(self.options.rounds):
             images = images_along_trajectory(exposures, trajectory, task)
-            own = stages.subfolder(f"{self.options.matcher}-{self._key(images, task)}")
+            options = self.options
+            key = matching_key(images, options.matcher, options.preliminary, task.shape.height_sigma_m)
+            own = stages.subfolder(f"{options.matcher}-{key}")
             rounds.append(self._round(images, task, wanted, own))
             for stage, seconds in own.seconds().items():
                 spent[stage] = spent.get(stage, 0.0) + seconds
@@ -132,10 +134,6 @@ class CraterNavigation(Configured[NavigationOptions]):
             trajectory = Trajectory.from_orbit(estimate.orbit, times, wanted, inflation)
         return NavigationResult(tuple(rounds), spent)
 
-    def _key(self, images: Sequence[CraterImage], task: NavigationTask) -> str:
-        options = self.options
-        return matching_key(images, options.matcher, options.preliminary, task.shape.height_sigma_m)
-
     def _round(
         self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: StageFiles
     ) -> NavigationRound:
@@ -144,7 +142,9 @@ class CraterNavigation(Configured[NavigationOptions]):
         preliminary = options.preliminary.model_copy(update={"height_sigma_m": task.shape.height_sigma_m})
         with stages.timed("preliminary"):
             pairs = preliminary_pairs(images, ground, preliminary).pairs
-        matcher = crater_matcher_class(options.matcher).from_options(self._matcher_options(task))
+        # The matcher that has an option for the uncertainty of the shape's height.
+        asked = {"height_sigma_m": task.shape.height_sigma_m} if options.matcher == "vote" else {}
+        matcher = crater_matcher_class(options.matcher).from_options(asked)
         found = reject_small_matches(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
         numbering = number_craters([len(image.detections.ellipses) for image in images], found)
 
@@ -166,10 +166,6 @@ class CraterNavigation(Configured[NavigationOptions]):
         with stages.timed("orbit"):
             estimate = self._filter.determine(data)
         return NavigationRound(found, numbering, data, estimate)
-
-    def _matcher_options(self, task: NavigationTask) -> dict[str, object]:
-        """Pass the uncertainty of the shape's height to the matcher that has an option for it."""
-        return {"height_sigma_m": task.shape.height_sigma_m} if self.options.matcher == "vote" else {}
 
 
 def match_pairs(
