@@ -66,7 +66,7 @@ _side_weights = inner(side_weights)  # of one cosine
 def rim_merits(
     value: FloatArray, by: FloatArray, rims: FloatArray, field: FloatArray, sun: FloatArray, gap: float, count: int
 ) -> None:
-    """Write the merits (n, 2) of both sides of rims and their derivatives (n, 2, 5): see `detection.merit`.
+    """Write the merits (n, 2) of both sides of rims and their derivatives (n, 2, 5): see `detection.refinement`.
 
     Parameters
     ----------

@@ -129,49 +129,6 @@ def translation_aligner(options: LandmarkOptions) -> MeshAligner:
     return MeshAligner("centroid" if options.alignment == "centroid" else "alignment", align)
 
 
-def recognise(
-    frame: Frame,
-    view: MeshView,
-    database: LandmarkDatabase,
-    options: RecognitionOptions,
-    aligner: MeshAligner,
-    shape_view: MeshView | None = None,
-) -> Recognition:
-    """Run all stages on one image.
-
-    ``aligner`` finds the pose from which landmarks are first predicted. ``view`` is that of the landmark mesh, and
-    ``shape_view`` that of the onboard shape, with ``keep: if-better``; None otherwise. Raise BoresightError if the
-    image does not have the camera's size.
-    """
-    prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
-    observed = observed_signal(frame, camera, clock)
-    if isinstance(observed, str):
-        return Recognition(prior, Alignment(prior, ()), None, None, clock.seconds, observed)
-    # Section 3.2: matching by proximity needs the error across the line of sight to be small.
-    alignment = aligner.align(observed, frame, view, clock)
-    if alignment.failure:
-        return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
-    with clock("feature_extraction"):
-        corners = detect_corners(frame.image, options.image_corners)
-    with clock("recognition"):
-        solution = solve_pose(database, camera, alignment.T_cam_body, corners.uv_px, options.pose)
-    if solution.fit is None:
-        return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
-    with clock("consistency"):
-        # The outliers of the paper (section 4.2.1) are bodies rolled incorrectly onto wrong matches: the brightness
-        # centroid does not depend on the matches.
-        residual_px = centroid_residual_px(observed, solution.fit.T_cam_body, view)
-        correlations = None
-        if shape_view is not None:
-            before, after = alignment.T_cam_body, solution.fit.T_cam_body
-            correlations = (
-                image_correlation(observed, before, shape_view),
-                image_correlation(observed, after, shape_view),
-            )
-    failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
-    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, correlations)
-
-
 def landmark_database(options: DatabaseOptions, assets: Assets, estimator: str) -> LandmarkDatabase:
     """Return the landmark data base of some options for the estimator of that name."""
     return typed_product(assets, PRODUCT, options, LandmarkDatabase, estimator)
@@ -245,10 +202,39 @@ class LandmarkRecognizer:
         return cls(database, assets.mesh_renderer(database.mesh()), parsed, translation_aligner(parsed), shape)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
-        """Recognise the landmarks of a frame and return all intermediate results."""
+        """Recognise the landmarks of a frame and return all intermediate results.
+
+        Raise BoresightError if the image does not have the camera's size.
+        """
+        prior, clock, options = frame.prior_T_cam_body, Stopwatch(), self._options
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        shape_view = None if self._shape_renderer is None else replace(view, renderer=self._shape_renderer)
-        return recognise(frame, view, self._database, self._options, self._aligner, shape_view)
+        observed = observed_signal(frame, camera, clock)
+        if isinstance(observed, str):
+            return Recognition(prior, Alignment(prior, ()), None, None, clock.seconds, observed)
+        # Section 3.2: matching by proximity needs the error across the line of sight to be small.
+        alignment = self._aligner.align(observed, frame, view, clock)
+        if alignment.failure:
+            return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
+        with clock("feature_extraction"):
+            corners = detect_corners(frame.image, options.image_corners)
+        with clock("recognition"):
+            solution = solve_pose(self._database, camera, alignment.T_cam_body, corners.uv_px, options.pose)
+        if solution.fit is None:
+            return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
+        with clock("consistency"):
+            # The outliers of the paper (section 4.2.1) are bodies rolled incorrectly onto wrong matches: the brightness
+            # centroid does not depend on the matches.
+            residual_px = centroid_residual_px(observed, solution.fit.T_cam_body, view)
+            correlations = None
+            if self._shape_renderer is not None:
+                shape_view = replace(view, renderer=self._shape_renderer)
+                before, after = alignment.T_cam_body, solution.fit.T_cam_body
+                correlations = (
+                    image_correlation(observed, before, shape_view),
+                    image_correlation(observed, after, shape_view),
+                )
+        failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
+        return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, correlations)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose; ``rng`` is not used."""

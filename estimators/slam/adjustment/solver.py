@@ -126,25 +126,17 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     return block_of_inverse(matrix, shape, int(slots[view]))
 
 
-def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
-    """Reduced matrix (3n, 3n) and right-hand side (3n,) at a state, and the slots of views (V,) and landmarks (L,).
-
-    Slots of fixed or eliminated variables are -1. Raise LinAlgError if a landmark that is eliminated is not determined.
-    """
-    at = floats(state.positions_m), floats(state.points_m)
-    known, values, right, shape, views, points = descent.reduced_at(*at, *problem.flat)
-    if not known:
-        raise LinAlgError("a landmark is not determined")
-    return dense(values, shape), right, views, points
-
-
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
     """(3n, 3n) joint covariance of the kept variables, m^2, and the slots of views (V,) and landmarks (L,).
 
     It is marginal over the landmarks that are eliminated. Slots of fixed or eliminated variables are -1. Raise
     LinAlgError if they are not determined.
     """
-    matrix, _, views, points = reduced_system(problem, state)
+    at = floats(state.positions_m), floats(state.points_m)
+    known, values, _, shape, views, points = descent.reduced_at(*at, *problem.flat)
+    if not known:
+        raise LinAlgError("a landmark is not determined")
+    matrix = dense(values, shape)
     if not len(matrix):
         return matrix, views, points
     # Cholesky refuses a matrix that is not positive definite; an inverse would be returned with negative variances.
