@@ -148,7 +148,19 @@ class RunData:
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return a table of the run; one that was not stored is empty, with its columns."""
+        """Return a table of the run; one that was not stored is empty, with its columns.
+
+        Raises
+        ------
+        BoresightError
+            If no table has that name, or a file of it cannot be read.
+        """
+        if name not in TABLES:
+            raise BoresightError(f"{self.folder}: no table is called {name!r}; there are: {', '.join(TABLES)}")
+        if name == "rows":
+            return self.rows
+        if name in _NOT_REPORTED:
+            return _read_table(self.folder / name, self.manifest.experiment)
         return self.tables[name] if name in self.tables else pd.DataFrame(columns=list(names(columns_of(name))))
 
     @cached_property
@@ -248,9 +260,13 @@ def read_run(folder: str | PathLike[str]) -> RunData:
     return RunData(folder, manifest, _with_all_columns(rows), tables)
 
 
-def _printable(texts: pd.Series) -> pd.Series:
-    """Escape control characters: a text of a method or of a damaged file must not steer a terminal."""
-    steering = {text: printable(text) for text in texts.dropna().unique() if not text.isprintable()}
+def _printable(texts: pd.Series, kept: str = "") -> pd.Series:
+    """Escape control characters but those kept: a text of a method or of a damaged file must not steer a terminal."""
+    steering = {
+        text: "".join(char if char in kept else printable(char) for char in text)
+        for text in texts.dropna().unique()
+        if not text.isprintable()
+    }
     return texts.replace(steering) if steering else texts
 
 
@@ -295,6 +311,6 @@ def _read_table(folder: Path, experiment: str) -> pd.DataFrame:
         )
     for column in columns_of(folder.name, experiment):
         if column.type == pa.string():
-            table[column.name] = _printable(table[column.name])
+            table[column.name] = _printable(table[column.name], "\n" if folder.name in _NOT_REPORTED else "")
     keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
     return table.sort_values(keys, kind="stable").reset_index(drop=True)

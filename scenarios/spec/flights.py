@@ -18,12 +18,13 @@ _LEAST_EXCESS = 1e-6  # of the eccentricity over 1, below which a hyperbola has 
 _NEWTON_STEPS = 60
 
 
-def _epochs(start_s: float, duration_s: float, step_s: float) -> FloatArray:
-    """(n,) epochs from a start, at equal steps; the last is not after the end."""
-    steps = duration_s / step_s + 1e-9  # whole numbers of steps must not lose a state by rounding
+def _epochs(start_s: float, duration_s: float, step_s: float, multiple: int = 1) -> FloatArray:
+    """(n,) epochs from start to end, at the longest equal steps that ``step_s`` allows, a multiple of them."""
+    # Rounding must not make a step more of a whole number of them.
+    steps = multiple * max(1.0, np.ceil(duration_s / step_s / multiple - 1e-9))
     if steps >= MOST_STATES:
         raise ValueError(f"{steps + 1:.3g} states are more than {MOST_STATES}: take longer steps")
-    return start_s + step_s * np.arange(int(steps) + 1, dtype=np.float64)
+    return start_s + duration_s * np.arange(int(steps) + 1, dtype=np.float64) / steps
 
 
 def _columns(time_s: FloatArray, position_m: FloatArray, velocity_m_s: FloatArray | None = None) -> Table:
@@ -43,7 +44,7 @@ class FlybySpec(SpecModel):
     v_infinity_m_s: float = Field(gt=0, le=1e6, description="Speed far from the body")
     gm_m3_s2: float = Field(ge=1e-9, le=1e20, description="Gravity of the body")
     duration_s: float = Field(gt=0, le=1e9, description="From the first to the last state")
-    step_s: float = Field(ge=1e-3, description="Time from state to state")
+    step_s: float = Field(ge=1e-3, description="Longest time from state to state; all are equal")
     normal: Direction = Field((0.0, 0.0, 1.0), description="Normal of the plane: periapsis x velocity there")
 
     @rule
@@ -58,7 +59,7 @@ class FlybySpec(SpecModel):
 
     def states(self) -> Table:
         """Solve Kepler's equation of the hyperbola, e sinh H - H = n t, at every epoch by Newton's method."""
-        time_s = _epochs(-0.5 * self.duration_s, self.duration_s, self.step_s)
+        time_s = _epochs(-0.5 * self.duration_s, self.duration_s, self.step_s, 2)  # with the periapsis
         semi_m, rate = self.gm_m3_s2 / self.v_infinity_m_s**2, self.v_infinity_m_s**3 / self.gm_m3_s2
         e, mean = 1.0 + self._excess, rate * time_s
         # Two bounds of the solution: e sinh H - H is above (e - 1) sinh H and e H^3 / 6. From there Newton's method
@@ -81,7 +82,7 @@ class HoverSpec(SpecModel):
 
     position_m: Row3 = Field(description="The point, from the body's origin")
     duration_s: float = Field(gt=0, le=1e9, description="From the first to the last state")
-    step_s: float = Field(ge=1e-3, description="Time from state to state")
+    step_s: float = Field(ge=1e-3, description="Longest time from state to state; all are equal")
     box_m: float = Field(0.0, ge=0, le=1e12, description="Half a side of the box of station keeping; 0 for none")
     drift_m_s: float = Field(0.0, ge=0, le=1e6, description="Speed of the drift in the box")
 
@@ -111,9 +112,9 @@ class DescentSpec(SpecModel):
 
     direction: Direction = Field(description="From the body's origin to the camera")
     from_altitude_m: float = Field(gt=0, le=1e12, description="First height")
-    to_altitude_m: float = Field(gt=0, description="Last height, or less than a step above it")
+    to_altitude_m: float = Field(gt=0, description="Last height")
     rate_m_s: float = Field(gt=0, le=1e6, description="Rate of the descent")
-    step_s: float = Field(ge=1e-3, description="Time from state to state")
+    step_s: float = Field(ge=1e-3, description="Longest time from state to state; all are equal")
 
     @rule
     def _leads_down(self) -> None:

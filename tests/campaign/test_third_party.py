@@ -18,6 +18,8 @@ from boresight.campaign.cli import main
 from boresight.campaign.pool import workers
 from boresight.campaign.store import RunFolder
 from boresight.estimators.registry import estimator_class
+from boresight.reports.run.data import read_run
+from boresight.scenarios.errors import BoresightError
 
 TRIALS = 12
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md"
@@ -139,6 +141,9 @@ def test_an_estimator_that_raises_costs_its_own_rows_alone_and_is_as_reproducibl
     assert errors["position_error_m"].isna().all()
     assert errors["prior_position_error_m"].notna().all()
     traces = pd.read_parquet(out / "tracebacks")
+    assert read_run(out).table("tracebacks")["traceback"].tolist() == traces["traceback"].tolist()
+    with pytest.raises(BoresightError, match=r"no table is called 'nonsense'; there are: rows, "):
+        read_run(out).table("nonsense")
     pd.testing.assert_frame_equal(
         traces[["trial", "estimator"]], errors[["trial", "estimator"]].reset_index(drop=True), check_dtype=False
     )

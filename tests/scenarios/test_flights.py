@@ -97,12 +97,22 @@ def test_a_hover_stays_in_its_box_and_drifts_at_its_speed():
     assert steps.max() <= 0.1 + 1e-9, "it turns within a step at most"
 
 
+def test_steps_of_a_flyby_are_no_longer_than_stated_and_meet_the_periapsis():
+    way = {"periapsis_m": 900, "v_infinity_m_s": 0.2, "gm_m3_s2": 5, "duration_s": 10_000}
+    for step_s, states in ((3000, 5), (5000, 3), (20_000, 3), (1000, 11)):
+        times, places, _ = flown(FlybySpec(**way, step_s=step_s))
+        assert (len(times), times[0], times[-1]) == (states, -5000, 5000)
+        assert np.linalg.norm(places, axis=1).min() == pytest.approx(900)
+
+
 def test_a_descent_has_a_constant_rate_and_ends_above_its_last_distance():
     way = {"direction": (0, 3, 4), "from_altitude_m": 850, "to_altitude_m": 90, "rate_m_s": 0.5, "step_s": 150}
     times, places = flown(DescentSpec(**way), lambda _, up: 150.0)
     np.testing.assert_allclose(np.linalg.norm(places, axis=1), 1000 - 0.5 * times)
     np.testing.assert_allclose(places[0], [0, 600, 800])
-    assert 240 <= np.linalg.norm(places[-1]) < 240 + 0.5 * 150
+    # 1520 s in eleven equal steps, which are not longer than 150 s.
+    assert np.linalg.norm(places[-1]) == pytest.approx(240)
+    np.testing.assert_allclose(np.diff(times), 1520 / 11)
     whole = {"from_altitude_m": 150, "rate_m_s": 0.1, "step_s": 60}
     assert len(flown(DescentSpec(**way | whole), lambda _, up: 150.0)[0]) == 11
 
