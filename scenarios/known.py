@@ -262,8 +262,10 @@ def _optics(spec: ScenarioSpec) -> Iterator[Item]:
     du, dv = onboard.principal_point_error_px
     focal = f"focal length wrong by {100.0 * onboard.focal_error:g} %" if onboard.focal_error else ""
     middle = f"principal point by ({du:g}, {dv:g}) px" if du or dv else ""
+    told = onboard.camera_sigma
+    sigmas = f"declared to {100.0 * told.focal:g} % and {told.principal_point_px:g} px" if told is not None else ""
     pinholes = [camera.model_copy(update={"distortion": None}) for camera in (believed, spec.camera)]
-    yield _item("camera", pinholes[0] == pinholes[1], _listed([focal, middle]))
+    yield _item("camera", pinholes[0] == pinholes[1] and told is None, _listed([focal, middle, sigmas]))
     if spec.camera.distortion is not None:
         wrong = f"distortion wrong by {100.0 * onboard.distortion_error:g} %"
         yield _item("lens", believed.distortion == spec.camera.distortion, wrong)

@@ -24,7 +24,7 @@ def _epochs(start_s: float, duration_s: float, step_s: float, multiple: int = 1)
     steps = multiple * max(1.0, np.ceil(duration_s / step_s / multiple - 1e-9))
     if steps >= MOST_STATES:
         raise ValueError(f"{steps + 1:.3g} states are more than {MOST_STATES}: take longer steps")
-    return start_s + duration_s * np.arange(int(steps) + 1, dtype=np.float64) / steps
+    return np.asarray(start_s + duration_s * np.arange(int(steps) + 1) / steps, dtype=np.float64)
 
 
 def _columns(time_s: FloatArray, position_m: FloatArray, velocity_m_s: FloatArray | None = None) -> Table:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.errors import one_line
 from boresight.scenarios.limits import MOST_FOLD, may_unfold
@@ -68,6 +67,8 @@ def _poses(content: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.f
     towards_km, turns = np.asarray(content["cam_positions"]), np.moveaxis(content["cam_rots"], 2, 0)
     if towards_km.shape != (3, len(turns)) or turns.shape[1:] != (3, 3):
         raise ValueError(f"cam_positions {towards_km.shape} and cam_rots are not those of as many views")
+    from scipy.spatial.transform import Rotation  # 0.1 s too
+
     quaternions = Rotation.from_matrix(turns).as_quat(scalar_first=True)
     columns = {"time_s": np.arange(len(turns), dtype=np.float64)}
     columns |= dict(zip(("x_km", "y_km", "z_km"), -towards_km, strict=True))

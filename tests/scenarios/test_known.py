@@ -22,6 +22,7 @@ WRONG = {
     "albedo": ("uniform", "albedo variation"),
     "focal_error": (1e-3, "camera"),
     "principal_point_error_px": ((1.0, 0.0), "camera"),
+    "camera_sigma": ({"focal": 1e-3}, "camera"),
     "distortion_error": (0.5, "lens"),
     "sun_error_deg": ({"normal": 1.0}, "Sun"),
     "pole_error_deg": ({"uniform": [0.0, 1.0]}, "spin"),
