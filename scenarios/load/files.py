@@ -17,7 +17,7 @@ from boresight.scenarios.load.entry import ConfigEntry, describe, entry_of
 from boresight.scenarios.load.explain import explain
 from boresight.scenarios.load.find import exists, find, name_of, names_in, read
 from boresight.scenarios.load.lengths import lengths_left_out, scale_as_written, surface_m, with_lengths
-from boresight.scenarios.load.merge import Plain, apply, merge, on_defaults, parse_override, settings
+from boresight.scenarios.load.merge import Plain, apply, on_defaults, parse_override, settings
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.campaign import CampaignSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
@@ -215,7 +215,7 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
         section.setdefault("name", ConfigEntry(name_of(path), shown))
     if len(children) > _MAX_GENERATIONS:
         raise BoresightError(f"{shown}: extends: a chain of more than {_MAX_GENERATIONS} files")
-    base, folders = ConfigEntry({}, own.place), [resolved.parent]
+    layers, folders = list[ConfigEntry](), [resolved.parent]
     for parent in _parents(extends):
         parent_path = find(parent, catalog, path.parent)
         if parent_path.resolve() in (*children, resolved):
@@ -223,10 +223,10 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
         file = _read_chain(parent_path, catalog, model, (*children, resolved))
         # Name and description belong to a file alone.
         inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
-        base = merge(base, ConfigEntry(inherited, own.place), (model,))
+        layers.append(ConfigEntry(inherited, own.place))
         folders += file.folders
-    root = merge(base, ConfigEntry(section, own.place), (model,))
-    return _File(ConfigEntry(root.value, shown), tuple(dict.fromkeys(folders)))
+    root = apply(ConfigEntry({}, shown), [*layers, ConfigEntry(section, own.place)], (model,))
+    return _File(root, tuple(dict.fromkeys(folders)))
 
 
 def _parents(extends: ConfigEntry | None) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from itertools import pairwise
 from typing import Any, Literal, get_args, get_origin
 
 from boresight.scenarios.errors import BoresightError, printable
@@ -93,17 +94,47 @@ def parse_override(text: str, place: str = "") -> ConfigEntry:
 def settings(value: ConfigEntry | Mapping[str, object], models: Models) -> ConfigEntry:
     """Read a section of overrides whose keys may be dotted: ``{camera.fov_deg: 20, camera: {width_px: 256}}``."""
     entry = value if isinstance(value, ConfigEntry) else entry_of(value, "set")
-    result = ConfigEntry({}, entry.place)
-    for dotted, item in (entry.section or {}).items():
-        result = merge(result, nested(dotted.split("."), item), models)
-    return result
+    layers = [nested(dotted.split("."), item) for dotted, item in (entry.section or {}).items()]
+    return apply(ConfigEntry({}, entry.place), layers, models)
 
 
 def apply(base: ConfigEntry, layers: list[ConfigEntry], models: Models) -> ConfigEntry:
-    """Merge layers in order over ``base``, keeping its location."""
+    """Merge layers in order over ``base``, keeping its location.
+
+    Raises
+    ------
+    BoresightError
+        If a layer replaces a key of two groups of alternatives by one of the first group, and no layer gives one of the
+        second group, which would fall back to its default.
+    """
+    stages = [base]
     for layer in layers:
-        base = ConfigEntry(merge(base, layer, models).value, base.place)
-    return base
+        stages.append(ConfigEntry(merge(stages[-1], layer, models).value, base.place))
+    for before, after in pairwise(stages):
+        _refuse_loss(before, after, stages[-1], models)
+    return stages[-1]
+
+
+def _refuse_loss(
+    before: ConfigEntry, after: ConfigEntry, final: ConfigEntry, models: Models, path: tuple[str, ...] = ()
+) -> None:
+    """Raise BoresightError if a key of one group of alternatives empties another between two stages, for good."""
+    if before.section is None or after.section is None or final.section is None:
+        return
+    groups = [group for model in models for group in model.alternatives]
+    for lost in sorted(before.section.keys() - after.section.keys()):
+        own = [group for group in groups if lost in group and before.section[lost].value is not None]
+        by = next((key for group in own for key in group if key in after.section), None)
+        for group in own:
+            if by is not None and by not in group and not {*group} & {*final.section}:
+                others = ", ".join(key for key in group if key != lost)
+                raise BoresightError(
+                    f"{after.section[by].place}: {'.'.join((*path, by))} replaces {lost}:"
+                    f" give {' or '.join(others.rsplit(', ', 1))} too, or change {lost} instead"
+                )
+    for key in before.section.keys() & after.section.keys() & final.section.keys():
+        entries = (before.section[key], after.section[key], final.section[key])
+        _refuse_loss(*entries, field_models(models, key), (*path, key))
 
 
 def submodels(annotation: object) -> Models:

@@ -293,8 +293,55 @@ def test_a_joint_covariance_replaces_an_inherited_attitude_and_is_refused_next_t
     for attitude in ("attitude: {angle_deg: 3}", paper):
         with pytest.raises(BoresightError, match="give either pose_cam_deg_m or attitude, not both"):
             load_scenario("quickstart", [f"pose_error={{{joint}, {attitude}}}"])
-    law = load_scenario("quickstart", [f"pose_error={{{joint}}}", f"pose_error={{{paper}}}"]).spec.pose_error
-    assert law == PAPER_POSE_ERROR, "and the other way round"
+
+
+PAPER_PLACE = "position_cam_px: {uniform: [[-40, 40], [-40, 40], [-4, 4]]}"
+
+
+@pytest.fixture
+def joint_file(tmp_path):
+    file = tmp_path / "joint.yaml"
+    file.write_text(f"extends: quickstart\npose_error: {{pose_cam_deg_m: {{covariance: {JOINT.tolist()}}}}}\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [
+        ("attitude: {angle_deg: 1}", "position_cam_m, position_cam_px, position_body_m or position_rtn_m"),
+        ("position_cam_m: {normal: [1, 1, 1]}", "attitude"),
+    ],
+)
+@pytest.mark.parametrize("section", ["pose_error", "onboard.pose_error"])
+def test_half_of_a_joint_covariance_is_never_replaced_alone(joint_file, section, given, missing):
+    key = given.partition(":")[0]
+    said = f"{section}.{key} replaces pose_cam_deg_m: give {missing} too, or change pose_cam_deg_m instead"
+    joint = f"{section}.pose_cam_deg_m.covariance={JOINT.tolist()}"
+    with pytest.raises(BoresightError) as caught:
+        load_scenario(str(joint_file), [joint, f"{section}={{{given}}}"])
+    assert str(caught.value) == f"--set {section}={{{given}}}: {said}"
+
+
+@pytest.mark.parametrize("layer", ["base", "levels"])
+def test_half_of_a_joint_covariance_is_not_replaced_by_a_campaign(joint_file, layer):
+    given = {"pose_error.attitude.angle_deg": 1}
+    with pytest.raises(BoresightError, match=r"pose_error\.attitude replaces pose_cam_deg_m: give position_cam_m, "):
+        load_scenario(str(joint_file), **{layer: given if layer == "base" else [given]})
+
+
+def test_half_of_a_joint_covariance_is_not_replaced_by_a_file_that_extends(joint_file):
+    child = joint_file.with_name("child.yaml")
+    child.write_text("extends: joint.yaml\npose_error:\n  attitude: {angle_deg: 1}\n")
+    with pytest.raises(BoresightError, match=r"child.yaml:3: pose_error.attitude replaces pose_cam_deg_m: give pos"):
+        load_scenario(str(child))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_both_halves_replace_a_joint_covariance_in_any_order(joint_file, order):
+    halves = ["pose_error.attitude.angle_deg={uniform: [-2, 2]}", f"pose_error={{{PAPER_PLACE}}}"]
+    assert load_scenario(str(joint_file), halves[::order]).spec.pose_error == PAPER_POSE_ERROR
+    defaults = ["pose_error=null", "pose_error.attitude.angle_deg={uniform: [-2, 2]}"]
+    assert load_scenario(str(joint_file), defaults).spec.pose_error == PAPER_POSE_ERROR
 
 
 def test_an_error_in_body_axes_is_that_of_the_camera_whatever_the_attitude_is(paper):
