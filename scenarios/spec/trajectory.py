@@ -216,9 +216,14 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
         If a column is missing or wrong, or the table is not in the order of time.
     """
     if unknown := [name for name in table if name not in _KNOWN]:
-        raise ValueError(
-            f"unknown columns {', '.join(map(repr, unknown))}: leave them out; known are {', '.join(_KNOWN)}"
+        # A needed column that is missing is often there by another name.
+        needed = (("time_s",), *((f"{axis}_m", f"{axis}_km") for axis in "xyz"))
+        absent = [names[0] for names in needed if not any(name in table for name in names)]
+        missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} missing; " if absent else ""
+        told = (
+            f"{missing}unknown columns {', '.join(map(repr, unknown))}: {'rename or ' if absent else ''}leave them out"
         )
+        raise ValueError(f"{told}; known are {', '.join(_KNOWN)}")
     frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
     inertial = frame is not None and frame.upper().startswith(_INERTIAL)
     if inertial and rotation is None:

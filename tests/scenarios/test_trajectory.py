@@ -278,7 +278,17 @@ BAD = {
     "unknown": (
         table_of().assign(q0=1.0, sun=2.0),
         "",
-        "unknown columns 'q0', 'sun': leave them out; known are time_s, x_m, y_m, z_m, x_km",
+        "cannot be used: unknown columns 'q0', 'sun': leave them out; known are time_s, x_m, y_m, z_m, x_km",
+    ),
+    "time by another name": (
+        table_of().rename(columns={"time_s": "t"}),
+        "",
+        "time_s is missing; unknown columns 't': rename or leave them out; known are time_s, ",
+    ),
+    "positions by another name": (
+        table_of().rename(columns={"x_m": "x", "z_m": "z"}),
+        "",
+        "x_m, z_m are missing; unknown columns 'x', 'z': rename or leave them out; known are time_s, ",
     ),
     "both units": (table_of().assign(x_km=1.0), "", "x is given in m and in km"),
     "rotation": (table_of(), ", rotation: {pole_ra_deg: 3}", "pole_dec_deg: this key is missing"),
