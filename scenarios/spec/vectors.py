@@ -7,7 +7,7 @@ from abc import abstractmethod
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field, Tag
+from pydantic import Field, Tag, field_validator
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.base import SpecModel, optional, rule
@@ -118,7 +118,21 @@ def draw_normals(covariance: FloatArray, rng: np.random.Generator) -> FloatArray
 class _Correlated(_NormalVector):
     """Normal components with a covariance."""
 
+    width: ClassVar[int]
+
     covariance: tuple[tuple[float, ...], ...]
+
+    @field_validator("covariance", mode="before")
+    @classmethod
+    def _size(cls, rows: object) -> object:
+        """Refuse a matrix of another size in one line, in place of one for each value that is missing or too many."""
+        if not isinstance(rows, list | tuple):
+            return rows
+        widths = {len(row) if isinstance(row, list | tuple) else 0 for row in rows}
+        if len(rows) != cls.width or widths != {cls.width}:
+            size = f", not {len(rows)} x {min(widths)}" if len(widths) == 1 and min(widths) else ""
+            raise ValueError(f"{cls.width} x {cls.width} expected{size}")
+        return tuple(map(tuple, rows))  # what is validated strictly from here on are Python values, not JSON
 
     @rule
     def _check(self) -> None:
@@ -142,12 +156,16 @@ class _Correlated(_NormalVector):
 class Correlated3(_Correlated):
     """Normal components with a covariance: ``{covariance: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]}``."""
 
+    width: ClassVar[int] = 3
+
     covariance: tuple[Row3, Row3, Row3] = Field(description="Symmetric, positive semidefinite; squared units")
     mean: Row3 | None = optional("Mean; zero if left out")
 
 
 class Correlated6(_Correlated):
     """Six normal components with a covariance: ``{covariance: [[...], ...]}``, 6 x 6."""
+
+    width: ClassVar[int] = 6
 
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6] = Field(description="Symmetric, positive semidefinite")
     mean: Row6 | None = optional("Mean; zero if left out")

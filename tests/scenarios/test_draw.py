@@ -295,6 +295,23 @@ def test_a_joint_covariance_replaces_an_inherited_attitude_and_is_refused_next_t
             load_scenario("quickstart", [f"pose_error={{{joint}, {attitude}}}"])
 
 
+@pytest.mark.parametrize(
+    ("key", "matrix", "said"),
+    [
+        ("pose_cam_deg_m", np.eye(3), "6 x 6 expected, not 3 x 3"),
+        ("pose_cam_deg_m", np.eye(7), "6 x 6 expected, not 7 x 7"),
+        ("position_cam_m", np.eye(6), "3 x 3 expected, not 6 x 6"),
+        ("position_cam_m", np.eye(3)[:, :2], "3 x 3 expected, not 3 x 2"),
+        ("position_cam_m", np.ones(3), "3 x 3 expected"),
+    ],
+)
+def test_a_covariance_of_another_size_is_one_line(key, matrix, said):
+    with pytest.raises(BoresightError) as caught:
+        load_scenario("quickstart", [f"pose_error={{{key}: {{covariance: {matrix.tolist()}}}}}"])
+    assert str(caught.value).endswith(f": pose_error.{key}.covariance: {said}")
+    assert "\n" not in str(caught.value)
+
+
 PAPER_PLACE = "position_cam_px: {uniform: [[-40, 40], [-40, 40], [-4, 4]]}"
 
 
