@@ -20,6 +20,7 @@ from boresight.scenarios.load.lengths import without_detail
 from boresight.scenarios.spec.camera import DetectorSpec
 from boresight.scenarios.spec.craters import CratersSpec, PlaneCratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
+from boresight.scenarios.spec.trajectory import FlownSpec, TrajectorySpec
 from boresight.scenarios.spec.world import ViewpointSpec
 
 _VIEWS, _POINTS = 40, 4000
@@ -48,20 +49,29 @@ class _Sight:
     phase_deg: tuple[float, float]
 
 
-def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
+def preview(scenario: LoadedScenario, *, detailed: bool = True, trials: int | None = None) -> list[str]:
     """Describe field of view, pixel, body, signal and craters in the images of a scenario, a line each.
 
-    The body is taken without its detail unless it is wanted: that may take a minute to make. Raise BoresightError if
-    the sphere about the body is out of the frame in all views that are drawn.
+    The body is taken without its detail unless it is wanted: that may take a minute to make. Of a trajectory whose
+    states are taken in turn, those of the first ``trials`` are described, by default all. Raise BoresightError if the
+    sphere about the body is out of the frame in all views that are drawn.
     """
     spec, camera = scenario.spec, scenario.spec.camera.camera()
     mesh = load_body(spec.body if detailed else without_detail(spec.body), scenario.search_dirs).mesh
-    sight = None if spec.viewpoint is None else _sight(scenario, spec.viewpoint, mesh)
-    lines = [_views_in_words(scenario, camera, mesh, sight)]
+    flown = _states_flown(spec, trials)
+    ends_m = ranges_m(scenario, mesh)
+    if spec.viewpoint is not None and spec.viewpoint.states is not None:
+        ranges = np.linalg.norm(spec.viewpoint.states.position_m[:flown], axis=1)
+        ends_m = float(ranges.min()), float(np.median(ranges)), float(ranges.max())
+    sight = None if spec.viewpoint is None else _sight(scenario, spec.viewpoint, mesh, flown)
+    lines = [
+        _views_in_words(scenario, camera, longest_m(scenario, mesh), ends_m, sight),
+        *_states_in_words(spec, flown),
+    ]
     if spec.viewpoint is not None:
-        lines.append(_prior_in_words(spec, camera, float(ranges_m(scenario, mesh)[1])))
+        lines.append(_prior_in_words(spec, camera, ends_m[1]))
     if spec.images is not None or images_of(spec, 1):  # estimators of real images render too
-        near_m = float(ranges_m(scenario, mesh)[1]) if sight is None or np.isnan(sight.distance_m) else sight.distance_m
+        near_m = ends_m[1] if sight is None or np.isnan(sight.distance_m) else sight.distance_m
         lines.append(_facets_in_words(spec, mesh, near_m / camera.fx_px, detailed))
     if sight is not None and spec.detector is not None and len(sight.weight):
         lines.append(signal_in_words(spec.detector, sight.radiance_factor, sight.weight))
@@ -81,9 +91,44 @@ def preview(scenario: LoadedScenario, *, detailed: bool = True) -> list[str]:
     return lines
 
 
-def _views_in_words(scenario: LoadedScenario, camera: Camera, mesh: TriangleMesh, sight: _Sight | None) -> str:
-    """Describe the field of view, a pixel, and the body in the images."""
-    size_m, ends = longest_m(scenario, mesh), np.array(ranges_m(scenario, mesh))
+def _states_flown(spec: ScenarioSpec, trials: int | None) -> int:
+    """Return how many states of a trajectory are in images or frames; 0 without one."""
+    trajectory = _trajectory_of(spec)
+    if trajectory is None:
+        return 0
+    count = len(trajectory.states)
+    in_turn = isinstance(trajectory, TrajectorySpec) and trajectory.order == "in-turn"
+    return min(trials, count) if in_turn and trials is not None else count
+
+
+def _trajectory_of(spec: ScenarioSpec) -> FlownSpec | None:
+    if spec.viewpoint is not None:
+        return spec.viewpoint.trajectory
+    return None if spec.sequence is None else spec.sequence.trajectory
+
+
+def _states_in_words(spec: ScenarioSpec, flown: int) -> list[str]:
+    """Describe the states of a trajectory and their axes in a line; empty without one."""
+    trajectory = _trajectory_of(spec)
+    if trajectory is None:
+        return []
+    if trajectory.spice is not None:
+        axes = trajectory.spice.target_frame
+    elif trajectory.rotation is not None:
+        axes = "inertial axes, turned to body axes by trajectory.rotation"
+    else:
+        axes = "body axes; if they are inertial, give trajectory.rotation"
+    count = len(trajectory.states)
+    are = "is" if flown == 1 else "are"
+    some = f"{flown} of {count} states {are} flown, one in each trial; " if flown < count else f"{count} "
+    return [f"trajectory: {some}states in {axes}"]
+
+
+def _views_in_words(
+    scenario: LoadedScenario, camera: Camera, size_m: float, ends_m: tuple[float, float, float], sight: _Sight | None
+) -> str:
+    """Describe the field of view, a pixel, and a body of a size at the shortest, median and longest range."""
+    ends = np.array(ends_m)
     fields = np.degrees(2.0 * np.arctan([0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px]))
     unit, unit_m = ("km", 1000.0) if ends[2] >= 1e5 else ("m", 1.0)
     four_digits = partial(np.format_float_positional, precision=4, unique=False, fractional=False, trim="-")
@@ -190,9 +235,10 @@ def _craters_in_words(craters: CratersSpec | PlaneCratersSpec, in_view: float, m
     return words if found >= 4.0 else f"{words}: too few for most methods, choose a shorter range or more craters"
 
 
-def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh) -> _Sight:
+def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMesh, flown: int) -> _Sight:
     """Look at points that are spread over the surface in some views that are drawn as those of trials.
 
+    ``flown`` is the number of states of a trajectory, from the first, that the views are spread over.
     What one part of the body hides or shades of another is not taken into account, nor is relief smaller than a facet.
     Raise BoresightError if the sphere about the body is out of the frame in all of these views.
     """
@@ -201,12 +247,12 @@ def _sight(scenario: LoadedScenario, viewpoint: ViewpointSpec, mesh: TriangleMes
     rows = np.searchsorted(areas, areas[-1] * (np.arange(_POINTS) + 0.5) / _POINTS)
     weights = rng.dirichlet(np.ones(3), _POINTS)  # uniform over a triangle
     places, normals = np.einsum("pk,pki->pi", weights, mesh.corners_m[rows]), mesh.normals[rows]
-    count, in_view, phases_rad = len(viewpoint.states or ()), False, list[float]()
+    in_view, phases_rad = False, list[float]()
     seen = inside = dark = 0.0
     lit_points: list[FloatArray] = []  # (N, 3): I/F, projected area, distance
     for trial in range(_VIEWS):
         # Spread over a trajectory, whatever its order is.
-        state, draws = trial * count // _VIEWS, generator(0, Stream.TRUTH, trial)
+        state, draws = trial * flown // _VIEWS, generator(0, Stream.TRUTH, trial)
         drawn = drawn_together(spec, 0, trial)
         view = draw_aimed_view(drawn.viewpoint or viewpoint, drawn.lighting, camera, mesh, draws, state)
         in_view |= view.may_show(mesh.radius_m)

@@ -115,18 +115,19 @@ def preflight(
     Of a campaign, the time and the size of the images of ``trials``, by default its own, and the lengths that options
     leave out follow. See `preview` for ``detailed``.
     """
+    trials = trials or (None if campaign is None else campaign.trials)
     names: dict[tuple[str, ...], str] = {}
     for scenario in scenarios:
-        names.setdefault(tuple(preview(scenario, detailed=detailed)), scenario.spec.name)
+        names.setdefault(tuple(preview(scenario, detailed=detailed, trials=trials)), scenario.spec.name)
     lines = [f"{name}: {line}" for told, name in list(names.items())[:_MOST_SHOWN] for line in told]
     left = len(names) - _MOST_SHOWN
     if left > 0:
         lines.append(f"and {count_of(left, 'further scenario')} with other images")
-    if campaign is None:
+    if campaign is None or trials is None:
         return lines
     return [
         *lines,
-        _cost_in_words(scenarios, campaign, trials or campaign.trials),
+        _cost_in_words(scenarios, campaign, trials),
         *lengths_in_words(scenarios, campaign),
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,12 +16,15 @@ from boresight.campaign.imaging.preview import preview
 from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.world import check_bodies, open_world
 from boresight.campaign.products.database_images import database_images
+from boresight.campaign.runs.check import preflight
+from boresight.campaign.runs.read import read_campaign
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import prior_covariance
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario
+from boresight.scenarios.spec.trajectory import SpiceTrajectorySpec
 
 BALL = "body={shape: sphere}"
 SMALL = ("camera.width_px=64", "camera.height_px=48")
@@ -221,6 +225,68 @@ def test_estimators_are_not_told_which_values_were_drawn_together():
 
 
 CRATERS = "craters={count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30}"
+
+
+@pytest.fixture
+def approach(tmp_path):
+    """Path of a scenario with ten states at 2000, 2100, ... m on the x axis, the Sun behind the first eight."""
+    table = pd.DataFrame({"time_s": np.arange(10.0), "x_m": 2000.0 + 100.0 * np.arange(10.0), "y_m": 0.0, "z_m": 0.0})
+    far = np.arange(10) >= 8
+    table.assign(sun_x=np.where(far, 0.0, 1.0), sun_y=np.where(far, 1.0, 0.0), sun_z=0.0).to_csv(
+        tmp_path / "states.csv", index=False
+    )
+    (tmp_path / "scene.yaml").write_text(
+        "extends: quickstart\nbody: {shape: sphere}\nlighting: null\nviewpoint: {trajectory: {table: states.csv}}\n"
+    )
+    return str(tmp_path / "scene.yaml")
+
+
+@pytest.mark.parametrize(
+    ("order", "trials", "flown", "ranges", "phases"),
+    [
+        ("in-turn", 8, "8 of 10 states are flown, one in each trial; ", "2000 to 2700", "0"),
+        ("in-turn", 1, "1 of 10 states is flown, one in each trial; ", "2000", "0"),
+        ("in-turn", 10, "10 ", "2000 to 2900", "0 to 90"),
+        ("in-turn", None, "10 ", "2000 to 2900", "0 to 90"),
+        ("random", 8, "10 ", "2000 to 2900", "0 to 90"),
+    ],
+)
+def test_the_states_of_the_trials_are_described(approach, order, trials, flown, ranges, phases):
+    views, states, *_ = preview(load_scenario(approach, [f"viewpoint.trajectory.order={order}"]), trials=trials)
+    assert states == f"trajectory: {flown}states in body axes; if they are inertial, give trajectory.rotation"
+    assert f"range {ranges} m," in views
+    assert f"phase angle {phases} deg" in views
+
+
+def test_inertial_states_are_described_as_such(approach):
+    rotation = "viewpoint.trajectory.rotation={pole_ra_deg: 0, pole_dec_deg: 90, rate_deg_day: 0}"
+    said = preview(load_scenario(approach, [rotation]))[1]
+    assert said == "trajectory: 10 states in inertial axes, turned to body axes by trajectory.rotation"
+
+
+def test_states_of_kernels_are_in_the_frame_of_the_body(approach):
+    """Kernels are not read again: the states stand for theirs."""
+    scenario = load_scenario(approach)
+    kernels = SpiceTrajectorySpec.model_construct(target_frame="ITOKAWA_FIXED")
+    trajectory = scenario.spec.viewpoint.trajectory.model_copy(update={"table": None, "spice": kernels})
+    viewpoint = scenario.spec.viewpoint.model_copy(update={"trajectory": trajectory})
+    read = replace(scenario, spec=scenario.spec.model_copy(update={"viewpoint": viewpoint}))
+    assert preview(read)[1] == "trajectory: 10 states in ITOKAWA_FIXED"
+
+
+def test_a_sequence_flies_all_states_whatever_the_trials_are():
+    flight = "hover: {position_m: [600, 0, 0], duration_s: 300, step_s: 100}"
+    given = f"sequence={{sphere_radius_m: 190, trajectory: {{{flight}}}}}"
+    said = preview(load_scenario("apophis-sphere-sequence", [given]), trials=2)[1]
+    assert said == "trajectory: 4 states in body axes; if they are inertial, give trajectory.rotation"
+
+
+def test_a_run_describes_the_states_of_its_trials(approach, tmp_path):
+    (tmp_path / "campaign.yaml").write_text("scenarios: [scene.yaml]\nestimators: [centroid]\ntrials: 3\nseed: 1\n")
+    read = read_campaign(str(tmp_path / "campaign.yaml"))
+    for trials, flown in ((None, 3), (5, 5)):
+        said = preflight(read.scenarios, read.loaded.spec, trials=trials)[1]
+        assert said.startswith(f"scene: trajectory: {flown} of 10 states are flown, one in each trial; ")
 
 
 @pytest.mark.parametrize("more", [("body.detail.facets=5000",), (CRATERS, "body.detail=null")], ids=["mesh", "craters"])
