@@ -224,7 +224,7 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
             f"{missing}unknown columns {', '.join(map(repr, unknown))}: {'rename or ' if absent else ''}leave them out"
         )
         raise ValueError(f"{told}; known are {', '.join(_KNOWN)}")
-    frame = str(table[REF_FRAME][0]) if REF_FRAME in table else None
+    frame = str(table[REF_FRAME][0]) if len(table.get(REF_FRAME, ())) else None
     inertial = frame is not None and frame.upper().startswith(_INERTIAL)
     if inertial and rotation is None:
         raise ValueError(f"its states are in {frame}, inertial axes: give the body's rotation")

@@ -292,6 +292,7 @@ BAD = {
     ),
     "both units": (table_of().assign(x_km=1.0), "", "x is given in m and in km"),
     "rotation": (table_of(), ", rotation: {pole_ra_deg: 3}", "pole_dec_deg: this key is missing"),
+    "empty with a frame": ("time_s,x_m,y_m,z_m,ref_frame\n", "", r"0 states are not within \[1, "),
     "empty": ("time_s,x_m,y_m,z_m\n", "", r"0 states are not within \[1, "),
 }
 
