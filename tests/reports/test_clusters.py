@@ -322,6 +322,19 @@ def test_the_terminal_shows_where_sequences_of_less_than_a_revolution_end(builde
         row |= short | {"position_error_m": errors[row["estimator"]]}
     lines = terminal_lines(builder.write(scenarios={"sphere-0": spec(0)}, estimators=list(errors), grid=None))
     assert lines[0].rstrip() == "Position error, sphere-0"
-    assert [line.split()[:3] for line in lines[3:5]] == [
-        ["one", f"{STARTS}/{STARTS}", "4.00"], ["two", f"{STARTS}/{STARTS}", "7.00"],
+    assert [line.split()[:4] for line in lines[3:5]] == [
+        ["one", "solved", f"{STARTS}/{STARTS}", "4.00"], ["two", "solved", f"{STARTS}/{STARTS}", "7.00"],
     ]  # fmt: skip
+
+
+def test_the_terminal_tells_the_solved_sequences_from_all_with_failures_counted(builder):
+    written(builder, {"one": np.full((1, STARTS), 4.0)}, grid=None)
+    for row in builder.tables["rows"]:
+        failed = row["trial"] == 0
+        row |= {"error_after_1_m": np.nan, "error_after_2_m": np.nan, "position_error_m": np.nan if failed else 4.0}
+    folder = builder.write(scenarios={"sphere-0": spec(0)}, estimators=["one"], grid=None)
+    lines = [line.split() for line in terminal_lines(folder) if line.startswith("one")][:2]
+    assert [line[:3] for line in lines] == [
+        ["one", "solved", f"{STARTS - 1}/{STARTS}"], ["one", "failures", "worst"],
+    ]  # fmt: skip
+    assert lines[1][3] == f"{STARTS}/{STARTS}"

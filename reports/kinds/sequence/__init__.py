@@ -75,7 +75,8 @@ def _errors_at_the_end(run: RunData) -> list[Grid]:
     if run.rows[list(REVOLUTION_ERRORS)].notna().any(axis=None) or run.rows[POSITION].isna().all():
         return []
     whole, _ = subject_tables(compared((run,), measure_of(POSITION)))
-    shown = [head for head in whole.columns if head in ("estimator", "scenario", "solved") or head.startswith("median")]
+    names = ("estimator", "scenario", "trials", "solved")
+    shown = [head for head in whole.columns if head in names or head.startswith("median")]
     return [replace(whole.keep(*shown), note="")]
 
 
