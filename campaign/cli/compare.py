@@ -9,6 +9,7 @@ from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders
 from boresight.campaign.runs.newest import find_run, newest_first
 from boresight.reports.compare import compare_runs
+from boresight.reports.compare.remarks import counted_tests, equal_pairs, limits, pooled_lines
 from boresight.reports.pages.board import write_board
 from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.pages.rich_tables import rich_parts
@@ -36,6 +37,10 @@ def compare_command(arguments: argparse.Namespace) -> int:
     printer = console()
     for grid in files.grids:
         printer.print(*rich_parts(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
+    for name, text in limits(found):
+        printer.print(f"{name}: {text}")
+    for line in filter(None, (pooled_lines(found), equal_pairs(found), counted_tests(found))):
+        printer.print(line)
     printer.print(f"comparison: {files.html}")
     return 0
 

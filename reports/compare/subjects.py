@@ -9,7 +9,7 @@ table at the level of one test.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -73,6 +73,8 @@ class Contrast:
         Difference of the failure rates.
     p_holm, p_of_all_holm
         The tests' p after Holm's correction over the table.
+    equal
+        Trials that both solved with the same value; 0 of independent samples.
     """
 
     first: tuple[str, ...]
@@ -89,6 +91,7 @@ class Contrast:
     failures: Measured
     p_holm: float | None = None
     p_of_all_holm: float | None = None
+    equal: int = 0
 
 
 def holm(chances: Sequence[float]) -> list[float]:
@@ -131,7 +134,7 @@ def paired_contrast(
     better_of_all, chance_of_all, _ = sign_test(of_all, clusters)
     return Contrast(
         *names, True, int(solved.sum()), len(both), median, mean, better, chance.value, better_of_all,
-        chance_of_all.value, rate_difference(mine, theirs, clusters),
+        chance_of_all.value, rate_difference(mine, theirs, clusters), equal=int((difference == 0.0).sum()),
     )  # fmt: skip
 
 
@@ -346,18 +349,23 @@ def compared(
         folders = ", ".join(str(run.folder) for run in runs)
         raise BoresightError(f"--metric {chosen.name}: no trial of {folders} has a value of it")
     contrasts = []
-    # The control, which estimates nothing, is left out of the differences.
+    for first, second in one_factor_apart(subjects):
+        names = (first.names, second.names)
+        tables = [_of(trials, own, one) for one in names]
+        found = paired_contrast(names, *tables)
+        if found is None and unpaired:
+            found = independent_contrast(names, *tables)
+        if found is not None and not chosen.error:  # a failure is neither more nor less
+            found = replace(found, better_of_all=Measured(None), p_of_all=None)
+        contrasts += [] if found is None else [found]
+    return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
+
+
+def one_factor_apart(subjects: Sequence[Subject]) -> Iterator[tuple[Subject, Subject]]:
+    """Yield the pairs of subjects that differ in one factor alone, without the control, which estimates nothing."""
     for second, first in combinations((one for one in subjects if one.estimator != CONTROL), 2):
         if sum(a != b for a, b in zip(first.names, second.names, strict=True)) == 1:
-            names = (first.names, second.names)
-            tables = [_of(trials, own, one) for one in names]
-            found = paired_contrast(names, *tables)
-            if found is None and unpaired:
-                found = independent_contrast(names, *tables)
-            if found is not None and not chosen.error:  # a failure is neither more nor less
-                found = replace(found, better_of_all=Measured(None), p_of_all=None)
-            contrasts += [] if found is None else [found]
-    return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
+            yield first, second
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:

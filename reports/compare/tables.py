@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import pandas as pd
 
+from boresight.reports.compare.remarks import counted_tests, equal_pairs, pooled_lines
 from boresight.reports.compare.subjects import STATISTICS, Contrast, RunComparison, Subject
 from boresight.reports.compare.trials import run_names
 from boresight.reports.run.data import TRIAL_KEY
@@ -68,6 +69,7 @@ def subject_tables(found: RunComparison) -> tuple[Grid, pd.DataFrame]:
             " Failures at prior: every trial, one without an error with that of its prior. Failures worst: every trial,"
             " one without an error worse than any (∞ where the quantile is such)."
         )
+    note = " ".join(filter(None, (note, pooled_lines(found))))
     title = f"{as_title(found.metric.label)}{f', {found.shared}' if found.shared else ''}"
     return row_grid(title, rows, (*found.varied, "trials"), note, short_line(*found.runs)), pd.DataFrame(numbers)
 
@@ -106,8 +108,8 @@ def contrast_tables(found: RunComparison) -> tuple[Grid | None, pd.DataFrame]:
         f" {order[1]}: share of the trials in which the subject is {order[2]} of the two, and p of the sign test."
         " Failures: difference of the failure rates, negative where there are fewer."
         + (" Of all: a failure loses against what did not fail." if is_error else "")
-        + " Holm: p corrected for all tests of this table."
     )
+    note = " ".join(filter(None, (note, equal_pairs(found), counted_tests(found))))
     if any(not one.paired for one in found.contrasts):
         note += (
             " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"

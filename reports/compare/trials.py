@@ -172,7 +172,8 @@ CONDITIONS = ("range_m", "phase_deg", "latitude_deg", "n_landmarks")
 
 ESTIMATOR, SCENARIO, RUN = "estimator", "scenario", "run"
 NAME_FACTORS = (ESTIMATOR, SCENARIO, RUN)
-_NAMES = ("name", "description")
+NAMES = ("name", "description")
+"""Keys of a scenario that change no result."""
 _DRAWN = ("viewpoint", "lighting", "pose_error", "images", "sequence")
 _MISSING = object()
 
@@ -252,7 +253,7 @@ def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
         for run in runs:
             for name, spec in run.manifest.scenarios.items():
                 if value_at(spec, factor, _MISSING) is _MISSING:
-                    sections = ", ".join(key for key in spec if key not in _NAMES)
+                    sections = ", ".join(key for key in spec if key not in NAMES)
                     raise BoresightError(
                         f"--by {factor}: the scenario {name} of {run.folder} has no such key: give"
                         f" {', '.join(NAME_FACTORS)} or a key of the scenarios ({sections})"
@@ -272,14 +273,14 @@ def remainder(spec: Mapping[str, Any], factors: Sequence[str]) -> str:
     """Write the parts of a scenario that are not factors, as JSON; '' where its name is a factor."""
     if SCENARIO in factors:
         return ""
-    left = json.loads(_json({key: value for key, value in spec.items() if key not in _NAMES}))
+    left = json.loads(json_text({key: value for key, value in spec.items() if key not in NAMES}))
     for factor in keys_among(factors):
         *sections, last = factor.split(".")
         inner = left
         for section in sections:
             inner = inner[section]
         del inner[last]
-    return _json(left)
+    return json_text(left)
 
 
 def drawn_settings(spec: Mapping[str, Any]) -> str:
@@ -293,10 +294,11 @@ def drawn_settings(spec: Mapping[str, Any]) -> str:
     in_pixels = in_sight or pose_error.get("position_cam_px") is not None or bool(sequence)
     on_body = in_sight or (bool(sequence) and sequence.get("sphere_radius_m") is None)
     names = (*_DRAWN, *(["camera"] if in_pixels else []), *(["body"] if on_body else []))
-    return _json({name: spec.get(name) for name in names})
+    return json_text({name: spec.get(name) for name in names})
 
 
-def _json(value: object) -> str:
+def json_text(value: object) -> str:
+    """Write a value as JSON, its keys sorted."""
     return json.dumps(value, sort_keys=True)
 
 
@@ -336,12 +338,14 @@ def check_pairs(runs: Sequence[RunData]) -> None:
 def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return the first key in which the draws of two scenarios differ, with both values; '' if none."""
     pair = (json.loads(drawn_settings(one)), json.loads(drawn_settings(other)))
-    return next(_differences(*pair), "")
+    return next((f"{key} is {' and '.join(map(json_text, values))}" for key, values in differences(pair)), "")
 
 
-def _differences(one: object, other: object, path: str = "") -> Iterator[str]:
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in dict.fromkeys([*one, *other]):
-            yield from _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
-    elif one != other:
-        yield f"{path} is {_json(one)} and {_json(other)}"
+def differences(values: Sequence[object], path: str = "") -> Iterator[tuple[str, Sequence[object]]]:
+    """Yield the dotted keys in which sections differ, each with the value in every one of them; None for no value."""
+    sections = [value for value in values if isinstance(value, dict)]
+    if len(sections) == len(values):
+        for key in dict.fromkeys(key for section in sections for key in section):
+            yield from differences([section.get(key) for section in sections], f"{path}.{key}" if path else key)
+    elif any(value != values[0] for value in values[1:]):
+        yield path, values

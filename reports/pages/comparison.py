@@ -10,9 +10,9 @@ import pandas as pd
 
 from boresight.reports.compare.figures import comparison_figures
 from boresight.reports.compare.global_sensitivity import Sensitivity, VariedKey
+from boresight.reports.compare.remarks import limits
 from boresight.reports.compare.subjects import RunComparison
 from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
-from boresight.reports.compare.trials import is_pooled_control
 from boresight.reports.figures.provenance import add_provenance
 from boresight.reports.figures.scenario_grids import EstimatorPanels, draw_sensitivity
 from boresight.reports.pages.document import ON_BOARD, Document, write_document
@@ -22,7 +22,6 @@ from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.labels import as_title, count_of
 from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.schema.records import CONTROL
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
@@ -93,15 +92,7 @@ def facts(found: RunComparison) -> Iterator[tuple[str, str]]:
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"
         yield "Run", f"{run.folder}: {made}" + (", not finished" if done < total else "")
     yield from ((ON_BOARD, line) for line in dict.fromkeys(line for run in found.runs for line in known_lines(run)))
-    n = sum(len(run.rows) for run in found.runs)
-    pooled = sum(int(is_pooled_control(run, found.factors).sum()) for run in found.runs)
-    if pooled:
-        yield "Left out", f"the {CONTROL}, which is no estimator, as all estimators are pooled"
-    if len(found.trials) < n - pooled:
-        yield "Left out", f"trials without a crater to go by, {n - pooled - len(found.trials)} of {n - pooled}"
-    named = [one for one in found.subjects if one.estimator != CONTROL]
-    if len(named) > 1 and not found.contrasts:
-        yield "No pairs", "No two subjects share views, priors or tracks: --unpaired gives their differences."
+    yield from limits(found)
 
 
 def write_sensitivity(

@@ -11,6 +11,7 @@ from stored_runs import SCENARIO, RunBuilder, pose_error
 from terminal_text import printed_lines
 
 from boresight.reports.compare import compare_runs
+from boresight.reports.compare.remarks import limits
 from boresight.reports.compare.subjects import holm, independent_contrast
 from boresight.reports.compare.tables import contrast_tables, subject_tables
 from boresight.reports.pages.comparison import facts, write_comparison
@@ -173,6 +174,83 @@ def test_two_runs_of_one_campaign_are_two_lines_with_their_difference(tmp_path):
     assert [one.n for one in pooled.subjects] == [7], "as asked for"
     labelled = store(tmp_path / "d" / "labelled", {"two": [1, 2, 3]}, seed=8)
     assert compare_runs([first, labelled], unpaired=True).factors == ("estimator", "scenario"), "these tell them apart"
+
+
+def store_scenarios(folder, specs):
+    """Store a run of the estimator ``one`` in several scenarios, three trials each."""
+    builder = RunBuilder(folder)
+    for name in specs:
+        for trial, length in enumerate((10, 20, 30)):
+            builder.trial(trial, PRIOR, posed(length), estimator="one")
+            builder.tables["rows"][-1]["scenario"] = name
+    return builder.write(estimators=["one"], scenarios=specs)
+
+
+def test_lines_without_a_difference_say_why(tmp_path):
+    """Of four scenarios, two pairs of one range have a difference, and four pairs none."""
+    specs = {
+        f"{kind}-{range_m}": spec(brdf={"kind": kind}, viewpoint={"range_m": range_m})
+        for kind in ("lambert", "hapke") for range_m in (2000, 3000)
+    }  # fmt: skip
+    found = compare_runs([store_scenarios(tmp_path / "run", specs)])
+    assert len(found.contrasts) == 2
+    views = "viewpoint.range_m differs, so that views, priors or tracks are not the same"
+    advice = "--unpaired compares them as independent samples"
+    assert dict(limits(found)) == {"Not paired": f"4 of 6 pairs of lines: {views}. {advice}"}
+    unpaired = compare_runs([tmp_path / "run"], unpaired=True)
+    assert (len(unpaired.contrasts), dict(limits(unpaired))) == (6, {})
+    by_range = compare_runs([tmp_path / "run"], factors=["viewpoint.range_m"])
+    assert dict(limits(by_range))["Not paired"].startswith(f"1 of 1 pair of lines: {views}")
+
+
+def test_runs_that_differ_in_a_key_beside_the_factors_say_which(tmp_path):
+    changes = {
+        "a": {"brdf": {"kind": "lambert"}, "camera": {"fov_deg": 5}},
+        "b": {"brdf": {"kind": "hapke"}, "camera": {"fov_deg": 10}},
+    }
+    runs = [
+        store(tmp_path / name, {"one": [1, 2, 3]}, scenarios={SCENARIO: spec(**own)}) for name, own in changes.items()
+    ]
+    differing = 'brdf.kind is "lambert" and "hapke"; camera.fov_deg is 5 and 10'
+    assert dict(limits(compare_runs(runs))) == {"Scenarios differ": differing}
+    found = compare_runs(runs, factors=["brdf"])
+    assert found.contrasts == ()
+    assert "camera.fov_deg differs and is not in --by" in dict(limits(found))["Not paired"]
+    assert dict(facts(found))["Scenarios differ"] == differing
+
+
+def test_scenarios_that_one_run_alone_has_are_named(tmp_path):
+    one = store_scenarios(tmp_path / "one", {"s": spec(), "t": spec(camera={"fov_deg": 5})})
+    two = store_scenarios(tmp_path / "two", {"s": spec(), "t": spec(camera={"fov_deg": 6}), "u": spec()})
+    said = dict(limits(compare_runs([one, two])))["Scenarios differ"]
+    assert said == "camera.fov_deg is 5 and 6; not in all runs: u"
+
+
+def test_lines_that_differ_in_two_factors_are_told_to_choose_one(tmp_path):
+    runs = [
+        store(tmp_path / label, {label: [1, 2, 3]}, scenarios={SCENARIO: spec(brdf={"kind": kind})})
+        for label, kind in {"one": "lambert", "two": "hapke"}.items()
+    ]
+    found = compare_runs(runs, factors=["estimator", "brdf"])
+    assert dict(limits(found))["Not paired"] == (
+        "all lines differ in two or more of estimator, brdf: give --by with one of them"
+    )
+
+
+def test_equal_pairs_tests_and_pools_are_counted(tmp_path):
+    errors = {"one": [10, 20, 30, 12, None, 18], "two": [11, 20, 31, 14, 16, 30]}
+    run = store(tmp_path / "run", errors, scenarios={SCENARIO: spec()})
+    found = compare_runs([run])
+    (contrast,) = found.contrasts
+    assert (contrast.equal, contrast.n_both, contrast.better.value) == (1, 5, 0.0)
+    note = contrast_tables(found)[0].note
+    assert "Equal pairs, which better % and p leave out: two against one 1 of 5." in note
+    assert "Holm: p corrected for 2 tests, 1 of the trials that both solved (p) and 1 of all trials" in note
+    p, p_of_all = binomtest(0, 4).pvalue, binomtest(1, 5).pvalue
+    assert (contrast.p_holm, contrast.p_of_all_holm) == pytest.approx((2 * p, p_of_all))
+    assert "pool" not in subject_tables(found)[0].note
+    pooled = compare_runs([run], factors=["brdf"])
+    assert subject_tables(pooled)[0].note.endswith("Lines pool the trials of several estimators (one, two).")
 
 
 def failures(k, n, clusters=None):
