@@ -44,7 +44,7 @@ def scenario_differences(runs: Sequence[RunData]) -> str:
     """Name the keys in which scenarios of the same name differ between runs, with values; '' if none.
 
     The only scenarios of runs are compared whatever their names. Values are in the order of the runs, and left out if
-    they vary between scenarios.
+    they vary between scenarios. Of a section of another kind its kind is named alone.
     """
     if len(runs) < 2:
         return ""
@@ -59,7 +59,11 @@ def scenario_differences(runs: Sequence[RunData]) -> str:
         whole = [{key: value for key, value in spec.items() if key not in NAMES} for spec in row]
         for key, values in differences(whole):
             keys.setdefault(key, set()).add(" and ".join(map(_short, values)))
-    parts = [f"{key} is {''.join(texts)}" if len(texts) == 1 else key for key, texts in keys.items()]
+    parts = [
+        f"{key} is {''.join(texts)}" if len(texts) == 1 else key
+        for key, texts in keys.items()
+        if key.endswith(".kind") or f"{key.rpartition('.')[0]}.kind" not in keys
+    ]
     if len(parts) > _MOST_KEYS:
         parts = [*parts[:_MOST_KEYS], f"and {count_of(len(parts) - _MOST_KEYS, 'key')} more"]
     if alone := [name for name in names if name not in shared]:

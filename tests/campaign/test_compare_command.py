@@ -35,6 +35,8 @@ def test_a_run_is_compared(tiny_run, here, capsys):
     line = subjects.query("estimator == 'landmark-harris' and trials == 'solved' and statistic == 'median'")
     assert line["value"].item() == pytest.approx(errors.median())
     assert line["n_ok"].item() == len(errors)
+    assert main(["compare", str(tiny_run.folder), "--by", "brdf"]) == 0
+    assert "\nLeft out: the prior, which is no estimator" in capsys.readouterr().out
 
 
 def test_what_cannot_be_compared(tiny_run, here, capsys, monkeypatch):

@@ -205,8 +205,8 @@ def test_lines_without_a_difference_say_why(tmp_path):
 
 def test_runs_that_differ_in_a_key_beside_the_factors_say_which(tmp_path):
     changes = {
-        "a": {"brdf": {"kind": "lambert"}, "camera": {"fov_deg": 5}},
-        "b": {"brdf": {"kind": "hapke"}, "camera": {"fov_deg": 10}},
+        "a": {"brdf": {"kind": "lambert", "albedo": 0.3}, "camera": {"fov_deg": 5}},
+        "b": {"brdf": {"kind": "hapke", "albedo": None}, "camera": {"fov_deg": 10}},
     }
     runs = [
         store(tmp_path / name, {"one": [1, 2, 3]}, scenarios={SCENARIO: spec(**own)}) for name, own in changes.items()
