@@ -52,7 +52,7 @@ def test_errors_along_a_trajectory_are_over_time(run):
     ways = rows[rows["estimator"] == "dead-reckoning"]
     assert (ways["status"] == "ok").all()
     assert (ways["position_error_m"] > 0.0).all()
-    for name, frames, last_s in (("hover", 9, 1200.0), ("descent", 14, 1300.0), ("flyby", 16, 3000.0)):
+    for name, frames, last_s in (("hover", 9, 1200.0), ("descent", 14, 1300.0), ("flyby", 17, 3000.0)):
         own = epochs[(epochs["scenario"] == name) & (epochs["estimator"] == "dead-reckoning")]
         assert (own.groupby("trial").size() == frames).all()
         assert own["time_s"].max() == last_s
