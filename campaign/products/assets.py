@@ -41,14 +41,14 @@ _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
 
-_KINDS = ("landmark-database", "maplets", "descriptors", "crater-database", "covariance-tuning")
+KINDS = ("landmark-database", "maplets", "descriptors", "crater-database", "covariance-tuning")
 """Names of the modules of this folder that build products; each is imported when a method asks for it."""
 
 
 def product_kind(name: str) -> ProductKind[SpecModel, object]:
     """Look up a kind; raise BoresightError if there is none of that name."""
-    if name not in _KINDS:
-        raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
+    if name not in KINDS:
+        raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(KINDS))}")
     module = import_module(f"boresight.campaign.products.{name.replace('-', '_')}")
     return cast("ProductKind[SpecModel, object]", module.PRODUCT)
 

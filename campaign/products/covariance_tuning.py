@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.products.assets import BuiltAssets
+from boresight.campaign.products.assets import KINDS, BuiltAssets, product_kind
 from boresight.campaign.products.database_images import map_images
 from boresight.campaign.products.databases import SEED_STEP, ProductKind
 from boresight.estimators.contract import Estimator, NoProductError
 from boresight.estimators.registry import estimator_class
+from boresight.estimators.tuned import PRODUCT as TUNING
 from boresight.estimators.tuned import VERSION, CovarianceTuning, Rehearsals, Rehearsed, check_solved, fit_factor
-from boresight.scenarios.errors import BoresightError
+from boresight.renderers.detector import Detector
+from boresight.scenarios.errors import BoresightError, MachineError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.scenario import OnboardSpec
@@ -64,6 +67,8 @@ def _rehearse(
     observation = observe(world, image, seed, trial)
     try:
         answer = method.estimate(observation, rng=np.random.default_rng((seed, trial)))
+    except MachineError:
+        raise
     except BoresightError:
         return None
     if answer.status != "ok" or answer.pose is None or answer.covariance is None:
@@ -94,9 +99,15 @@ def _rehearsed(scenario: LoadedScenario, options: Rehearsals, number: int) -> Lo
     return replace(scenario, spec=spec.model_copy(update=changes))
 
 
+def _versions() -> list[int]:
+    """Return the versions of the rehearsal, of the detector and of all that a base may ask for."""
+    others = [product_kind(kind).versions() for kind in KINDS if kind != TUNING]
+    return [VERSION, Detector.version, *chain.from_iterable(others)]
+
+
 PRODUCT = ProductKind(
     options=Rehearsals,
-    versions=lambda: [VERSION],
+    versions=_versions,
     announce=lambda options: f"{options.trials} images with {options.base}",
     build=build,
     load=CovarianceTuning.load,

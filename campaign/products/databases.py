@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from boresight.campaign.imaging.ranges import typical_range_m
+from boresight.estimators.tuned import Rehearsals
 from boresight.renderers.mitsuba3 import renderer_version
 from boresight.scenarios.craters import shape_digest
 from boresight.scenarios.load import LoadedScenario, canonical_json
-from boresight.scenarios.spec.base import SpecModel
+from boresight.scenarios.spec.base import SpecModel, digest
 from boresight.scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
@@ -33,6 +34,9 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
     ``versions`` are those of all code that it depends on, except the renderer.
     """
     spec = scenario.spec
+    if isinstance(options, Rehearsals):
+        # It depends on the views as well: on all that decides about images and priors.
+        kind = f"{kind} {digest(spec)}"
     above = spec.viewpoint is not None and spec.viewpoint.altitude_m is not None
     parts = {
         "kind": kind,
