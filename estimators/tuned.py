@@ -134,22 +134,30 @@ def _shares(covariance: FloatArray, prior_covariance: FloatArray) -> tuple[Float
     return np.asarray(shares), np.asarray(axes)
 
 
+def _freedom(covariance: FloatArray) -> int:
+    """Count the directions in which a covariance (6, 6) leaves an error."""
+    free = np.diag(covariance) > 0.0
+    sigmas = np.sqrt(np.diag(covariance)[free])
+    return int((np.linalg.eigvalsh(covariance[np.ix_(free, free)] / np.outer(sigmas, sigmas)) > 1e-9).sum())
+
+
 def _tuned(shares: FloatArray, factor: float) -> FloatArray:
     # 1 / share = 1 + information of the image.
     return np.where(shares < 1.0, factor / (1.0 - shares + factor * shares), 1.0) * shares
 
 
 def fit_factor(rehearsed: Sequence[Rehearsed]) -> float:
-    """Return the factor with which the mean of e^T P'^-1 e over rehearsals is that of a chi-square, 6.
+    """Return the factor with which the mean of e^T P'^-1 e over rehearsals is that of a chi-square.
 
-    The factor is within 1e-8 and 1e8.
+    It has 6 degrees of freedom, less those in which the prior has no error. The factor is within 1e-8 and 1e8.
     """
+    freedom = float(np.mean([_freedom(one.prior_covariance) for one in rehearsed]))
     parts = [(_shares(one.covariance, one.prior_covariance), one.error) for one in rehearsed]
     shares = np.array([of for (of, _), _ in parts])
     squares = np.array([(axes.T @ error) ** 2 for (_, axes), error in parts])
 
     def excess(exponent: float) -> float:
-        return float(np.mean(np.sum(squares / _tuned(shares, np.exp(exponent)), axis=1))) - 6.0
+        return float(np.mean(np.sum(squares / _tuned(shares, np.exp(exponent)), axis=1))) - freedom
 
     most = np.log(_LARGEST_FACTOR)
     if excess(most) >= 0.0:
@@ -209,9 +217,9 @@ class TunedEstimator:
         from boresight.estimators.registry import estimator_class, source_digest  # it imports this module by name
 
         parsed = parse_options(TunedOptions, options, cls.name)
-        if parsed.base == cls.name:
-            raise BoresightError(f"estimator {cls.name}: base: it cannot be its own")
         found = estimator_class(parsed.base)
+        if hasattr(found, "base"):
+            raise BoresightError(f"estimator {cls.name}: base: {parsed.base} builds on another itself: tune that one")
         try:
             base = found.from_options(parsed.options, assets)
         except OptionsError as error:

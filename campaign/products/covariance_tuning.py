@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,15 +16,24 @@ from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.products.assets import KINDS, BuiltAssets, product_kind
 from boresight.campaign.products.database_images import map_images
-from boresight.campaign.products.databases import SEED_STEP, ProductKind
+from boresight.campaign.products.databases import ProductKind
 from boresight.estimators.contract import Estimator, NoProductError
 from boresight.estimators.registry import estimator_class
 from boresight.estimators.tuned import PRODUCT as TUNING
-from boresight.estimators.tuned import VERSION, CovarianceTuning, Rehearsals, Rehearsed, check_solved, fit_factor
+from boresight.estimators.tuned import (
+    VERSION,
+    AssumedErrors,
+    CovarianceTuning,
+    Rehearsals,
+    Rehearsed,
+    check_solved,
+    fit_factor,
+)
 from boresight.renderers.detector import Detector
-from boresight.scenarios.errors import BoresightError, MachineError
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.errors import MachineError
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.spec.body import FurtherHeightErrorSpec, RedrawnSpec
+from boresight.scenarios.spec.body import DetailSpec, FurtherHeightErrorSpec, RedrawnSpec
 from boresight.scenarios.spec.scenario import OnboardSpec
 
 _SEED = 0x7265_6865
@@ -34,6 +44,7 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     """Rehearse the base of ``options`` and store the factor of its covariance in ``folder``."""
     if scenario.spec.viewpoint is None:
         raise NoProductError("its rehearsals need views: give the scenario a viewpoint")
+    _check_errors(options.errors, scenario.spec.body.detail)
     # The data bases of the base are made once, before workers ask for them.
     with tempfile.TemporaryDirectory() as place:
         _method(scenario, options, Path(place), jobs, variant)
@@ -43,6 +54,17 @@ def build(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int
     tuning = CovarianceTuning(fit_factor(solved), len(solved), options.trials)
     tuning.save(folder)
     return {"covariance_factor": float(f"{tuning.factor:.4g}"), "solved": f"{tuning.solved} of {tuning.trials}"}
+
+
+def _check_errors(errors: AssumedErrors, detail: DetailSpec | None) -> None:
+    """Refuse declared errors that the shape on board cannot have."""
+    if detail is None and (errors.facets is not None or errors.relief_below_m is not None):
+        raise NoProductError("tuning.errors: the shape on board has no detail: leave facets and relief_below_m out")
+    if detail is not None and errors.relief_below_m is None and (errors.facets or 0) > detail.facets:
+        raise NoProductError(
+            f"tuning.errors.facets: {errors.facets} are more than the {detail.facets} on board, and what they add is"
+            " not known there: give relief_below_m too"
+        )
 
 
 def _method(scenario: LoadedScenario, options: Rehearsals, folder: Path, jobs: int | None, variant: str) -> Estimator:
@@ -61,7 +83,7 @@ def _of_images(
 def _rehearse(
     method: Estimator, scenario: LoadedScenario, options: Rehearsals, variant: str, trial: int
 ) -> Rehearsed | None:
-    played = _rehearsed(scenario, options, trial * options.bodies // options.trials)
+    played = rehearsed_scenario(scenario, options, trial * options.bodies // options.trials)
     world, seed = open_world(played, variant), options.seed + _SEED
     image = world.source.trial_image(seed, trial)
     observation = observe(world, image, seed, trial)
@@ -69,9 +91,9 @@ def _rehearse(
         answer = method.estimate(observation, rng=np.random.default_rng((seed, trial)))
     except MachineError:
         raise
-    except BoresightError:
+    except Exception:  # noqa: BLE001  a method may raise anything; in a campaign that is one row
         return None
-    if answer.status != "ok" or answer.pose is None or answer.covariance is None:
+    if answer.status != "ok" or answer.pose is None or not _is_covariance(answer.covariance):
         return None
     true = image.view.T_cam_body
     turn = Rotation.from_matrix(answer.pose.rotation @ true.rotation.T).as_rotvec()
@@ -79,18 +101,29 @@ def _rehearse(
     return Rehearsed(error, answer.covariance, observation.frame.prior_covariance)
 
 
-def _rehearsed(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
+def _is_covariance(covariance: FloatArray | None) -> TypeGuard[FloatArray]:
+    """Tell whether a method gave a (6, 6) covariance that is finite and positive."""
+    if covariance is None or covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        return False
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return bool(np.linalg.eigvalsh(covariance / np.outer(sigmas, sigmas))[0] > 0.0)
+
+
+def rehearsed_scenario(scenario: LoadedScenario, options: Rehearsals, number: int) -> LoadedScenario:
     """Return the scenario of a rehearsal: the body is the shape on board with a draw of the declared errors."""
-    errors, spec, seed = options.errors, scenario.spec, options.seed + SEED_STEP * (number + 1)
+    errors, spec, seed = options.errors, scenario.spec, _SEED + options.seed + number
     body, detail = spec.body, spec.body.detail
     if detail is not None:
         facets = {} if errors.facets is None else {"facets": errors.facets}
         below_m = errors.relief_below_m
-        relief = {} if below_m is None else {"redrawn": RedrawnSpec(below_m=below_m, seed=_SEED + seed)}
+        if below_m is not None and detail.redrawn is not None:
+            # What is redrawn on board already must not come back as the truth has it.
+            below_m = max(below_m, detail.redrawn.below_m)
+        relief = {} if below_m is None else {"redrawn": RedrawnSpec(below_m=below_m, seed=seed)}
         detail = detail.model_copy(update={**facets, **relief})
     heights = errors.height_error
     if heights is not None:
-        heights = heights.model_copy(update={"seed": _SEED + seed})
+        heights = heights.model_copy(update={"seed": seed})
         if body.height_error is not None:
             heights = FurtherHeightErrorSpec(**dict(heights), on=body.height_error)
     played = body.model_copy(update={"detail": detail, "height_error": heights or body.height_error})

@@ -127,8 +127,9 @@ class Trials(ABC):
         scale = scale_of(scenario)
         found = {} if model is None else lengths_left_out((model,), entry.options, scale)
         if base is not None and (of_base := cls.options_model(base)) is not None:
-            given = cast("Mapping[str, Any]", entry.options.get("options", {}))
-            found["options"] = lengths_left_out((of_base,), given, scale)
+            given = entry.options.get("options", {})
+            if isinstance(given, Mapping):  # else it is refused where options are read
+                found["options"] = lengths_left_out((of_base,), given, scale)
         return found
 
     @classmethod

@@ -29,7 +29,7 @@ from boresight.scenarios.tracks import TrackSequence
 WRONG_PX = 3.0
 """A sighting farther than this from its landmark's true place counts as a wrong association."""
 
-_LEAST_PARALLAX = 1e-9  # of the normal matrix of a landmark of unit weight: about 2 arcsec between two sightings
+_LEAST_PARALLAX = 1e-9  # of the normal matrix of a landmark of unit weight: about 9 arcsec between two sightings
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -77,10 +77,10 @@ def _poses(content: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.f
 
 def _tracks(tracks: NDArray[np.void]) -> dict[str, NDArray[np.float64]]:
     views = [np.asarray(one, dtype=np.float64).ravel() for one in tracks["viewIds"].ravel()]
-    seen = [np.asarray(one, dtype=np.float64).reshape(-1, 2) for one in tracks["meas"].ravel()]
+    seen = [np.atleast_2d(np.asarray(one, dtype=np.float64)) for one in tracks["meas"].ravel()]
     several = [k for k in range(len(views)) if len(views[k]) > 1]
-    if any(len(views[k]) != len(seen[k]) for k in several):
-        raise ValueError("a track has not as many viewIds as meas")
+    if any(seen[k].shape != (len(views[k]), 2) for k in several):
+        raise ValueError("a track has not a row of two meas for each of its viewIds")
     if not several:
         raise ValueError("no track has two sightings")
     places = np.concatenate([seen[k] for k in several])

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from tiny_campaign import RESULTS, SCENE, files, run, write_campaign
 
+from boresight.campaign.cli import main
+from boresight.campaign.imaging.world import believed
 from boresight.campaign.products import product_key
-from boresight.estimators.tuned import PRODUCT, Rehearsals
+from boresight.campaign.products.covariance_tuning import build, rehearsed_scenario
+from boresight.campaign.runs.resolve import resolve
+from boresight.estimators.contract import NoProductError
+from boresight.estimators.tuned import PRODUCT, AssumedErrors, Rehearsals
 from boresight.reports.run.data import read_run
+from boresight.scenarios.bodies import load_body
 from boresight.scenarios.load import load_scenario
 
 CAMPAIGN = """\
@@ -21,6 +29,11 @@ trials: 6
 seed: 5
 """
 OPTIONS = Rehearsals(base="photometric", options={}, version=3)
+METHODS = """\
+    @classmethod
+    def from_options(cls, options, assets): return cls()
+    def estimate(self, observation, *, rng): ...
+"""
 
 
 def key(folder, *overrides: str) -> str:
@@ -37,6 +50,61 @@ def key(folder, *overrides: str) -> str:
 )  # fmt: skip
 def test_what_would_change_the_rehearsals_changes_the_key(tmp_path, change):
     assert key(tmp_path, change) != key(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("onboard", "errors"),
+    [
+        ({"facets": 5000}, {"facets": 20000, "relief_below_m": 30}),
+        ({"relief": {"below_m": 60, "seed": 3}}, {"relief_below_m": 5}),
+        ({"height_error": {"rms_m": 4}}, {"height_error": {"rms_m": 4}}),
+    ],
+)
+def test_the_rehearsed_body_is_neither_the_true_one_nor_the_believed(tmp_path, onboard, errors):
+    write_campaign(tmp_path)
+    true = load_scenario(str(tmp_path / "scene.yaml"), [f"onboard={json.dumps(onboard)}"])
+    asked = OPTIONS.model_copy(update={"errors": AssumedErrors.model_validate(errors)})
+    played = rehearsed_scenario(believed(true), asked, 0)
+    bodies = [load_body(one.spec.body, one.search_dirs).mesh for one in (true, believed(true), played)]
+    for other in bodies[:2]:
+        if len(other.vertices_m) == len(bodies[2].vertices_m):
+            away_m = np.linalg.norm(other.vertices_m - bodies[2].vertices_m, axis=1)
+            assert np.sqrt(np.mean(away_m**2)) > 0.1
+    assert sum(len(other.vertices_m) == len(bodies[2].vertices_m) for other in bodies[:2])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "errors", "refused"),
+    [
+        (["body.detail=null"], {"relief_below_m": 5}, "has no detail: leave facets and relief_below_m out"),
+        ([], {"facets": 90000}, "are more than the 20000 on board"),
+    ],
+)
+def test_errors_that_the_shape_on_board_cannot_have_are_refused(tmp_path, overrides, errors, refused):
+    write_campaign(tmp_path)
+    scenario = load_scenario(str(tmp_path / "scene.yaml"), overrides)
+    asked = OPTIONS.model_copy(update={"errors": AssumedErrors.model_validate(errors)})
+    with pytest.raises(NoProductError, match=refused):
+        build(scenario, asked, tmp_path, 1, "llvm_ad_mono")
+
+
+def test_a_base_that_builds_on_another_is_refused_and_one_without_its_sensor(tmp_path, capsys):
+    for base, refused in (("tuned", "tuned builds on another itself"), ("landmark-altimeter", "sensors.altimeter")):
+        file = write_campaign(tmp_path, CAMPAIGN.replace("base: photometric", f"base: {base}"))
+        assert main(["validate", str(file)]) == 2
+        assert refused in capsys.readouterr().err
+
+
+def test_the_file_of_a_base_decides_about_the_run(tmp_path):
+    found = []
+    for text in (
+        "class Mine:\n    name, version = 'mine', 1\n",
+        "class Mine:\n    name, version = 'mine', 1  # other\n",
+    ):
+        (tmp_path / "mine.py").write_text(text + METHODS)
+        file = write_campaign(tmp_path, CAMPAIGN.replace("base: photometric", f"base: '{tmp_path}/mine.py:Mine'"))
+        found.append(resolve(str(file)).digest)
+    assert found[0] != found[1]
 
 
 def test_the_pose_stays_and_the_covariance_is_scaled_whatever_the_number_of_jobs(tmp_path, monkeypatch):

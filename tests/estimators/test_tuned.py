@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.estimators.contract import NoProductError
+from boresight.estimators.prior import floor_variances
 from boresight.estimators.tuned import CovarianceTuning, Rehearsed, check_solved, fit_factor, tuned_covariance
 from boresight.scenarios.errors import BoresightError
 
@@ -44,6 +45,15 @@ def test_the_factor_is_found_again(true_factor):
         rehearsed.append(Rehearsed(np.linalg.cholesky(true) @ rng.standard_normal(6), stated, prior))
     # The mean of 1,500 chi-squares of 6 degrees of freedom is known to 1.5 % (1 sigma).
     assert fit_factor(rehearsed) == pytest.approx(true_factor, rel=0.06)
+
+
+def test_directions_without_error_do_not_count():
+    """With an attitude that is known, a true covariance keeps its factor of 1."""
+    prior = np.diag([0.0, 0.0, 0.0, 400.0, 400.0, 900.0])
+    image = np.diag([1.0, 1.0, 1.0, 4.0, 9.0, 25.0])
+    stated = np.linalg.inv(np.linalg.inv(image) + np.linalg.inv(floor_variances(prior)))
+    errors = rng.standard_normal((1500, 6)) * np.sqrt(np.diag(stated)) * [0, 0, 0, 1, 1, 1]
+    assert fit_factor([Rehearsed(error, stated, prior) for error in errors]) == pytest.approx(1.0, rel=0.06)
 
 
 def test_an_answer_beyond_all_bounds_has_the_largest_factor():
