@@ -15,7 +15,6 @@ from tiny_campaign import compute
 from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import recompute, reopened
-from boresight.campaign.kinds.single_image.trial import SingleImage
 from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import TABLES, RunFolder
 from boresight.reports.schema.grid import _SPECIAL, Grid
@@ -106,7 +105,7 @@ def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_
     solved = rows[rows["status"] == "ok"]
     assert len(model.images) == len(solved) > 1
     marks = pd.read_parquet(tiny_run.folder / "landmarks").query("estimator == 'landmark-harris'")
-    experiment = opened(reopened(RunFolder(tiny_run.folder)), "scene", tiny_run.folder, SingleImage)
+    experiment = opened(reopened(RunFolder(tiny_run.folder)), "scene", tiny_run.folder)
     for image in model.images.values():
         trial = int(image.name.removesuffix(".tiff"))
         own = marks[marks["trial"] == trial]
