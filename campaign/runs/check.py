@@ -162,7 +162,7 @@ def lengths_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec
         ]
         if told:
             labels.setdefault(", ".join(told), []).append(entry.label)
-    return [f"{', '.join(names)}: by the scenario {told}" for told, names in labels.items()]
+    return [f"{', '.join(names)}: sizes from the pixels and the body, {told}" for told, names in labels.items()]
 
 
 def kind_of(scenario: LoadedScenario) -> str:

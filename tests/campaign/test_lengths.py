@@ -206,7 +206,7 @@ def test_show_and_validate_print_the_preview_and_the_lengths(tmp_path, capsys):
         assert main([command, str(tmp_path / "c.yaml")]) == 0
         said = capsys.readouterr().out.replace("\n", " ")
         assert "field of view 18.3 x 18.3 deg" in said
-        told = "landmark-harris, landmark-ransac: by the scenario database.clusters.seed_radius_m 8.053"
+        told = "landmark-ransac: sizes from the pixels and the body, database.clusters.seed_radius_m 8.053"
         assert told in said.replace("# ", "")
         assert "2 trials x 1 scenario: time not known before a first run here, data bases aside" in said
 
