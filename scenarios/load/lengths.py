@@ -116,6 +116,7 @@ def surface_m(plain: Plain, folders: Sequence[Path], embedded: bool, direction: 
         raise BoresightError("the surface below it is not known, as body or craters are wrong") from None
     body = body.embedded() if embedded else body
     if craters is not None:
+        _ = craters.listed_from_m  # refused where it is missing, before the surface is made
         return cratered_surface(body, craters, folders).distance_along_m(direction)
     return load_body(body, folders).mesh.distance_along_m(direction)
 
