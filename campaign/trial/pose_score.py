@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.estimators.landmark.pose.posterior import pose_offset
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Pose, View
@@ -100,12 +101,10 @@ def consistency(
     errors of the camera in the body and of the attitude that the covariance foretells, and ``position_bound_m`` and
     ``attitude_bound_deg`` those of the bound.
     """
-    rotation = Rotation.from_matrix(estimated.rotation @ true.rotation.T).as_rotvec()
-    error = np.concatenate([rotation, estimated.translation_m - true.translation_m])
     position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
     position_bound_m, attitude_bound_deg = _foretold(bound, estimated)
     return {
-        "nees": nees(error, covariance),
+        "nees": nees(pose_offset(true, estimated), covariance),
         "position_sigma_m": position_sigma_m,
         "attitude_sigma_deg": attitude_sigma_deg,
         "position_bound_m": position_bound_m,
