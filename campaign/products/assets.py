@@ -55,7 +55,8 @@ def product_kind(name: str) -> ProductKind[SpecModel, object]:
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
     """Return the hash of everything that determines a product."""
-    return content_key(scenario, kind, options, product_kind(kind).versions(), variant)
+    product = product_kind(kind)
+    return content_key(scenario, kind, options, product.versions(), variant, product.of_views)
 
 
 @dataclass(frozen=True, slots=True)

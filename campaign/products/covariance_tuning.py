@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeGuard
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
@@ -18,6 +17,7 @@ from boresight.campaign.products.assets import KINDS, BuiltAssets, product_kind
 from boresight.campaign.products.database_images import map_images
 from boresight.campaign.products.databases import ProductKind
 from boresight.estimators.contract import Estimator, NoProductError
+from boresight.estimators.landmark.pose.posterior import pose_offset
 from boresight.estimators.registry import estimator_class
 from boresight.estimators.tuned import PRODUCT as TUNING
 from boresight.estimators.tuned import (
@@ -95,9 +95,7 @@ def _rehearse(
         return None
     if answer.status != "ok" or answer.pose is None or not _is_covariance(answer.covariance):
         return None
-    true = image.view.T_cam_body
-    turn = Rotation.from_matrix(answer.pose.rotation @ true.rotation.T).as_rotvec()
-    error = np.concatenate([turn, answer.pose.translation_m - true.translation_m])
+    error = pose_offset(image.view.T_cam_body, answer.pose)
     return Rehearsed(error, answer.covariance, observation.frame.prior_covariance)
 
 
@@ -145,4 +143,5 @@ PRODUCT = ProductKind(
     build=build,
     load=CovarianceTuning.load,
     about=lambda tuning: {"covariance_factor": tuning.factor, "solved": tuning.solved, "trials": tuning.trials},
+    of_views=True,
 )

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from boresight.campaign.imaging.ranges import typical_range_m
-from boresight.estimators.tuned import Rehearsals
 from boresight.renderers.mitsuba3 import renderer_version
 from boresight.scenarios.craters import shape_digest
 from boresight.scenarios.load import LoadedScenario, canonical_json
@@ -28,14 +27,21 @@ SEED_STEP = 10_000
 """Difference of the seeds of two data bases, large enough to avoid nearby seeds in other uses."""
 
 
-def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, versions: Sequence[int], variant: str) -> str:
+def content_key(
+    scenario: LoadedScenario,
+    kind: str,
+    options: SpecModel,
+    versions: Sequence[int],
+    variant: str,
+    of_views: bool = False,
+) -> str:
     """Return the hash of everything that determines a product of a scenario as the spacecraft believes it to be.
 
-    ``versions`` are those of all code that it depends on, except the renderer.
+    ``versions`` are those of all code that it depends on, except the renderer. A product ``of_views`` depends on all
+    that decides about images and priors, others on body, camera, reflectance and range.
     """
     spec = scenario.spec
-    if isinstance(options, Rehearsals):
-        # It depends on the views as well: on all that decides about images and priors.
+    if of_views:
         kind = f"{kind} {digest(spec)}"
     above = spec.viewpoint is not None and spec.viewpoint.altitude_m is not None
     parts = {
@@ -57,7 +63,7 @@ class ProductKind(Generic[Options, Product]):
 
     ``versions`` returns those of all code that it depends on, except the renderer. ``announce`` describes the effort of
     a build. ``build`` builds it into an empty folder with a number of workers and a Mitsuba variant, and returns facts
-    to report, if any. ``about`` describes it for the manifest, in plain values.
+    to report, if any. ``about`` describes it for the manifest, in plain values. ``of_views`` is as in `content_key`.
     """
 
     options: type[Options]
@@ -66,6 +72,7 @@ class ProductKind(Generic[Options, Product]):
     build: Callable[[LoadedScenario, Options, Path, int, str], Mapping[str, object] | None]
     load: Callable[[Path], Product]
     about: Callable[[Product], dict[str, object]]
+    of_views: bool = False
 
 
 def drawn_per_database(scenario: LoadedScenario) -> frozenset[str]:
