@@ -20,7 +20,7 @@ from benchmarks.rays import ray_ratios
 from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
 from benchmarks.timing import Settings
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.machine import describe, package_versions
+from boresight.campaign.machine import describe, package_versions, processor
 from boresight.campaign.runs.benchmark import benchmark
 from boresight.campaign.runs.manifest import commit_here, now
 from boresight.campaign.runs.resolve import resolve
@@ -76,7 +76,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     if arguments.blocks < 1:
         raise BoresightError(f"--blocks: works are done in turn at least 1 time, not {arguments.blocks}")
     kept = arguments.history or HISTORY
-    out, history = console(), read_history(kept)
+    out, history = console(), read_history(kept, processor())
     settings = Settings(rounds=arguments.blocks, blender=arguments.blender)
     names = GROUPS.get(arguments.name, (arguments.name,) if arguments.name in WORKS else ())
     found = speed_table(names, settings, lambda name: out.print(f"timing: {name}"))
@@ -96,7 +96,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
         return 0
     unrecorded, fallen = checked(found, history)
     for key in unrecorded:
-        out.print(f"not checked, as it has no record: {key}")
+        out.print(f"not checked, as it has no record of this processor (--record makes one): {key}")
     for line in fallen:
         out.print(f"slower: {line}")
     return EXIT_REGRESSION if fallen else 0

@@ -90,8 +90,10 @@ class Kept:
     commit: str
 
 
-def read_history(path: Path = HISTORY) -> Mapping[str, Kept]:
-    """Return the newest record of each ratio; none where there is no file.
+def read_history(path: Path = HISTORY, processor: str | None = None) -> Mapping[str, Kept]:
+    """Return the newest record of each ratio, of one processor by its name or of all; none where there is no file.
+
+    A ratio holds for its processor: Mitsuba's own image takes 0.8 of our time with AVX-512, 1.2 without.
 
     Raises
     ------
@@ -102,7 +104,9 @@ def read_history(path: Path = HISTORY) -> Mapping[str, Kept]:
     for number, line in enumerate(_lines(path), start=1):
         try:
             stored: dict[str, Any] = json.loads(line)
-            commit = str(stored["commit"])
+            commit, made_on = str(stored["commit"]), str(stored["machine"]["processor"])
+            if processor not in (None, made_on):
+                continue
             newest |= {str(key): Kept(float(ratio), commit) for key, ratio in stored["ratios"].items()}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise BoresightError(f"{path}: line {number} is no record of ratios ({error})") from error
@@ -126,7 +130,7 @@ def checked(table: SpeedTable, history: Mapping[str, Kept]) -> tuple[list[str], 
 
 def record(table: SpeedTable, path: Path = HISTORY) -> int:
     """Add a line with the ratios that are new or changed by more than 10 %; return how many there are."""
-    history = read_history(path)
+    history = read_history(path, str(table.machine["processor"]))
     changed = {
         ratio.key: float(f"{ratio.value:.4g}")
         for ratio in table.ratios

@@ -29,7 +29,7 @@ ELSEWHERE = replace(FAST, peer="a paper", same_run=False)
 
 
 def table(*ratios: Ratio) -> SpeedTable:
-    return SpeedTable(ratios, (), "abc123", "2026-01-01T00:00:00+00:00", {"cores": 2}, {"numpy": "2"})
+    return SpeedTable(ratios, (), "abc123", "2026-01-01T00:00:00+00:00", {"processor": "a chip"}, {"numpy": "2"})
 
 
 def test_works_are_done_in_turn_and_the_least_counts():
@@ -95,6 +95,16 @@ def test_the_command_prints_stores_records_and_checks(monkeypatch, tmp_path, cap
     assert "slower: image | a peer | cpu: 4, 50% below the 8" in capsys.readouterr().out
 
 
+def test_a_ratio_is_held_against_records_of_the_same_processor(tmp_path):
+    file, elsewhere = tmp_path / "history.jsonl", {"processor": "another chip"}
+    record(table(FAST), file)
+    slower = replace(table(replace(FAST, peer_s=0.4)), machine=elsewhere)
+    assert checked(slower, read_history(file, "another chip")) == ([FAST.key], []), "no record of it yet"
+    assert record(slower, file) == 1
+    assert [read_history(file, name)[FAST.key].ratio for name in ("a chip", "another chip", None)] == [8.0, 4.0, 4.0]
+    assert record(table(FAST), file) == 0, "the chip's own record counts"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -105,7 +115,9 @@ def test_the_command_prints_stores_records_and_checks(monkeypatch, tmp_path, cap
 )
 def test_bad_input_is_one_line(monkeypatch, tmp_path, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
-    Path("bad.jsonl").write_text('{"commit": "a", "ratios": {"b": 1}}\n{"commit": "a", "ratios": {"b": "fast"}}\n')
+    Path("bad.jsonl").write_text(
+        '{"commit": "a", "ratios": {"b": 1}, "machine": {"processor": "p"}}\n{"commit": "a", "ratios": {"b": 1}}\n'
+    )
     assert main(["bench", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
