@@ -48,20 +48,10 @@ class VariedKey:
 class Sensitivity:
     """Sensitivity of one estimator to the varied keys.
 
-    Parameters
-    ----------
-    estimator
-        Its label.
-    base
-        Outcome with no key varied.
-    outcomes
-        (n,) outcomes of the samples.
-    alone
-        Key to the outcomes at its lower and upper bound, with all other keys as in the base.
-    shares
-        Name of an index to its values, one for each key; empty where the outcome does not vary.
-    unmoved
-        Keys that change no result of this estimator at either bound, bit for bit.
+    ``base`` is the outcome with no key varied, ``outcomes`` (n,) are those of the samples. ``alone`` has, by key, the
+    outcomes at its lower and upper bound with all other keys as in the base. ``shares`` has, by the name of an index,
+    its value for each key; it is empty where the outcome does not vary. ``unmoved`` are the keys that change no result
+    at either bound, bit for bit.
     """
 
     estimator: str

@@ -52,29 +52,17 @@ from boresight.scenarios.errors import BoresightError
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Difference between two subjects.
+    """Difference between two subjects, which are named by their factors, trial by trial if it is ``paired``.
 
-    Parameters
-    ----------
-    first, second
-        The subjects by their factors.
-    paired
-        Whether it is trial by trial.
-    n_both, n
-        Trials that both solved, of those that both have; of independent samples those of the first and of the second.
-    median, mean
-        Of the differences, first minus second, over the trials that both solved; of independent samples the difference
-        of medians and of means.
-    better, p
-        Share of the trials in which the first is better, and p of the test that either is as often the better.
-    better_of_all, p_of_all
-        The same over all trials: who fails loses against who does not, and two failures decide nothing.
-    failures
-        Difference of the failure rates.
-    p_holm, p_of_all_holm
-        The tests' p after Holm's correction over the table.
-    equal
-        Trials that both solved with the same value; 0 of independent samples.
+    ``n_both`` trials are solved by both, of the ``n`` that both have; of independent samples these are the solved
+    trials of the first and of the second. ``median`` and ``mean`` are of the differences, first minus second, over the
+    trials that both solved; of independent samples they are differences of medians and of means.
+
+    ``better`` is the share of trials in which the first is better, ``p`` that of the test that either is as often the
+    better. ``better_of_all`` and ``p_of_all`` are the same over all trials: who fails loses against who does not, and
+    two failures decide nothing. ``failures`` is the difference of the failure rates. ``p_holm`` and ``p_of_all_holm``
+    are corrected over the table. ``equal`` counts the trials that both solved with the same value; it is 0 of
+    independent samples.
     """
 
     first: tuple[str, ...]
@@ -201,23 +189,11 @@ STATISTICS = (MEDIAN, RMS, P75, P95, P99)
 class Subject:
     """One line of a comparison: its statistics, with and without failures.
 
-    Parameters
-    ----------
-    names
-        Its value of each factor.
-    estimator
-        Label of its estimator, '' where several are pooled.
-    n_ok, n
-        Trials with a value of the metric, and all.
-    success
-        Share of the trials that did not fail.
-    solved
-        Each of `STATISTICS` over the trials with a value.
-    counted
-        The same over all trials, a failure with the prior's error; where there is no prior, the quantiles alone, a
-        failure worse than any error (infinite where the quantile falls among failures).
-    at_prior
-        Whether failures count with the prior's error.
+    ``names`` are its values of the factors; ``estimator`` is '' where several are pooled. ``n_ok`` of ``n`` trials have
+    a value of the metric, and ``success`` is the share that did not fail. ``solved`` has each of `STATISTICS` over the
+    trials with a value, ``counted`` over all trials: a failure counts with the prior's error (``at_prior``). Where
+    there is no prior, ``counted`` has the quantiles alone, a failure being worse than any error: infinite where the
+    quantile falls among failures.
     """
 
     names: tuple[str, ...]
@@ -232,16 +208,10 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class RunComparison:
-    """Runs compared.
+    """Runs compared by a metric; the factors tell the subjects apart.
 
-    Parameters
-    ----------
-    runs, metric, factors
-        What is compared, by what, and what tells the subjects apart.
-    trials
-        Every trial, see `reports.compare.trials.tabulate_trials`.
-    subjects, contrasts
-        The lines, in the order of the runs; the differences, corrected.
+    ``trials`` are those of `reports.compare.trials.tabulate_trials`, ``subjects`` the lines in the order of the runs,
+    ``contrasts`` the differences with corrected p.
     """
 
     runs: tuple[RunData, ...]
@@ -305,23 +275,14 @@ def compare_runs(
 ) -> RunComparison:
     """Compare estimators and scenarios of one run or of several.
 
-    Parameters
-    ----------
-    folders
-        The run folders.
-    metric
-        Name of a number of each trial; by default the position error, of sequences after the last whole revolution.
-    factors
-        Factors that define the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios such as
-        ``brdf`` or ``camera.fov_deg``. Trials that differ in other things are pooled. By default estimator and
-        scenario, and the run where several runs have the same ones.
-    unpaired
-        Whether subjects whose trials are not the same are compared as independent samples.
+    ``metric`` names a number of each trial: by default the position error, of sequences after the last whole
+    revolution. ``factors`` define the subjects: ``estimator``, ``scenario``, ``run`` or a key of the scenarios such as
+    ``brdf`` or ``camera.fov_deg``; trials that differ in other things are pooled. By default they are estimator and
+    scenario, and the run where several runs have the same ones. With ``unpaired``, subjects whose trials are not the
+    same are compared as independent samples.
 
-    Raises
-    ------
-    BoresightError
-        If a run cannot be read, metric or factor is unknown, or the trials of two runs are not the same.
+    Raises `BoresightError` if a run cannot be read, metric or factor is unknown, or the trials of two runs are not the
+    same.
     """
     runs = tuple(read_run(folder) for folder in folders)
     check_factors(factors or (), runs)
@@ -335,10 +296,7 @@ def compared(
 ) -> RunComparison:
     """Compare runs that have been read and can be compared by these factors.
 
-    Raises
-    ------
-    BoresightError
-        If no trial has a value of the metric.
+    Raises `BoresightError` if no trial has a value of the metric.
     """
     trials = tabulate_trials(runs, chosen, factors or (ESTIMATOR, SCENARIO))
     own = tuple(factors or default_factors(trials))

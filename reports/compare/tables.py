@@ -28,12 +28,9 @@ _HEADS = ("median", "RMS", "75th", "95th", "99th")
 
 
 def subject_tables(found: RunComparison) -> tuple[Grid, pd.DataFrame]:
-    """Tabulate each subject: over the trials that it solved and, where it failed in some, over all.
+    """Tabulate each subject, printed and as numbers, a row for each statistic.
 
-    Returns
-    -------
-    grid, numbers
-        The printed table, and a row for each statistic.
+    Lines are over the trials that a subject solved and, where it failed in some, over all.
     """
     unit, has_prior = _unit(found), found.trials["prior"].notna().any()
     rows, numbers = [], []

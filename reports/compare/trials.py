@@ -85,12 +85,8 @@ def nothing_to_find(run: RunData, metric: Measure) -> pd.Series:
 def choose_metric(name: str | None, runs: Sequence[RunData]) -> Measure:
     """Take the named metric; without a name the usual one of the kind of trial, or else the first that a run has.
 
-    Of sequences it is the position error after the last whole revolution.
-
-    Raises
-    ------
-    BoresightError
-        If a run has no such number; the message lists what it has.
+    Of sequences it is the position error after the last whole revolution. Raises `BoresightError` if a run has no such
+    number; the message lists what it has.
     """
     for run in runs:
         known = list(trial_numbers(run))
@@ -116,13 +112,10 @@ def missed_or_wrong(run: RunData) -> pd.Series | None:
 def crater_counts(run: RunData) -> pd.DataFrame | None:
     """Count craters in images for each row of a run, in order; None of a kind of trial without missed craters.
 
-    Returns
-    -------
-    counts
-        ``there`` (craters that could be found, or matched), ``missed`` of them, ``right`` and ``wrong`` (detections
-        that reach the detector's own threshold, or matches). The metrics of the kind: shares (%), NaN where they have a
-        zero denominator, and, of detections, the median errors of the centres of those that are right, and of the
-        craters that all methods found, which are ``common``.
+    Columns: ``there`` (craters that could be found, or matched), ``missed`` of them, ``right`` and ``wrong``
+    (detections that reach the detector's own threshold, or matches). Then the metrics of the kind: shares (%), NaN
+    where they have a zero denominator, and, of detections, the median errors of the centres of those that are right,
+    and of the craters that all methods found, which are ``common``.
     """
     rows, metrics = run.rows, kind_schema(run.manifest.experiment).metrics
     if MISSED not in metrics or run.table("crater_matches" if WRONG in metrics else "crater_images").empty:
@@ -179,15 +172,12 @@ _MISSING = object()
 
 
 def tabulate_trials(runs: Sequence[RunData], metric: Measure, factors: Sequence[str]) -> pd.DataFrame:
-    """Tabulate the trials of all runs.
+    """Tabulate the trials of all runs: a row for each trial, scenario and estimator of a run.
 
-    Returns
-    -------
-    trials
-        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find, and
-        without the prior where estimators are pooled, as it is none (`is_pooled_control`): the
-        ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the same of the prior, NaN where it
-        has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
+    Trials in which there was nothing to find are left out, and the prior where estimators are pooled, as it is none
+    (`is_pooled_control`). Columns: the ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the
+    same of the prior, NaN where it has none), ``failed``, ``cluster`` (what is independent), and what is known of the
+    trial's conditions.
     """
     named = zip(runs, run_names(runs), strict=True)
     table = pd.concat([_of_run(run, name, metric, factors) for run, name in named], ignore_index=True)
@@ -242,13 +232,7 @@ def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]
 
 
 def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
-    """Refuse factors that are neither names nor keys of every scenario.
-
-    Raises
-    ------
-    BoresightError
-        The first such factor, and what there is in its place.
-    """
+    """Raise `BoresightError` for the first factor that is neither a name nor a key of every scenario."""
     for factor in keys_among(factors):
         for run in runs:
             for name, spec in run.manifest.scenarios.items():
@@ -309,13 +293,7 @@ def default_factors(trials: pd.DataFrame) -> tuple[str, ...]:
 
 
 def check_pairs(runs: Sequence[RunData]) -> None:
-    """Refuse runs of which no trials are the same.
-
-    Raises
-    ------
-    BoresightError
-        Which two they are and what makes their trials different.
-    """
+    """Raise `BoresightError` for the first two runs of which no trials are the same, with what makes them differ."""
     for one, other in combinations(runs, 2):
         seeds = one.manifest.seed, other.manifest.seed
         ours, theirs = one.manifest.scenarios, other.manifest.scenarios

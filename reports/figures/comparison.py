@@ -44,17 +44,9 @@ _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "at
 class SubjectSummary:
     """Errors and success rate of one subject of a comparison, a line of the figure.
 
-    Parameters
-    ----------
-    label, colour
-        Label on the ordinate; colour of the marks.
-    solved, counted
-        Median, RMS and the 75th, 95th and 99th percentiles over the solved trials, and over all trials with failures
-        counted.
-    success
-        Success rate; None for a control.
-    difference
-        Median difference to the reference subject; None where there is no reference.
+    ``solved`` and ``counted`` are median, RMS and the 75th, 95th and 99th percentiles over the solved trials, and over
+    all trials with failures counted. ``success`` is None for a control, ``difference``, the median difference to the
+    reference subject, where there is no reference.
     """
 
     label: str
@@ -69,16 +61,9 @@ class SubjectSummary:
 def draw_summaries(
     summaries: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw errors, success rates and differences, a line for each subject.
+    """Draw errors, success rates and differences, a line for each subject, from top to bottom.
 
-    Parameters
-    ----------
-    summaries
-        The subjects, from top to bottom.
-    axis
-        Name of the error, with its unit.
-    against
-        Name of the reference of the differences; '' where there are none.
+    ``axis`` names the error, with its unit, ``against`` the reference of the differences ('' where there are none).
     """
     shown = [True, any(one.success for one in summaries), any(one.difference for one in summaries)]
     widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
@@ -158,13 +143,8 @@ def draw_coverage(
 ) -> Figure:
     """Draw the share of trials within each quantile of the chi-square distribution that the covariance claims.
 
-    Parameters
-    ----------
-    curves
-        Label of each curve to its errors, whose table has a ``cluster`` too. The grey band is the binomial 95 %
-        interval for the fewest clusters among them.
-    styles
-        Label of each curve to its style.
+    The tables of the errors have a ``cluster`` too: the grey band is the binomial 95 % interval for the fewest clusters
+    among them.
     """
     # Imported here, as it takes 1 s and few figures need it.
     from scipy.stats import binom
@@ -192,13 +172,8 @@ def draw_binned_errors(
 ) -> Figure:
     """Draw errors and success rates in bins of a condition, with their intervals.
 
-    Parameters
-    ----------
-    panels
-        Curves of every pair of error and condition. A label that ends in % has a linear ordinate, any other a
-        logarithmic one.
-    styles
-        Label of each curve to its style, in the order of the legend.
+    There is a panel for every pair of error and condition. A label that ends in % has a linear ordinate, any other a
+    logarithmic one. ``styles`` has the curves in the order of the legend.
     """
     errors, conditions = (list(dict.fromkeys(key[i] for key in panels)) for i in (0, 1))
     size = {"width_in": max(4.5, 0.4 + 2.35 * len(conditions)), "height_in": 1.1 + 1.75 * len(errors)}
@@ -246,14 +221,8 @@ def draw_trade_off(
 ) -> Figure:
     """Draw position and attitude errors (rows) against two costs (columns), all axes logarithmic.
 
-    Parameters
-    ----------
-    errors
-        ``position_error_m`` and ``attitude_error_deg``, to the label of each method, to its median error.
-    costs
-        Label of each cost, to the label of each method, to its cost; without methods that have none.
-    prior
-        Median errors of the prior, by the names of ``errors``.
+    ``errors`` maps ``position_error_m`` and ``attitude_error_deg`` to the median error of each method, ``prior`` to
+    that of the prior. ``costs`` maps the label of each cost to that of each method which has one.
     """
     figure, places = grid_figure(2, 2, height_in=5.6)
     for row, (name, label) in zip(places, _ERRORS, strict=True):
@@ -284,13 +253,7 @@ def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str
 
 @styled
 def draw_roc(panels: Mapping[str, Sequence[OutlierScore]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw a panel of curves for each definition of a bad solution, of the scores whose area is farthest from chance.
-
-    Parameters
-    ----------
-    panels
-        Definition of a bad solution to its scores.
-    """
+    """Draw a panel of curves for each definition of a bad solution: the scores whose area is farthest from chance."""
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
     curves = {
         definition: sorted(

@@ -59,12 +59,8 @@ def draw_stages(
 ) -> Figure:
     """Draw the image, all edges, grouped edges and detected craters (Cheng et al. 2003, figure 2).
 
-    Parameters
-    ----------
-    edges
-        (H, W) edge pixels of both passes.
-    arcs
-        Grouped edges, each (n, 2) pixels, under ``shaded`` and ``lit``.
+    ``edges`` (H, W) are the edge pixels of both passes; ``arcs`` has the grouped edges, each (n, 2) pixels, under
+    ``shaded`` and ``lit``.
     """
     figure, panels = grid_figure(2, 2, width_in=9.0, height_in=7.2)
     image_panel(panels[0, 0], image, "a  image")
@@ -95,15 +91,7 @@ def draw_detections(
 def draw_found_and_true(
     image: NDArray[np.float32], truth: Sequence[RimSet], found: Sequence[RimSet], title: str
 ) -> Figure:
-    """Draw an image, its true craters and its detections side by side (after Cheng et al. 2003, figures 2 and 3).
-
-    Parameters
-    ----------
-    image
-        (H, W).
-    truth, found
-        Sets of rims, each with its colour.
-    """
+    """Draw an image (H, W), its true craters and its detections (after Cheng et al. 2003, figures 2 and 3)."""
     figure, axes = new_figure(3, width_in=11.0, height_in=3.3)
     sets_of: tuple[Sequence[RimSet], ...] = ((), truth, found)
     for place, sets, name in zip(axes, sets_of, ("image", "truth", "detections"), strict=True):
@@ -117,12 +105,9 @@ def draw_found_and_true(
 def draw_confidence_curves(curves: Mapping[str, pd.DataFrame], title: str) -> Figure:
     """Draw the ROC curve of each detector: share of craters found over share of false alarms.
 
-    Parameters
-    ----------
-    curves
-        Label of each detector to its shares as the threshold on the confidence falls: ``false_share`` of false alarms,
-        ``detectable`` and ``clean`` of the craters of each kind that are found; ``kept``: whether the detection
-        reaches the detector's own threshold.
+    Curves have a row for each detection as the threshold on the confidence falls: ``false_share`` of false alarms,
+    ``detectable`` and ``clean``: shares of such craters that are found, and ``kept``: whether it reaches the detector's
+    own threshold.
     """
     figure, (place,) = new_figure(1, width_in=5.2, height_in=4.2)
     for (label, curve), drawn in zip(curves.items(), plot_styles(curves).values(), strict=True):
@@ -144,13 +129,7 @@ def draw_confidence_curves(curves: Mapping[str, pd.DataFrame], title: str) -> Fi
 
 @styled
 def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, Bar]]]], title: str) -> Figure:
-    """Draw rates with intervals in bins.
-
-    Parameters
-    ----------
-    panels
-        Quantity that is binned, to detector, to the names of the bins and the rates in them, %.
-    """
+    """Draw rates (%) with intervals in named bins: a panel for each quantity binned, a curve for each detector."""
     figure, axes = new_figure(len(panels), width_in=3.7 * len(panels), height_in=3.4)
     for place, (what, detectors) in zip(axes, panels.items(), strict=True):
         drawn = plot_styles(detectors)
@@ -167,15 +146,7 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, Bar]]]], ti
 
 @styled
 def draw_shares(curves: Mapping[str, Sequence[tuple[str, Bar, Bar]]], label: str) -> Figure:
-    """Draw recall on the left and wrong matches on the right.
-
-    Parameters
-    ----------
-    curves
-        Label of each matcher to its points: their place on the abscissa, the recall and the share of wrong matches, %.
-    label
-        Name of the abscissa.
-    """
+    """Draw recall on the left and wrong matches on the right, %, over places on an abscissa called ``label``."""
     figure, axes = grid_figure(1, 2, height_in=3.2)
     places, drawn = list(dict.fromkeys(one[0] for curve in curves.values() for one in curve)), plot_styles(curves)
     for which, (panel, title) in enumerate(zip(axes[0], ("recall, %", "wrong matches, %"), strict=True), start=1):
@@ -193,18 +164,10 @@ def draw_shares(curves: Mapping[str, Sequence[tuple[str, Bar, Bar]]], label: str
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedRims:
-    """Detected rims of two images and the matches between them.
+    """Detected rims of the first and of the second image, and the matches between them.
 
-    Parameters
-    ----------
-    rims
-        Rims of the first and of the second image.
-    pairs
-        (k, 2) matched rims, by their indices in ``rims``.
-    right
-        (k,) True where both rims are of the same crater.
-    missed
-        (m, 2) indices of the rims of craters that both images show and that are not matched correctly.
+    ``pairs`` (k, 2) are matched rims by their indices, ``right`` (k,) is True where both are of the same crater.
+    ``missed`` (m, 2) are indices of the rims of craters that both images show and that are not matched correctly.
     """
 
     rims: tuple[Ellipses, Ellipses]

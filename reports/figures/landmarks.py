@@ -46,13 +46,7 @@ _CHI_SQUARE_EDGES = np.linspace(0.0, 30.0, 61)
 def draw_landmark_errors(
     error_m: FloatArray, chi_square: FloatArray, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the histogram of landmark errors, and that of their chi-square with the density for 3 degrees of freedom.
-
-    Parameters
-    ----------
-    error_m, chi_square
-        (n,) and (m,) finite values of all recognised landmarks.
-    """
+    """Draw histograms of landmark errors (n,) and their chi-square (m,), with the density for 3 degrees of freedom."""
     figure, (left, right) = new_figure(2)
     error_edges = shared_edges([error_m], bins=50, percent=95.0)
     for axes, sample, edges, unit, label, frequency in (
@@ -75,15 +69,7 @@ def draw_landmark_errors(
 def draw_landmark_counts(
     counts: FloatArray, title: str, published_median: float | None = None, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw the histogram of the number of recognised landmarks per image.
-
-    Parameters
-    ----------
-    counts
-        (n,) number of landmarks in each image.
-    published_median
-        Median that a paper prints, marked by a second line.
-    """
+    """Draw the histogram of the numbers of recognised landmarks of images (n,), with the median that a paper prints."""
     figure, (axes,) = new_figure(1, width_in=5.0, height_in=3.2)
     width = max(1, round((counts.max() - counts.min()) / 40))
     edges = np.arange(counts.min() - 0.5, counts.max() + width + 0.5, width)
@@ -106,12 +92,7 @@ def draw_count_comparison(
 ) -> Figure:
     """Draw the number of recognised landmarks per image for several sets of images (Rowell et al. 2015, figure 10).
 
-    Parameters
-    ----------
-    counts
-        Label of each set to (n,) number of landmarks in each image.
-    published
-        Medians that the paper prints, by label; marked by triangles on the axis.
+    Both mappings are by the label of the set; medians that the paper prints are triangles on the axis.
     """
     figure, (axes,) = new_figure(1, width_in=6.0, height_in=3.6)
     top = max(float(sample.max()) for sample in counts.values())
@@ -131,13 +112,7 @@ def draw_count_comparison(
 
 @styled
 def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figure:
-    """Draw the offsets of each group with the 1-sigma ellipse of their sample covariance, on the same axes.
-
-    Parameters
-    ----------
-    offsets
-        Title of each panel and its (n, 2) offsets (du, dv), px.
-    """
+    """Draw panels of offsets (n, 2), px, by title, with the 1-sigma ellipse of their covariance, on the same axes."""
     columns = min(len(offsets), 4)
     rows = -(-len(offsets) // columns)
     figure, panels = grid_figure(rows, columns, width_in=2.6 * columns + 0.3, height_in=2.9 * rows + 0.4)
@@ -180,20 +155,9 @@ _EDGE = "#3c4043"
 class SurfaceView:
     """A triangulation and its surface as one camera sees them, in pixels.
 
-    Parameters
-    ----------
-    landmarks_px
-        (n, 2) positions of all landmarks.
-    edges_px
-        (e, 2, 2) ends of all edges of the tetrahedra.
-    facets_px
-        (f, 3, 2) corners of the facets that face the camera, the farthest first.
-    shades
-        (f,) brightness of each, 0 to 1.
-    normals_px
-        (f, 2, 2) centre of each facet, and the tip of its outward normal.
-    n_tetrahedra, n_facets
-        Their total numbers.
+    ``landmarks_px`` (n, 2) are all landmarks, ``edges_px`` (e, 2, 2) the ends of all edges of the tetrahedra,
+    ``facets_px`` (f, 3, 2) the corners of the facets that face the camera, the farthest first, with their ``shades``
+    (f,) from 0 to 1. ``normals_px`` (f, 2, 2) has the centre of each facet and the tip of its outward normal.
     """
 
     landmarks_px: FloatArray
@@ -244,16 +208,10 @@ def _surface(view: SurfaceView, shades: FloatArray) -> PolyCollection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterView:
-    """Clusters of points as one camera sees them.
+    """Clusters of points, and the body's image (H, W), as one camera sees them.
 
-    Parameters
-    ----------
-    seed_px, merged_px
-        (n, 2) and (m, 2) points on the near side that belong to a seed cluster, and to a merged cluster.
-    seed_of, merged_of
-        (n,) and (m,) number of the cluster of each point.
-    image
-        (H, W) image of the body by this camera.
+    Points (n, 2) on the near side that belong to a seed cluster, and (m, 2) to a merged one, with the numbers of the
+    clusters.
     """
 
     seed_px: FloatArray

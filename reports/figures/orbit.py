@@ -36,17 +36,7 @@ _MOST_BARS = 60
 def draw_count_histogram(
     counts: NDArray[np.int64], label: str, ordinate: str, published: Mapping[str, float], title: str
 ) -> Figure:
-    """Draw a histogram of counts with mean and median; values that a paper prints are triangles on the axis.
-
-    Parameters
-    ----------
-    counts
-        (n,) non-negative counts.
-    label, ordinate
-        Labels of the axes.
-    published
-        Name of each printed quantity to its value.
-    """
+    """Draw a histogram of counts (n,) with mean and median; values that a paper prints are triangles on the axis."""
     figure, (axes,) = new_figure(1, width_in=5.6, height_in=3.4)
     width = max(1, int(np.ceil((counts.max(initial=0) + 1) / _MOST_BARS)))
     edges = np.arange(0, counts.max(initial=0) + width + 1, width) - 0.5
@@ -72,12 +62,7 @@ def draw_count_histogram(
 def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
     """Draw histograms of craters per image and of images per landmark (Cheng et al. 2003, figures 8b and 9).
 
-    Parameters
-    ----------
-    images
-        Columns ``n_detections`` and ``n_numbered``.
-    landmarks
-        Column ``hits``.
+    Images have the columns ``n_detections`` and ``n_numbered``, landmarks ``hits``.
     """
     figure, (left, right) = new_figure(2)
     found, numbered, hits = images["n_detections"], images["n_numbered"], landmarks["hits"]
@@ -99,10 +84,7 @@ def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str
 def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
     """Draw the time span of each landmark; landmarks with sightings of another crater have a second colour.
 
-    Parameters
-    ----------
-    landmarks
-        Columns ``first_days``, ``last_days``, ``hits`` and ``n_other``.
+    Columns ``first_days``, ``last_days``, ``hits`` and ``n_other``.
     """
     figure, (axes,) = new_figure(1, width_in=6.5, height_in=4.2)
     ordered = landmarks.sort_values(["first_days", "last_days"]).reset_index(drop=True)
@@ -122,12 +104,9 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
-    """Draw the column residuals above the row residuals, over time.
+    """Draw the column residuals above the row residuals, over time; edited sightings are left out.
 
-    Parameters
-    ----------
-    residuals
-        Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; edited sightings are left out.
+    Columns ``time_days``, ``u_px``, ``v_px`` and ``used``.
     """
     figure, axes = grid_figure(2, 1, width_in=7.0, height_in=4.4)
     used = residuals[residuals["used"].astype(bool)]
@@ -143,10 +122,7 @@ def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
 def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
     """Draw median and band of the position error over the trials against time, for each estimator.
 
-    Parameters
-    ----------
-    errors
-        Columns ``estimator``, ``trial``, ``time_days``, ``position_error_m``, ``position_sigma_m`` and ``predicted``.
+    Columns ``estimator``, ``trial``, ``time_days``, ``position_error_m``, ``position_sigma_m`` and ``predicted``.
     """
     figure, (axes,) = new_figure(1, width_in=6.0)
     drawn = plot_styles(map(str, errors["estimator"].unique()))
@@ -169,11 +145,8 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
 def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
     """Draw the position error of one solution: its components, and its length with the RMS by the covariance.
 
-    Parameters
-    ----------
-    errors
-        Columns ``time_days``, ``radial_m``, ``along_m``, ``cross_m``, ``position_error_m``, ``position_sigma_m`` and
-        ``predicted``.
+    Columns ``time_days``, ``radial_m``, ``along_m``, ``cross_m``, ``position_error_m``, ``position_sigma_m``,
+    ``predicted``.
     """
     figure, axes = grid_figure(2, 1, width_in=7.0, height_in=5.0)
     (above,), (below,) = axes
@@ -197,10 +170,7 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
 def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
     """Draw all residuals of one solution: used or edited by the filter, of the right crater or of a wrong one.
 
-    Parameters
-    ----------
-    residuals
-        Columns ``u_px``, ``v_px``, ``used`` and ``wrong``.
+    Columns ``u_px``, ``v_px``, ``used`` and ``wrong``.
     """
     figure, (axes,) = new_figure(1, width_in=5.2, height_in=4.8)
     used, wrong = residuals["used"].astype(bool), residuals["wrong"].astype(bool)

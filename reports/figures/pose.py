@@ -57,11 +57,8 @@ def draw_method_errors(
 ) -> Figure:
     """Draw normalised histograms of the errors of methods, a row of panels for each group of them.
 
-    Parameters
-    ----------
-    groups
-        Title of each row to its methods: label to errors with columns ``attitude_error_deg`` and
-        ``position_error_m``. All rows share their axes, and a label has the same colour in all rows.
+    Groups map the title of a row to its methods, and these to columns ``attitude_error_deg`` and ``position_error_m``.
+    All rows share their axes, and a label has the same colour in all rows.
     """
     # A long legend stands below its panel.
     height_in = 0.5 + sum(2.9 + 0.18 * (n if n > _METHODS_INSIDE else 0) for n in map(len, groups.values()))
@@ -112,13 +109,9 @@ def draw_pose_errors(
 ) -> Figure:
     """Draw normalised histograms of attitude and position error, with the medians marked.
 
-    Parameters
-    ----------
-    stages
-        Label of each stage, in order, to its errors, with columns ``attitude_error_deg`` and ``position_error_m``.
-        A stage with the same attitude errors as the first one is left out of the attitude panel.
-    published
-        Medians that a paper prints, by (stage label, column); marked by triangles on the axis.
+    ``stages`` maps the label of each stage, in order, to columns ``attitude_error_deg`` and ``position_error_m``; a
+    stage with the same attitude errors as the first one is left out of the attitude panel. ``published`` are medians
+    that a paper prints, by (stage label, column): triangles on the axis.
     """
     figure, panels = new_figure(2)
     for axes, (column, label, unit, frequency) in zip(panels, _PANELS, strict=True):
@@ -173,14 +166,8 @@ def draw_cumulative_errors(
 ) -> Figure:
     """Draw the share of all trials whose error is below the abscissa; failures lower the curve.
 
-    Parameters
-    ----------
-    estimators
-        Label of each estimator to its errors where it is ok, and its number of trials.
-    panels
-        Columns of the errors to the labels of their axes.
-    styles
-        Styles of the curves by their labels; by default those of the estimators of these names.
+    Each estimator has its errors where it is ok, and its number of trials. ``panels`` maps columns of the errors to the
+    labels of their axes; without ``styles`` curves have those of the estimators of their names.
     """
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart

@@ -40,15 +40,9 @@ _SPREAD_PERCENT = 99.5
 class MatchedLandmarks:
     """Matched landmarks of one image.
 
-    Parameters
-    ----------
-    seen_px
-        (n, 2) where each was found in the image.
-    predicted_px
-        (n, 2) where the estimate projects its mean.
-    error_m
-        (n,) distance of the true surface point seen there from the landmark; NaN where the line of sight misses the
-        body.
+    ``seen_px`` (n, 2) is where each was found in the image, ``predicted_px`` (n, 2) where the estimate projects its
+    mean. ``error_m`` (n,) is the distance of the true surface point seen there from the landmark; NaN where the line of
+    sight misses the body.
     """
 
     seen_px: FloatArray
@@ -109,14 +103,8 @@ def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
 class Overlay:
     """Landmarks and mesh of the data base, projected into an image with one pose.
 
-    Parameters
-    ----------
-    landmarks_px
-        (n, 2) projected means (u, v) of the visible landmarks.
-    covariances_px2
-        (n, 2, 2) projected covariances, or None to draw no ellipses.
-    edges_px
-        (m, 2, 2) ends (u, v) of the visible edges of the mesh.
+    ``landmarks_px`` (n, 2) are the means (u, v) of the visible landmarks, ``covariances_px2`` (n, 2, 2) their
+    covariances, None to draw no ellipses, ``edges_px`` (m, 2, 2) the ends (u, v) of the visible edges of the mesh.
     """
 
     landmarks_px: FloatArray
@@ -128,18 +116,9 @@ class Overlay:
 class FitPanels:
     """Projections and matches of one recognition, all in pixels of the image.
 
-    Parameters
-    ----------
-    image, mesh_image
-        (H, W) the observed image, and the mesh rendered with the pose of the first iteration.
-    before, after
-        The data base with the prior pose and with the final pose.
-    observed_centroid_px, rendered_centroid_px
-        (2,) brightness centroids of the two images.
-    corners_px
-        (k, 2) Harris corners of the image.
-    matched
-        (k,) True for the corners that were matched with a landmark.
+    The observed image (H, W), and the mesh rendered with the pose of the first iteration; the data base with the prior
+    pose and with the final pose; brightness centroids (2,) of the two images; Harris corners (k, 2), and which of them
+    were ``matched`` (k,) with a landmark.
     """
 
     image: NDArray[np.floating]
@@ -156,12 +135,7 @@ class FitPanels:
 def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = (), *, aligned: bool = False) -> Figure:
     """Draw the initial fit, the rendered mesh and the converged fit (Rowell et al. 2015, figure 8), all cropped.
 
-    Parameters
-    ----------
-    fit
-        The recognition to draw.
-    aligned
-        Whether ``after`` is the data base with the pose whose centroids are aligned, without corners (figure 3).
+    With ``aligned``, ``after`` is the data base with the pose whose centroids are aligned, without corners (figure 3).
     """
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
     shape = fit.image.shape
@@ -221,16 +195,9 @@ def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
 class PoseRendering:
     """Rendering of the body at one pose, against the image.
 
-    Parameters
-    ----------
-    name
-        ``prior``, ``estimate`` or ``truth``; sets the colour.
-    heading
-        Printed above the panel.
-    body
-        (H, W) pixels whose lines of sight meet the body.
-    residual
-        (H, W) image less the rendering, the latter scaled to the image.
+    ``name`` is ``prior``, ``estimate`` or ``truth`` and sets the colour; ``heading`` is above the panel. ``body`` (H,
+    W) are the pixels whose lines of sight meet the body, ``residual`` (H, W) is the image less the rendering, scaled to
+    the image.
     """
 
     name: str

@@ -116,13 +116,7 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
 
 @styled
 def draw_curves(panels: Sequence[tuple[str, Mapping[str, Points]]], ordinate: str, title: str) -> Figure:
-    """Draw panels in rows of three with one logarithmic ordinate.
-
-    Parameters
-    ----------
-    panels
-        Label of each abscissa, and the curves by their labels; all panels contain the same curves.
-    """
+    """Draw panels in rows of three with one logarithmic ordinate: the same curves over different abscissae."""
     across = min(_PANELS_A_ROW, len(panels))
     down = -(-len(panels) // across)
     figure = Figure(figsize=(2.6 * across + 0.4, 2.2 * down + 0.6), layout="constrained")
@@ -174,16 +168,7 @@ def draw_sensitivity(
 ) -> Figure:
     """Draw a row of panels for each estimator: the indices of all keys, and the outcome against each key.
 
-    Parameters
-    ----------
-    rows
-        The estimators.
-    keys
-        Names of the K keys.
-    samples
-        (n, K) values of the keys.
-    axis
-        Name of the outcome, with its unit.
+    ``samples`` (n, K) are the values of the K ``keys``; ``axis`` names the outcome, with its unit.
     """
     width_in, height_in = 3.2 + 2.1 * len(keys), 0.9 + 2.3 * len(rows)
     figure, places = grid_figure(len(rows), 1 + len(keys), width_in=width_in, height_in=height_in)

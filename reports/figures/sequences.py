@@ -50,15 +50,9 @@ _COMPONENTS = ("radial", "along-track", "cross-track")
 def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa: str, title: str) -> Figure:
     """Draw the mean error at each level of a series, with its interval and the standard deviation of the trials.
 
-    After figures 4.1 and 4.2 of Delpech et al. (2015).
-
-    Parameters
-    ----------
-    errors
-        Label of each line to level to the rows of its trials. Rows of the same ``cluster`` are not independent. A
-        panel without any value is left out.
-    abscissa
-        Name of the levels.
+    After figures 4.1 and 4.2 of Delpech et al. (2015). ``errors`` maps the label of each line to the rows of its trials
+    by level; rows of the same ``cluster`` are not independent. A panel without any value is left out. ``abscissa``
+    names the levels.
     """
     every = [table for levels in errors.values() for table in levels.values()]
     shown = [name for name in AFTER_REVOLUTIONS if any(table[name].notna().any() for table in every)]
@@ -98,14 +92,9 @@ def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, s
 
 @styled
 def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title: str) -> Figure:
-    """Draw an image with rings around features (Delpech et al. 2015, figures 6.1 and 6.2).
+    """Draw an image (H, W) with rings around features (Delpech et al. 2015, figures 6.1 and 6.2).
 
-    Parameters
-    ----------
-    image
-        (H, W) any linear measure of radiance.
-    uv_px
-        (n, 2) features to mark, centre of the first pixel at (0.5, 0.5); empty for the image alone.
+    Features (n, 2) have the centre of the first pixel at (0.5, 0.5); without any the image is drawn alone.
     """
     figure, (axes,) = new_figure(1, width_in=5.0, height_in=5.2)
     image_panel(axes, image, title)
@@ -118,11 +107,8 @@ def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title
 def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     """Draw the position error of every trial along the frames (Delpech et al. 2015, figures 3.1 and 5.1).
 
-    Parameters
-    ----------
-    epochs
-        Frames of one estimator: columns ``trial``, ``anomaly_deg``, ``time_s`` where that has none, and
-        ``position_error_m``.
+    Frames of one estimator: columns ``trial``, ``anomaly_deg`` (``time_s`` where that has none) and
+    ``position_error_m``.
     """
     along, label = _abscissa([epochs])
     figure, (axes,) = new_figure(1, width_in=5.4)
@@ -153,16 +139,9 @@ def draw_traces(
 ) -> Figure:
     """Draw the median error over trials along the frames, with the band of 5 to 95 % and the first trial.
 
-    Bands are drawn for at most three estimators, as more would hide each other. A panel for which no estimator has a
-    value, such as the landmarks of dead reckoning, is left out, unless that holds for all panels.
-
-    Parameters
-    ----------
-    epochs
-        Label of each estimator to its frames: columns ``trial``, ``anomaly_deg``, ``time_s`` where that has none, and
-        the errors.
-    panels
-        Columns of the errors to show.
+    Bands are drawn for at most three estimators, as more would hide each other. ``panels`` are columns of the errors. A
+    panel for which no estimator has a value, such as the landmarks of dead reckoning, is left out, unless that holds
+    for all panels. Frames have the columns ``trial``, ``anomaly_deg`` (``time_s`` where that has none) and the errors.
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
@@ -194,23 +173,12 @@ def _draw_trace(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryErrors:
-    """An estimated trajectory and the true one.
+    """An estimated trajectory and the true one, over ``along`` (F,), which ``abscissa`` names.
 
-    Parameters
-    ----------
-    along
-        (F,) of each estimated frame what errors are drawn over.
-    true_m, estimated_m
-        (F, 3) inertial positions in the axes of the orbit: towards the first position, along the motion there, and
-        across the plane.
-    error_m
-        (F, 3) radial, along-track and cross-track components of the error.
-    sigma_m
-        (F, 3) standard deviation of each component by the estimator's covariance; NaN where it has none.
-    body_radius_m
-        Radius of a sphere around the body.
-    abscissa
-        Label of ``along``: the anomaly since the first frame, or the time along a trajectory of given states.
+    Positions (F, 3) are inertial in the axes of the orbit: towards the first position, along the motion there, and
+    across the plane. ``error_m`` (F, 3) has the radial, along-track and cross-track components, ``sigma_m`` (F, 3)
+    their standard deviations by the estimator's covariance; NaN where it has none. ``body_radius_m`` is that of a
+    sphere around the body.
     """
 
     along: FloatArray
@@ -224,22 +192,12 @@ class TrajectoryErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackLifetimes:
-    """Lifetimes of the tracks of a sequence, and errors of their landmarks.
+    """Lifetimes of the tracks of a sequence, and errors of their landmarks, over ``abscissa`` (see `TrajectoryErrors`).
 
-    Parameters
-    ----------
-    first, last
-        (T,) abscissa of the first and of the last frame that sees the track.
-    error_m
-        (T,) error of its landmark when it was last seen; NaN where the estimator had no landmark.
-    wrong_at
-        (k, 2) abscissa and track of each wrong sighting.
-    per_frame
-        (F, 2) abscissa and number of tracks.
-    ended
-        Abscissa of the last estimated frame; None where all frames are estimated.
-    abscissa
-        Its label, see `TrajectoryErrors`.
+    ``first`` and ``last`` (T,) are of the frames that see the track, ``error_m`` (T,) of its landmark when it was last
+    seen; NaN where the estimator had no landmark. ``wrong_at`` (k, 2) has abscissa and track of each wrong sighting,
+    ``per_frame`` (F, 2) abscissa and number of tracks. ``ended`` is the abscissa of the last estimated frame; None
+    where all are estimated.
     """
 
     first: FloatArray
@@ -338,14 +296,8 @@ def draw_tracks(tracks: TrackLifetimes, title: str) -> Figure:
 def draw_landmark_map(points_m: FloatArray, error_m: FloatArray, new: NDArray[np.bool_], title: str) -> Figure:
     """Draw a map of landmark errors, and height errors over errors along the ground, when landmarks were last seen.
 
-    Parameters
-    ----------
-    points_m
-        (n, 3) true positions, body frame.
-    error_m
-        (n, 3) estimated less true position, body frame.
-    new
-        (n,) landmarks that were seen only once, so that their depth is unknown.
+    ``points_m`` (n, 3) are true positions, ``error_m`` (n, 3) estimated less true ones, body frame. ``new`` (n,) are
+    landmarks that were seen only once, so that their depth is unknown.
     """
     figure, (chart, parts) = new_figure(2, width_in=9.4, height_in=3.6)
     length = np.linalg.norm(error_m, axis=1)

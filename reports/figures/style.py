@@ -290,10 +290,7 @@ def shared_edges(samples: Sequence[FloatArray], bins: int = 40, percent: float =
 def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: Any) -> int:
     """Draw a step histogram in frequency per unit, normalised by the whole sample.
 
-    Returns
-    -------
-    beyond
-        How many values lie beyond the last edge. They are not drawn, but the normalisation includes them.
+    Return how many values lie beyond the last edge. They are not drawn, but the normalisation includes them.
     """
     inside = np.histogram(sample, edges)[0]
     axes.stairs(inside / (max(len(sample), 1) * np.diff(edges)), edges, **line)
@@ -309,10 +306,7 @@ def histogram_panel(
 ) -> int:
     """Draw step histograms by their labels in the legend, with dotted lines at the medians up to a share of the height.
 
-    Returns
-    -------
-    beyond
-        How many values lie beyond the last edge, see `step_histogram`.
+    Return how many values lie beyond the last edge, see `step_histogram`.
     """
     beyond = 0
     for (label, sample), line in zip(samples.items(), lines, strict=True):

@@ -59,18 +59,9 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
 class Content:
     """A run and all that is said of it.
 
-    Parameters
-    ----------
-    run
-        The stored tables.
-    records
-        Every measured number.
-    comparison, compared
-        Published values and our numbers beside them; None and empty if the campaign names none.
-    claims
-        Published orders and our medians in them.
-    notes
-        What a reader must know before trusting the numbers.
+    ``records`` are all measured numbers; ``comparison`` are the published values and ``compared`` ours beside them,
+    None and empty if the campaign names none; ``claims`` are published orders and our medians in them. ``notes`` are
+    what a reader must know before trusting the numbers.
     """
 
     run: RunData
@@ -98,16 +89,8 @@ Tables = Sequence[Grid | None]
 class ReportKind:
     """Tables and figures of a kind of trial.
 
-    Parameters
-    ----------
-    records
-        Measures what this kind alone has; the published values are those that the campaign names.
-    tables
-        The tables of its report, in order, before that of failures.
-    brief
-        What the terminal shows, before the verdicts.
-    figures
-        The figures of its report.
+    ``records`` measures what this kind alone has; the published values are those that the campaign names. ``tables``
+    come before that of failures, and ``brief``, what the terminal shows, before the verdicts.
     """
 
     records: Callable[[RunData, Comparison | None], Iterable[Record]] = lambda run, comparison: ()

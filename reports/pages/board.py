@@ -31,10 +31,7 @@ _THUMB_PX = 200
 def write_board(folders: Sequence[Path], out: Path, command: str) -> tuple[Path, tuple[str, ...]]:
     """Write ``index.html`` on runs into a folder; return its path and what is wrong with runs that cannot be read.
 
-    Raises
-    ------
-    OSError
-        If the page cannot be written.
+    Raises `OSError` if the page cannot be written.
     """
     rows, refused = [], []
     for folder in folders:

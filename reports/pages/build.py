@@ -29,13 +29,8 @@ _ROWS_BEFORE_LEAD = 8
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
     """Fill the page's template: what was asked and what came out first, how and from what last.
 
-    Parameters
-    ----------
-    content
-        Content of the report.
-    figures
-        Each with its PNG, which is embedded. The one called `LEAD`, or else the first, comes after the card and the
-        first table of the kind of trial, if that is short: it is to be seen on the first two screens.
+    Each figure has its PNG, which is embedded. The one called `LEAD`, or else the first, comes after the card and the
+    first table of the kind of trial, if that is short: it is to be seen on the first two screens.
     """
     run, manifest = content.run, content.run.manifest
     card = list(_card(content))
@@ -135,20 +130,10 @@ def _listed(mapping: Mapping[str, object]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportFiles:
-    """Paths of a written report, and its content.
+    """Paths of a written report, and its content, for the tables of the terminal.
 
-    Parameters
-    ----------
-    folder
-        Holds all files.
-    html, markdown
-        ``report.html`` and ``report.md``.
-    tables
-        ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
-    figures
-        PNG of each figure, and PDF on request.
-    content
-        What was written, for the tables of the terminal.
+    ``tables`` are ``table.csv`` (every measured number beside the published one), ``timings.csv`` and ``failures.csv``;
+    ``figures`` are PNG, and PDF on request.
     """
 
     folder: Path
@@ -162,24 +147,14 @@ class ReportFiles:
 def write_report(
     run: Path, out: Path | None = None, extra: Iterable[NamedFigure] = (), pdf: bool = False
 ) -> ReportFiles:
-    """Write the report of a run folder.
+    """Write the report of a run folder, into ``run/report`` by default; other files there are left alone.
 
-    Parameters
-    ----------
-    run
-        Folder with ``manifest.json`` and ``rows``; an unfinished run is reported as such.
-    out
-        Folder of the report, ``run/report`` by default. Other files in it are left alone.
-    extra
-        Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`); drawn when it is
-        known that the run can be read.
-    pdf
-        Whether figures are written as PDF too.
+    An unfinished run is reported as such. ``extra`` are further figures, shown after those of the tables (such as
+    `reports.figures.draw_fit_panels`), and drawn when it is known that the run can be read. With ``pdf`` figures are
+    written as PDF too.
 
-    Raises
-    ------
-    BoresightError
-        If the run cannot be read or the report cannot be written; files of an earlier report then stay as they were.
+    Raises `BoresightError` if the run cannot be read or the report cannot be written; files of an earlier report then
+    stay as they were.
     """
     content, further = read_content(run), list(extra)
     folder = out or run / "report"

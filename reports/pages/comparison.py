@@ -41,12 +41,8 @@ class ComparisonFiles:
 def write_comparison(found: RunComparison, folder: Path, command: str = "") -> ComparisonFiles:
     """Write ``compare.html``, ``compare.md``, the tables as CSV, and the figures of a comparison.
 
-    The tables are ``subjects.csv``, ``differences.csv`` and ``consistency.csv``.
-
-    Raises
-    ------
-    BoresightError
-        If the folder cannot be written.
+    The tables are ``subjects.csv``, ``differences.csv`` and ``consistency.csv``. Raises `BoresightError` if the folder
+    cannot be written.
     """
     tables = {
         "subjects.csv": subject_tables(found),

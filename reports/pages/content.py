@@ -100,22 +100,13 @@ def _set_lines(run: RunData) -> Iterator[str]:
 def read_content(folder: Path) -> Content:
     """Read a run folder and compute the content of its report.
 
-    Raises
-    ------
-    BoresightError
-        If the folder is not a run, holds no finished trial, or names unknown published values.
+    Raises `BoresightError` if the folder is not a run, holds no finished trial, or names unknown published values.
     """
     return content_of(read_run(folder))
 
 
 def content_of(run: RunData) -> Content:
-    """Compute the content of the report of a run.
-
-    Raises
-    ------
-    BoresightError
-        If it names unknown published values.
-    """
+    """Compute the content of the report of a run; raise `BoresightError` if it names unknown published values."""
     comparison = load_published(run.manifest.report) if run.manifest.report else None
     own = report_kind(run).records(run, comparison)
     records = (*measure_run(run), *own, *outlier_records(run), *paired_records(run), *consistency_records(run))
@@ -154,16 +145,8 @@ def beside_published(
 class EstimatorResult:
     """Result of an estimator over all scenarios of a run, for a line.
 
-    Parameters
-    ----------
-    label
-        Of the estimator.
-    n_ok, n, n_success
-        Trials with a value, all, and those that did not fail.
-    median
-        Of the values.
-    prior
-        Median of the same number of the priors; None where there are none.
+    ``n_ok`` trials of ``n`` have a value, and ``n_success`` did not fail. ``prior`` is the median of the same number of
+    the priors; None where there are none.
     """
 
     label: str
@@ -177,10 +160,7 @@ class EstimatorResult:
 def estimator_results(run: RunData) -> tuple[Measure, list[EstimatorResult]]:
     """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
 
-    Raises
-    ------
-    BoresightError
-        If the trials have no number to go by.
+    Raises `BoresightError` if the trials have no number to go by.
     """
     metric, found = choose_metric(None, [run]), []
     trials = tabulate_trials([run], metric, (ESTIMATOR,))

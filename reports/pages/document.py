@@ -22,28 +22,11 @@ ON_BOARD = "On board"
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Document:
-    """Content of a page.
+    """Content of a page that a command, the ``product``, writes.
 
-    Parameters
-    ----------
-    product
-        Command that writes the page.
-    title
-        Heading.
-    facts
-        Names and values of the card below the heading.
-    lists
-        Titles and lines of the lists before the tables.
-    grids
-        Tables.
-    figures
-        Figures after the tables.
-    lead
-        Figure after the first table.
-    command
-        Command line that makes the page again.
-    credits
-        Credit lines of real images.
+    ``facts`` are names and values of the card below the heading, ``lists`` titles and lines before the tables. The
+    ``lead`` is the figure after the first table, ``figures`` come after all. ``command`` makes the page again;
+    ``credits`` are the credit lines of real images.
     """
 
     product: str
@@ -83,10 +66,7 @@ def write_document(
 ) -> Path:
     """Write the figures, the page and, if it is named, the Markdown into a folder; return the page.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    Raises `OSError` if the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     drawn = [(one, save_figure(one.figure, folder / one.stem, kinds)[0].read_bytes()) for one in document.drawn()]
@@ -106,14 +86,8 @@ def _bullets(lines: Iterable[str]) -> str:
 class CasePage(Document):
     """Content of the page of an inspected case; its figures are before its tables.
 
-    Parameters
-    ----------
-    notes
-        Sentences above the figures.
-    traceback
-        Traceback of an estimator that raised; '' otherwise.
-    said
-        Stream to the text that the method wrote to it.
+    ``notes`` are above the figures. ``traceback`` is that of an estimator that raised, '' otherwise; ``said`` maps a
+    stream to the text that the method wrote to it.
     """
 
     notes: Sequence[str]

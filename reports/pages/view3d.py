@@ -39,20 +39,9 @@ _AXIS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSet:
-    """Points that are coloured by a number.
+    """Points (n, 3), coloured by a number (n,) that ``name`` explains, grey where NaN.
 
-    Parameters
-    ----------
-    name
-        What they are, and what the number is.
-    points_m
-        (n, 3).
-    values
-        (n,) NaN where there is none: grey.
-    texts
-        (n,) shown under the pointer.
-    unit
-        Of the number.
+    ``texts`` (n,) are shown under the pointer.
     """
 
     name: str
@@ -75,19 +64,7 @@ class CameraSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View3D:
-    """Content of a 3D view, body axes, m.
-
-    Parameters
-    ----------
-    title, note
-        Above and below the drawing.
-    vertices_m, faces
-        (V, 3) and (F, 3) of the body.
-    marks
-        Sets of landmarks, of which one is shown at a time.
-    cameras
-        Sets of cameras.
-    """
+    """Content of a 3D view of a body (V, 3), (F, 3), body axes, m; of the sets of marks one is shown at a time."""
 
     title: str
     note: str
@@ -102,13 +79,7 @@ TRUE = GREEN
 
 
 def write_view3d(look: View3D, path: Path) -> None:
-    """Write the page with plotly's own script in it.
-
-    Raises
-    ------
-    BoresightError
-        If it cannot be written.
-    """
+    """Write the page with plotly's own script in it; raise `BoresightError` if it cannot be written."""
     # Half-Lambert shading, in which no side is black, is computed here: plotly's lights are fixed to the screen and
     # leave bodies of some hundred metres dark.
     light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)

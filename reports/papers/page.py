@@ -45,30 +45,11 @@ _LINE_IN, _GAP_IN, _TITLE_IN, _SIZE = 0.19, 0.22, 0.45, 8.0
 class PaperLine:
     """One published number or statement with our numbers.
 
-    Parameters
-    ----------
-    campaign, scenario, estimator
-        Source of our numbers; scenario and estimator are '' where nothing was run.
-    place
-        Place in the paper.
-    quantity, statistic
-        Measured quantity and its statistic.
-    printed
-        The paper's number or words.
-    ours
-        Our numbers: one, or those of an order.
-    tolerance
-        Half-width of the band that counts as reproduced; None where there is none.
-    verdict
-        By the rule.
-    names
-        Of an order: what tells its values apart.
-    said
-        The verdict as it is printed, with what it leaves out.
-    remark
-        Why no verdict is due, though our numbers are known.
-    in_words
-        Whether it is a statement that no number of ours can be compared with.
+    Campaign, scenario and estimator are the source of ours; the last two are '' where nothing was run. ``printed`` is
+    the paper's number or words, ``ours`` one number or those of an order, whose ``names`` tell its values apart.
+    ``tolerance`` is the half-width of the band that counts as reproduced; None where there is none. ``said`` is the
+    verdict as it is printed, with what it leaves out, ``remark`` why none is due though our numbers are known.
+    ``in_words``: no number of ours can be compared with it.
     """
 
     campaign: str
@@ -103,18 +84,8 @@ def paper_lines(
 ) -> Iterator[PaperLine]:
     """Pair every number and statement of a paper with those of a run, or with none if there is no run.
 
-    Parameters
-    ----------
-    campaign
-        Name of the campaign.
-    comparison
-        What the paper says.
-    content
-        The run; None where there is none.
-    labels
-        Estimators of the run that are the paper's own method.
-    absent
-        What to say of each number if there is no run.
+    ``labels`` are the estimators of the run that are the paper's own method. Without a run (``content``), ``absent`` is
+    the verdict on each number.
     """
     if content is None:
         numbers = comparison.values  # noqa: PD011  a tuple of published values, not a table
@@ -219,20 +190,9 @@ def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperPage:
-    """The page of a paper.
+    """The page of a paper: all that it shows, the lines of its first table, and how many runs our numbers come from.
 
-    Parameters
-    ----------
-    document
-        All that it shows; figures and tables of the paper are named by their numbers.
-    lines
-        The lines of its first table.
-    runs
-        Number of runs that our numbers come from.
-    missing
-        What is not there, and how to make it.
-    refused
-        Stored runs that cannot be read, and why.
+    ``missing`` says what is not there and how to make it, ``refused`` which stored runs cannot be read, and why.
     """
 
     document: Document

@@ -26,33 +26,17 @@ class _Model(BaseModel):
 
 
 class PublishedValue(_Model):
-    """One printed number, or a printed range, whose middle is taken.
+    """One printed number, or a printed range, whose middle is taken; ``place`` is where it is printed.
 
-    Parameters
-    ----------
-    measure, stage, statistic
-        Which of our numbers it is compared with.
-    printed
-        Number and unit, verbatim.
-    tolerance
-        Half-width of the band that counts as reproduced, in the measure's unit; None where no verdict is due.
-    words
-        What the paper says, verbatim, where it gives no number: ``printed`` is then how the words are read.
-    relation
-        ``about`` the printed number, or ``above`` or ``below`` it, whatever the tolerance.
-    at_most
-        Upper bound of what is ``above`` where the words set one: "somewhat broader than 3" is not 300.
-    scenario
-        Name of the scenario that it is for; '' for every one.
-    estimator
-        Label of the estimator that it is for; '' for every one.
-    against
-        For a reduction: the scenario or the estimator whose mean the reduction is from. For a ratio: the estimator
-        whose mean is divided by.
-    better
-        Which side of the band is an improvement.
-    place
-        Where it is printed.
+    ``measure``, ``stage`` and ``statistic`` name our number that it is compared with; ``scenario`` and ``estimator``
+    whose it is, '' for all. For a reduction ``against`` is the scenario or the estimator whose mean the reduction is
+    from, for a ratio the estimator whose mean is divided by.
+
+    ``printed`` is number and unit, verbatim; ``words`` are the paper's where it gives no number, and ``printed`` is
+    then how they are read. ``tolerance`` is the half-width of the band that counts as reproduced, in the measure's
+    unit; None where no verdict is due. ``relation`` is ``about`` the number, or ``above`` or ``below`` it, whatever the
+    tolerance. ``at_most`` bounds what is ``above`` where the words do: "somewhat broader than 3" is not 300. ``better``
+    is the side of the band that is an improvement.
     """
 
     measure: str
@@ -102,10 +86,7 @@ class PublishedValue(_Model):
 class Term(_Model):
     """One of the values that a statement puts in order, by the fields in which it differs from the others.
 
-    Parameters
-    ----------
-    estimator, against, scenario, stage, measure, statistic
-        '' for that of the statement.
+    A field is '' for that of the statement.
     """
 
     estimator: str = ""
@@ -124,32 +105,18 @@ class Term(_Model):
 
 
 class PublishedClaim(_Model):
-    """A statement of the paper in words, and how our rows are compared with it; give one of three ways.
+    """A statement of the paper in words, verbatim, and how our rows are compared with it; give one of three ways.
 
-    Parameters
-    ----------
-    text
-        What the paper says, verbatim.
-    order
-        Values of one run that ascend by the words; a label alone is the value of that estimator.
-    estimator, against, measure, stage, statistic
-        Which values are compared, where the terms of the order do not say otherwise; ``against`` is the estimator that
-        a ratio is over.
-    solves
-        Label of the estimator that "is functional": it solves nine trials of ten at least, which is our reading.
-    share
-        The share of trials that it solves at least, in place of nine of ten; 1 for "all".
-    within
-        The true error, by ``measure`` and in its unit, up to which a trial counts as solved; without it the trials that
-        the estimator itself calls solved.
-    unmeasured
-        Why no stored row of ours can decide it.
-    unjudged
-        Why no verdict is due, though our values are known.
-    scenario
-        Name of the scenario that it is for; '' for every one.
-    place
-        Where it is said.
+    ``order`` are values of one run that ascend by the words; a label alone is the value of that estimator. The other
+    fields say which values, where its terms do not; ``against`` is the estimator that a ratio is over, ``scenario`` ''
+    for every one.
+
+    ``solves`` is the label of the estimator that "is functional": it solves at least the ``share`` of trials, nine of
+    ten by our reading, 1 for "all". A trial is solved up to the true error ``within``, by ``measure`` and in its unit;
+    without it, if the estimator itself calls it solved.
+
+    ``unmeasured`` says why no stored row of ours can decide it, ``unjudged`` why no verdict is due, though our values
+    are known.
     """
 
     text: str = Field(min_length=1)
@@ -198,26 +165,12 @@ def within_statistic(bound: float) -> str:
 
 
 class Comparison(_Model):
-    """The values of one experiment of a paper.
+    """The values and the claims of one experiment of a paper.
 
-    Parameters
-    ----------
-    conditions
-        How the paper's numbers were obtained, and what differs from ours.
-    methods
-        Labels of the estimators that are the paper's own, for values that name no estimator.
-    verdicts
-        False where the conditions differ so much that a verdict would mean nothing.
-    values
-        The printed numbers.
-    claims
-        Orders that are stated in words.
-    radius_m
-        Radius of the body with which the paper turns a pixel into a rotation and a displacement.
-    source
-        The paper.
-    bounds
-        By which rules tolerances and bounds were chosen, and what was known of our values then.
+    ``conditions`` say how the paper's numbers were obtained, and what differs from ours; ``verdicts`` is False where
+    that is so much that a verdict would mean nothing. ``methods`` are the labels of the paper's own estimators, for
+    values that name none. With ``radius_m`` the paper turns a pixel into a rotation and a displacement. ``bounds`` say
+    by which rules tolerances and bounds were chosen, and what was known of our values then.
     """
 
     conditions: str
@@ -258,13 +211,7 @@ def published_names() -> list[str]:
 
 
 def load_published(name: str) -> Comparison:
-    """Load the published values called ``name``.
-
-    Raises
-    ------
-    BoresightError
-        If there are none of that name.
-    """
+    """Load the published values called ``name``; raise `BoresightError` if there are none of that name."""
     for file in _FILES:
         document = _read(file)
         if name in document.comparisons:
@@ -278,13 +225,7 @@ def _read(file: str) -> _Document:
 
 
 def parse(text: str, file: str) -> _Document:
-    """Validate the text of a file of published values.
-
-    Raises
-    ------
-    BoresightError
-        If the text is not YAML or does not fit the schema.
-    """
+    """Validate a file of published values; raise `BoresightError` if it is not YAML or does not fit the schema."""
     try:
         return held_to(_Document, parse_yaml(text, file).plain())
     except ValueError as error:

@@ -26,14 +26,8 @@ _DATA_BASE = "data base "
 class Pool:
     """Scenarios that differ in the body alone, whose sequences consist of images of it.
 
-    Parameters
-    ----------
-    name
-        Name of the pool, used in place of a scenario name.
-    scenarios
-        Its members.
-    sets
-        Number of sets of images, one for each body (its texture included).
+    ``name`` stands for that of a scenario; ``sets`` counts the sets of images, one for each body (its texture
+    included).
     """
 
     name: str

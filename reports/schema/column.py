@@ -19,22 +19,11 @@ def unit_by_suffix(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """A number that reports print.
+    """A number that reports print, by its name in tidy tables, comparisons and files of published values.
 
-    Parameters
-    ----------
-    name
-        In the tidy table of a report, as a metric of comparisons, and in the files of published values.
-    label
-        In words, without the unit; '' for the name without its unit.
-    unit
-        None for the unit that the end of the name says.
-    error
-        Whether smaller is better.
-    printed
-        Whether reports print it at all; a stored column may be there for users alone.
-    detail
-        Whether the table of details lists it; others stand in tables of their kind.
+    ``label`` is in words, without the unit; '' for the name without its unit. ``unit`` None is that of the end of the
+    name. Of an ``error`` smaller is better. A stored column that is not ``printed`` is there for users alone; one with
+    ``detail`` is listed in the table of details, others in tables of their kind.
     """
 
     name: str
@@ -96,23 +85,11 @@ def names(columns: Iterable[Measure]) -> tuple[str, ...]:
 class KindSchema:
     """Stored columns and reported measures of a kind of trial.
 
-    Parameters
-    ----------
-    row
-        Columns of its rows, after those that all kinds have.
-    tables
-        Its further tables.
-    measures
-        Measures that are no columns: worked out of them.
-    metrics
-        Measures of each trial that comparisons may go by before there is a run, the usual one first.
-    nees
-        Table that has the normalised squared errors of its trials: ``rows`` those of poses, ``epochs`` those of
-        positions frame by frame, ``orbits`` those of states at an epoch.
-    frames
-        Whether a trial consists of frames, one of which the reason of a failure names.
-    databases_note
-        What intervals rest on where ``{n}`` data bases take turns.
+    ``row`` has the columns of its rows after those that all kinds have, ``tables`` its further tables, ``measures``
+    what is worked out of them. ``metrics`` are measures of each trial that comparisons may go by before there is a run,
+    the usual one first. ``nees`` is the table of the normalised squared errors: ``rows`` of poses, ``epochs`` of
+    positions frame by frame, ``orbits`` of states at an epoch. ``frames``: a trial consists of frames, one of which the
+    reason of a failure names. ``databases_note`` says what intervals rest on where ``{n}`` data bases take turns.
     """
 
     row: Columns = ()

@@ -16,20 +16,11 @@ _OF = " of the "
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table of printed cells.
+    """A table of printed cells: headings, and rows of as many cells.
 
-    Parameters
-    ----------
-    title, note
-        Heading, and what a reader must know to read it.
-    columns
-        Headings of the columns.
-    rows
-        Cells, as many as columns.
-    text
-        Numbers of the columns that hold text; the others hold numbers and align right.
-    known
-        A priori knowledge on board, printed with the table wherever it goes; of headlines only.
+    ``note`` is what a reader must know to read it. ``text`` are the numbers of the columns that hold text; the others
+    hold numbers and align right. ``known`` is the a priori knowledge on board, printed with the table wherever it goes;
+    of headlines only.
     """
 
     title: str
@@ -171,17 +162,7 @@ Printed = Callable[[Key, Mapping[Key, Record]], str]
 
 @dataclass(frozen=True, slots=True)
 class GridColumn:
-    """A column of a table of records.
-
-    Parameters
-    ----------
-    head
-        Its heading.
-    cell
-        Its cells, of the key of each line.
-    text
-        Whether they are texts rather than numbers.
-    """
+    """A column of a table of records: its heading, its cells by the key of each line, and whether they are texts."""
 
     head: str
     cell: Printed
@@ -205,14 +186,8 @@ def record_column(
 ) -> GridColumn:
     """Make a column of the records with a measure, statistic and reference; '' for those of the line's own key.
 
-    Parameters
-    ----------
-    interval
-        Whether cells have the 95 % interval.
-    ended
-        Whether they say of how many trials they are, where others have no value.
-    printed
-        How a record is printed otherwise.
+    Cells have the 95 % ``interval``, or say of how many trials they are where others have not ``ended`` with a value.
+    ``printed`` prints a record otherwise.
     """
     usual = value_of_ended if ended else value_of
 

@@ -37,20 +37,10 @@ class Key(NamedTuple):
 class Record:
     """One line of the tidy table.
 
-    Parameters
-    ----------
-    scenario, estimator
-        What the trials were.
-    stage
-        ``prior``, a stage of the estimator, ``failures-at-prior``, ``database`` or a timed stage.
-    reference
-        The pose that was scored against; '' for the scenario's own truth.
-    measure, unit, statistic
-        What the value is.
-    value, low, high
-        The statistic with its 95 % interval; None where unknown.
-    n_ok, n
-        Samples behind the value, and how many there would be had nothing failed.
+    ``stage`` is ``prior``, a stage of the estimator, ``failures-at-prior``, ``database`` or a timed stage.
+    ``reference`` is the pose that was scored against; '' for the scenario's own truth. ``value`` has its 95 % interval
+    ``low`` to ``high``; None where unknown. ``n_ok`` samples are behind it, of the ``n`` that there would be had
+    nothing failed.
     """
 
     scenario: str

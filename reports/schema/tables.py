@@ -94,13 +94,7 @@ def measure_label(name: str) -> str:
 
 
 def refuse_older(manifest: object, path: Path) -> None:
-    """Refuse a run that is stored in another format than this version of boresight reads.
-
-    Raises
-    ------
-    BoresightError
-        If its format is not the one that this version reads.
-    """
+    """Raise `BoresightError` if a run is stored in another format than this version of boresight reads."""
     stored = manifest.get("format", "unknown") if isinstance(manifest, Mapping) else FORMAT_VERSION
     if stored != FORMAT_VERSION:
         raise BoresightError(

@@ -66,16 +66,10 @@ _TAILS = (0.025, 0.975)
 class NormalisedErrors:
     """One kind of squared error of the trials of a run, normalised by its covariance.
 
-    Parameters
-    ----------
-    name
-        Of the records: ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch``
-        of position and velocity of an orbit, ``innovation``.
-    expected
-        Mean where covariances are true, in the unit of ``ratio``.
-    table
-        ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of innovations per measurement) and
-        ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected).
+    ``name`` is ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch`` of position
+    and velocity of an orbit, or ``innovation``. ``expected`` is the mean where covariances are true, in the unit of
+    ``ratio``. Columns of the table: ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of
+    innovations per measurement) and ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected).
     """
 
     name: str
@@ -94,18 +88,10 @@ class NormalisedErrors:
 
 @dataclass(frozen=True, slots=True)
 class ConsistencyTest:
-    """Normalised errors against their distribution.
+    """``n`` normalised errors against their distribution.
 
-    Parameters
-    ----------
-    n
-        How many.
-    mean, median
-        With their intervals.
-    band
-        Expected mean, and the range of 95 % of the means of as many.
-    inside
-        Share of the trials within the 95 % of the distribution, 2.5 % being left out at either end.
+    ``band`` is the expected mean, and the range of 95 % of the means of as many; ``inside`` the share of the trials
+    within the central 95 % of the distribution.
     """
 
     n: int

@@ -164,21 +164,10 @@ def interval_of_sums(
 ) -> Interval:
     """Bound a function of sums over clusters at the 95 % level.
 
-    Parameters
-    ----------
-    numbers
-        (n, k) finite numbers; n may be 0.
-    clusters
-        (n,) label of the unit that is independent of all others.
-    of_sums
-        Takes sums (B, k) to (B,); twice the sums give the same.
-    positive
-        Whether it can only be above 0: its logarithm is bounded, and low is above 0 too.
-
-    Returns
-    -------
-    low, high
-        None below two clusters, and of something positive where they would be further apart than ``_WIDEST``.
+    ``numbers`` (n, k) are finite, and n may be 0; ``clusters`` (n,) label the unit that is independent of all others.
+    ``of_sums`` takes sums (B, k) to (B,); twice the sums give the same. Of what can only be above 0 (``positive``) the
+    logarithm is bounded, and low is above 0 too. The ends are None below two clusters, and of something positive where
+    they would be further apart than ``_WIDEST``.
     """
     codes = np.unique(clusters, return_inverse=True)[1]
     n_clusters = int(codes.max(initial=-1)) + 1

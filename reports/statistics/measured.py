@@ -35,14 +35,8 @@ def bounded(value: float) -> float:
 class Statistic:
     """A power mean or a power quantile: (reduce(x ** power)) ** (1 / power).
 
-    Parameters
-    ----------
-    name
-        As printed in tables and in published values.
-    quantile
-        In [0, 1]; None for the mean.
-    power
-        1, or 2 for statistics of squares.
+    ``name`` is printed in tables and in published values. ``quantile`` is in [0, 1], None for the mean; ``power`` is 1,
+    or 2 for statistics of squares.
     """
 
     name: str
@@ -71,15 +65,9 @@ LEAST_SPREAD = 20
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A statistic with its interval.
+    """A statistic, None where no value was measured, with the bounds of its 95 % interval.
 
-    Parameters
-    ----------
-    value
-        None where no value was measured.
-    low, high
-        Bounds of the 95 % interval; None where there are too few independent units. Equal to ``value`` for a counted
-        fact.
+    The bounds are None where there are too few independent units, and equal to the value for a counted fact.
     """
 
     value: float | None
@@ -98,16 +86,10 @@ class Measured:
 
 
 def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Sequence[Statistic]) -> list[Measured]:
-    """Evaluate statistics with their 95 % intervals.
+    """Evaluate statistics of finite values (n,) with their 95 % intervals; n may be 0.
 
-    Parameters
-    ----------
-    values
-        (n,) finite numbers; n may be 0.
-    clusters
-        (n,) label of the unit that is independent of all others.
-    statistics
-        What to evaluate. A quantile beyond which less than one of the n values is expected has no value.
+    ``clusters`` (n,) label the unit that is independent of all others. A quantile beyond which less than one of the n
+    values is expected has no value.
     """
     if len(values) == 0:
         return [Measured(None) for _ in statistics]

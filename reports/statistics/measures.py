@@ -53,16 +53,8 @@ def table_records(
 ) -> Iterator[Record]:
     """Measure columns of a table that has at most one row for each trial; n counts all trials.
 
-    Parameters
-    ----------
-    table
-        Of all scenarios and estimators.
-    stage
-        Of the records.
-    statistics
-        By columns, in the order of the records.
-    pairs
-        Scenarios and estimators; without them all of the run.
+    The table is of all scenarios and estimators, ``stage`` that of the records. ``statistics`` are by columns, in the
+    order of the records. ``pairs`` are scenarios and estimators; without them all of the run.
     """
     for scenario, estimator in run.pairs() if pairs is None else pairs:
         own = select(table, scenario, estimator)

@@ -40,17 +40,8 @@ def main_effects(errors: Mapping[str, pd.Series], high: Mapping[str, Sequence[bo
     each trial (a view and a prior) and x = 0 or 1: without failures b_k is the difference of the means at high and at
     low, and with some the effects of the other axes stay unbiased. The interval is a percentile bootstrap over trials.
 
-    Parameters
-    ----------
-    errors
-        The errors of each scenario by trial; failed trials are absent.
-    high
-        For each scenario whether each of K axes is high.
-
-    Returns
-    -------
-    effects
-        exp(b_k) of the K axes; without a value where the trials do not separate them.
+    ``errors`` are those of each scenario by trial, failed trials being absent; ``high`` says for each scenario whether
+    each of K axes is high. Return exp(b_k) of the K axes, without a value where the trials do not separate them.
     """
     table = pd.DataFrame({name: np.log(series.clip(lower=1e-12)) for name, series in errors.items()})
     count = len(next(iter(high.values())))
@@ -120,14 +111,11 @@ def _pair_records(run: RunData, sample: Sample, rows: pd.DataFrame, base: pd.Dat
 def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
     """Test whether differences (n,) are as often above zero as below; a cluster counts once, by its median.
 
-    The signs of two to five clusters can never be significant: where clusters have several trials, their shares
-    are tested against one half by Student's t instead, see `_share_test`.
+    The signs of two to five clusters can never be significant: where clusters have several trials, their shares are
+    tested against one half by Student's t instead, see `_share_test`.
 
-    Returns
-    -------
-    share, chance, decided
-        Share of clusters with a negative median, with Wilson's interval; p of the exact two-sided test; the number of
-        clusters that are not zero.
+    Return the share of clusters with a negative median, with Wilson's interval; p of the exact two-sided test; and the
+    number of clusters that are not zero.
     """
     if 1 < len(np.unique(clusters)) < min(_LEAST_SIGNS, len(difference)):
         return _share_test(difference, clusters)

@@ -43,18 +43,9 @@ _CHUNK = 4_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlierScore:
-    """A score that may indicate bad solutions, with the class of each solution.
+    """A score (n,) of the solutions that have one, and which of them are bad (n,) by a definition.
 
-    Parameters
-    ----------
-    scenario, estimator, name, definition
-        Whose score it is, and what counts as bad.
-    score
-        (n,) values of the solutions that have one.
-    bad
-        (n,) which of them are bad.
-    clusters
-        (n,) what is resampled as a whole.
+    ``clusters`` (n,) are resampled as a whole.
     """
 
     scenario: str
@@ -102,10 +93,7 @@ def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
 def roc_curve(score: FloatArray, bad: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Trace the rates (m + 1,) of flagging what scores at least each of m thresholds, from (0, 0) on.
 
-    Returns
-    -------
-    false_positives, true_positives, thresholds
-        Thresholds descend; the first is infinite.
+    Return false positives, true positives and thresholds; these descend, and the first is infinite.
     """
     order = np.argsort(-score, kind="stable")
     last_of_value = np.append(np.diff(score[order]) != 0.0, True)

@@ -187,12 +187,9 @@ def crater_brief(records: Sequence[Record]) -> list[Grid]:
 def confidence_curve(one: DetectorResults) -> pd.DataFrame:
     """Tabulate a detector's operating points as the threshold on the confidence falls, a row for each detection.
 
-    Returns
-    -------
-    curve
-        ``false_share``: false alarms among the detections that count (`counted_detections`); ``listed_false_share``:
-        among all; ``detectable`` and ``clean``: shares of such craters that are found; ``confidence`` and ``kept`` of
-        the detection.
+    Columns: ``false_share``, false alarms among the detections that count (`counted_detections`),
+    ``listed_false_share``, among all; ``detectable`` and ``clean``, shares of such craters that are found;
+    ``confidence`` and ``kept`` of the detection.
     """
     found = one.detections.sort_values("confidence", ascending=False, kind="stable")
     false = np.cumsum(found["crater"].to_numpy() < 0)

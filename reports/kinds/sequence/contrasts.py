@@ -31,17 +31,7 @@ _ON = ["scenario", "trial"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PairedErrors:
-    """Two errors of the same trials.
-
-    Parameters
-    ----------
-    errors
-        (k, 2) of the trials of which both are known.
-    clusters
-        (k,) what of them is independent.
-    n
-        Trials that both have, with and without an error.
-    """
+    """Two errors (k, 2) of the same trials, where both are known, of the ``n`` trials that both have."""
 
     errors: FloatArray
     clusters: NDArray[np.generic]

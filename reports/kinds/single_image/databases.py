@@ -25,20 +25,10 @@ POSITION, ATTITUDE = _ERRORS = "position_error_m", "attitude_error_deg"
 class Cost:
     """An estimator of a scenario: what it attains, and what it takes.
 
-    Parameters
-    ----------
-    scenario, estimator
-        Whose.
-    position_m, attitude_deg
-        Medians of the errors with their intervals, over the trials with an estimate.
-    n_ok, n
-        Trials with an estimate, and all.
-    failed
-        Share of trials without an estimate or with a position error above the prior's.
-    seconds
-        Median wall time of all its own stages of a trial.
-    landmarks, size_bytes
-        Of all that it reads, as it is stored, the mean over several data bases; None where it reads none.
+    Errors are medians over the trials with an estimate, ``n_ok`` of ``n``; ``failed`` is the share without one or with
+    a position error above the prior's. ``seconds`` is the median wall time of all its own stages of a trial.
+    ``landmarks`` and ``size_bytes`` are of all that it reads, as it is stored, the mean over several data bases; None
+    where it reads none.
     """
 
     scenario: str
@@ -155,14 +145,8 @@ def sensitivity_grid(
 ) -> Grid | None:
     """Tabulate the size of several data bases and the errors that follow; None where there are not at least two.
 
-    Parameters
-    ----------
-    records
-        Of one run.
-    pairs
-        Scenario and estimator of each line, in their order.
-    paper
-        Its values make the first line.
+    ``records`` are of one run, ``pairs`` scenario and estimator of each line, in their order. The values of a ``paper``
+    make the first line.
     """
     if len(pairs) < 2:
         return None
