@@ -21,8 +21,7 @@ from boresight.reports.schema.grid import (
     record_grid,
     text_column,
 )
-from boresight.reports.schema.labels import stage_label
-from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
+from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, stage_label
 from boresight.reports.schema.tables import measure_label, measures
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from boresight.scenarios.known import correlated

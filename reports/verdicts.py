@@ -13,10 +13,19 @@ from itertools import pairwise
 from typing import Literal, TypeVar
 
 from boresight.reports.published import Comparison, PublishedClaim, PublishedValue, Term
-from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, row_grid, value_of, value_of_ended
-from boresight.reports.schema.labels import stage_label
-from boresight.reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Key, Record, by_key
+from boresight.reports.schema.records import (
+    CONTROL,
+    DERIVED,
+    RATIO,
+    REDUCTION,
+    SEQUENCE,
+    Key,
+    Record,
+    by_key,
+    stage_label,
+)
 from boresight.reports.schema.tables import measure_label, unit_of
 from boresight.reports.statistics.intervals import wilson
 

@@ -9,7 +9,7 @@ from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders
 from boresight.campaign.runs.newest import find_run, newest_first
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.remarks import counted_tests, equal_pairs, limits, pooled_lines
+from boresight.reports.compare.tables import counted_tests, equal_pairs, limits, pooled_lines
 from boresight.reports.pages.board import write_board
 from boresight.reports.pages.comparison import write_comparison
 from boresight.reports.pages.rich_tables import rich_parts

@@ -30,7 +30,7 @@ from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.rich_tables import FittedTable
 from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, verdict_tally, write_paper
-from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load import load_campaign
 

@@ -12,9 +12,9 @@ from boresight.campaign.inspection.case import ORDER, Choice, chosen_rows, named
 from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.runs.newest import find_run
+from boresight.reports.figures.named import file_stem
 from boresight.reports.pages.view3d import write_view3d
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.errors import BoresightError, display
 
 

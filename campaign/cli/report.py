@@ -11,10 +11,10 @@ from boresight.campaign.inspection.show import show_of
 from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.resolve import reload
 from boresight.campaign.store import RunFolder
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds import brief_grids
 from boresight.reports.pages.build import write_report
 from boresight.reports.run.outcomes import reason_lines, unsolved_lines
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 
 

@@ -13,7 +13,7 @@ from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.request import Cluster
 from boresight.campaign.runs.start import start
 from boresight.campaign.store import RunFolder
-from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display
 
 

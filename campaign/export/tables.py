@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 
 from boresight.campaign.store import TABLES, RunFolder
+from boresight.reports.figures.named import file_stem
 from boresight.reports.kinds import report_grids
 from boresight.reports.pages.content import read_content
-from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.atomic import write_atomically, write_text
 
 

@@ -19,12 +19,12 @@ from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, sho
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.images import write_image
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.document import CasePage, write_document
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
-from boresight.reports.schema.labels import as_title
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import as_title
 from boresight.reports.schema.tables import TABLES, measure_label, schema
 from boresight.scenarios.atomic import write_atomically, write_text
 

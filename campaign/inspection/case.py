@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from boresight.reports.compare.trials import choose_metric, metric_values, missed_or_wrong, trial_numbers
+from boresight.reports.figures.named import file_stem
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.column import Measure
-from boresight.reports.schema.named_figure import file_stem
 from boresight.scenarios.errors import BoresightError
 
 CONTROLS = ("prior", "dead-reckoning")

@@ -17,9 +17,9 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import module_of
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, Pose
 

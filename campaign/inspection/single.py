@@ -29,7 +29,7 @@ from boresight.campaign.runs.resolve import of_scenario
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import InspectedTrial
 from boresight.renderers.mitsuba3 import choose_variant
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.figures.named import NamedFigure
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.load import load_scenario

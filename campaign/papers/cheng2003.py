@@ -11,13 +11,13 @@ from boresight.campaign.kinds.crater_matching.show import matching_example
 from boresight.campaign.papers.gather import FinishedRun
 from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.estimators.craters.planning import PLANNER
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.crater_navigation import counts_figure
 from boresight.reports.kinds.image_survey import survey_figures
 from boresight.reports.kinds.orbit_determination import reference_scenarios, residual_figure
 from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 
 _DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
 _MATCHERS = ("invariants", "hybrid")

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.papers.gather import FinishedRun
 from boresight.campaign.papers.page import Paper, PaperFigure
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
-from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.designs import design_grids
 from boresight.reports.kinds.sequence.tables import (
     ratio_grids,
     revolution_figure,
@@ -26,7 +27,6 @@ from boresight.reports.kinds.sequence.tables import (
     without_pooled,
 )
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 

@@ -14,7 +14,7 @@ from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_r
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.request import RUNS
 from boresight.campaign.runs.requirements import needs
-from boresight.reports.figures.provenance import add_provenance, with_trial_counts
+from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.pages.document import Document
 from boresight.reports.papers.page import (
     PaperLine,
@@ -29,8 +29,7 @@ from boresight.reports.papers.page import (
 from boresight.reports.published import load_published
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import count_of
 from boresight.reports.verdicts import Verdict
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign

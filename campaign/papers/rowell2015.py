@@ -39,16 +39,16 @@ from boresight.reports.figures.landmarks import (
     draw_count_comparison,
     draw_triangulation,
 )
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.pose import draw_method_errors
 from boresight.reports.figures.recognition import draw_fit_panels
-from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.designs import design_grids
+from boresight.reports.kinds.single_image import centroid_offsets, landmark_figures, pose_figure
 from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid
-from boresight.reports.kinds.single_image.figures import centroid_offsets, landmark_figures, pose_figure
 from boresight.reports.published import load_published
 from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import count_of
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View, look_at

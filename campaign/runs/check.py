@@ -14,7 +14,7 @@ from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.requirements import core_seconds, in_words, needs_of_scenario
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
-from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import count_of
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
 from boresight.scenarios.data.datasets import datasets, datasets_providing

@@ -12,15 +12,13 @@ from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.compare.tables import differing_level, subject_consistencies
 from boresight.reports.compare.trials import CONDITIONS, ESTIMATOR, run_names
 from boresight.reports.figures.comparison import SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.pose import draw_cumulative_errors
 from boresight.reports.figures.style import Points
 from boresight.reports.run.data import TRIAL_KEY
-from boresight.reports.schema.column import Measure
-from boresight.reports.schema.common import BORESIGHT, LATERAL
+from boresight.reports.schema.column import BORESIGHT, LATERAL, Measure
 from boresight.reports.schema.kinds.craters import DETECTION, MATCHING
-from boresight.reports.schema.labels import as_title
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.records import CONTROL, as_title
 from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import normalised_label
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure, percent, share_of

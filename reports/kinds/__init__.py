@@ -10,11 +10,11 @@ from typing import cast
 
 import pandas as pd
 
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import short_line, with_single_draws
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import Record
 from boresight.reports.tables import failure_grid
 from boresight.reports.verdicts import ComparedClaim, ComparedValue, claim_grid, verdict_grid

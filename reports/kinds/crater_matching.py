@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from boresight.reports.figures.craters import Bar, draw_shares
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.kinds import ReportKind
 from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.schema.grid import Grid, GridColumn, record_column, record_grid, text_column
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import Key, Record, by_key
 from boresight.reports.statistics.measured import MEDIAN, P95, Measured, Sample, measure_share
 from boresight.reports.verdicts import comparison_grid

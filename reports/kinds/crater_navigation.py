@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pandas as pd
 
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.orbit import draw_crater_counts, draw_landmark_spans
 from boresight.reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
 from boresight.reports.run.limits import limited_title
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, record_column, record_grid
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import Key, Record
 from boresight.reports.statistics.measured import MEAN, MEDIAN
 from boresight.reports.statistics.measures import table_records

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.orbit import draw_count_histogram
 from boresight.reports.kinds import ReportKind
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.reports.schema.records import DIAGNOSTICS
 from boresight.reports.tables import diagnostic_brief, diagnostic_grid
 from boresight.reports.verdicts import comparison_grid

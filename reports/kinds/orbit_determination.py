@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.orbit import draw_orbit_errors, draw_residuals
 from boresight.reports.figures.style import band_label
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs.tables import design_grids
+from boresight.reports.kinds.designs import design_grids
 from boresight.reports.published import Comparison, within_statistic
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of, select
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, GridColumn, record_column, record_grid
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import Key, Record
+from boresight.reports.schema.records import Key, Record, count_of
 from boresight.reports.statistics.consistency import AT_EPOCH, consistency_grid
 from boresight.reports.statistics.measured import MEAN, MEDIAN, RMS, Sample, Statistic, percent, share_of
 from boresight.reports.statistics.measures import table_records

@@ -16,7 +16,7 @@ from boresight.reports.pages.content import content_of, estimator_results, verdi
 from boresight.reports.pages.document import Document, write_document
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
-from boresight.reports.schema.labels import count_of
+from boresight.reports.schema.records import count_of
 from boresight.reports.tables import interval
 from boresight.scenarios.errors import BoresightError
 

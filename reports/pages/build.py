@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from boresight.reports.figures.provenance import add_provenance, with_trial_counts
+from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
 from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids, told_grids
 from boresight.reports.pages.content import headline, read_content, verdict_counts
@@ -17,7 +17,6 @@ from boresight.reports.pages.document import Document, embed_figures, fill_templ
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import database_line, known_lines, single_draws
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 
 LEAD = "typical"

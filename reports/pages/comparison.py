@@ -10,18 +10,16 @@ import pandas as pd
 
 from boresight.reports.compare.figures import comparison_figures
 from boresight.reports.compare.global_sensitivity import Sensitivity, VariedKey
-from boresight.reports.compare.remarks import limits
 from boresight.reports.compare.subjects import RunComparison
-from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
-from boresight.reports.figures.provenance import add_provenance
+from boresight.reports.compare.tables import consistency_tables, contrast_tables, limits, subject_tables
+from boresight.reports.figures.named import NamedFigure, add_provenance
 from boresight.reports.figures.scenario_grids import EstimatorPanels, draw_sensitivity
 from boresight.reports.pages.document import ON_BOARD, Document, write_document
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import known_lines
 from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.labels import as_title, count_of
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import as_title, count_of
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 

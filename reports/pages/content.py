@@ -21,8 +21,7 @@ from boresight.reports.run.limits import database_line, known_lines
 from boresight.reports.run.outcomes import unsolved_lines
 from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.records import CONTROL, Record
+from boresight.reports.schema.records import CONTROL, Record, count_of
 from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure

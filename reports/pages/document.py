@@ -11,9 +11,9 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.style import save_figure
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.atomic import write_text
 
 ON_BOARD = "On board"

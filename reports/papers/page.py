@@ -11,15 +11,14 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.style import finish, hide_axes, new_figure, styled
 from boresight.reports.kinds import Content
 from boresight.reports.pages.content import beside_published
 from boresight.reports.pages.document import Document, write_document
 from boresight.reports.published import Comparison
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, row_grid, value_of
-from boresight.reports.schema.labels import stage_label
-from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.schema.records import Record
+from boresight.reports.schema.records import Record, stage_label
 from boresight.reports.schema.tables import measure_label, unit_of
 from boresight.reports.verdicts import (
     VERDICT_RULE,

@@ -9,9 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.common import POSE_COLUMNS
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.column import POSE_COLUMNS
+from boresight.reports.schema.records import CONTROL, count_of
 from boresight.reports.schema.tables import kind_schema
 
 MEANING = (

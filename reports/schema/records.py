@@ -1,10 +1,12 @@
-"""One line of the tidy table of a report: what was measured, over how many trials, how well it is known."""
+"""A line of the tidy table of a report: what was measured, of how many trials, how certain; and words for stages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""
@@ -68,3 +70,43 @@ def by_key(records: Iterable[Record]) -> dict[Key, Record]:
     for record in records:
         index.setdefault(record.key, record)
     return index
+
+
+_STAGES = {
+    CONTROL: "prior",
+    "centroid": "after centroiding",
+    "alignment": "after alignment",
+    "recognition": "after recognition",
+    "choice": "after the choice",
+    "range": "after the range",
+    "final": "final",
+    FAILURES_AT_PRIOR: "failures at prior",
+    "database": "data base",
+    DIAGNOSTICS: "of each trial",
+    DERIVED: "of the scenario",
+}
+_TIMED = {
+    "mesh_rendering": "data base image rendering",
+    "centroid": "brightness centroid",
+    "feature_extraction": "feature extraction",
+    "recognition": "recognition and pose estimation",
+    "consistency": "consistency of the solution",
+    "range": "fusion of the range",
+    FRESH_IMAGE: "image (rendered or read)",
+    STORED_IMAGE: "image (from the store)",
+}
+
+
+def count_of(number: int, noun: str) -> str:
+    """Say how many: '1 trial', '5,000 trials'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def stage_label(stage: str, timed: bool = False) -> str:
+    """Name a stage in plain words: as a state of the pose, or as a piece of work that takes time."""
+    return (_TIMED if timed else _STAGES).get(stage, stage.replace("_", " "))
+
+
+def as_title(label: str) -> str:
+    """Begin a label with a capital and keep all others, as those of NEES and RMS."""
+    return label[:1].upper() + label[1:]

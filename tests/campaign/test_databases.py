@@ -22,7 +22,7 @@ from boresight.campaign.products.databases import (
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.maplets.build import MapletOptions, spread_points
-from boresight.reports.figures.provenance import with_trial_counts
+from boresight.reports.figures.named import with_trial_counts
 from boresight.reports.kinds import draw_figures
 from boresight.reports.pages.build import html_page, markdown
 from boresight.reports.pages.content import read_content

@@ -15,7 +15,7 @@ from boresight.campaign.papers.gather import finished_runs, gather_runs
 from boresight.campaign.papers.page import paper_called, paper_page
 from boresight.campaign.runs.read import campaign_names, read_campaign
 from boresight.campaign.runs.resolve import reload, resolve
-from boresight.reports.figures.provenance import run_label
+from boresight.reports.figures.named import run_label
 from boresight.reports.pages.content import read_content
 from boresight.reports.papers.page import paper_lines
 from boresight.reports.published import load_published

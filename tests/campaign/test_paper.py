@@ -26,9 +26,9 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.papers.page import PaperLine, value_tally
 from boresight.reports.published import load_published
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import FORMAT_VERSION
 from boresight.scenarios.errors import BoresightError

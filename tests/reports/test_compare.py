@@ -11,9 +11,8 @@ from stored_runs import SCENARIO, RunBuilder, pose_error
 from terminal_text import printed_lines
 
 from boresight.reports.compare import compare_runs
-from boresight.reports.compare.remarks import limits
 from boresight.reports.compare.subjects import holm, independent_contrast
-from boresight.reports.compare.tables import contrast_tables, subject_tables
+from boresight.reports.compare.tables import contrast_tables, limits, subject_tables
 from boresight.reports.pages.comparison import facts, write_comparison
 from boresight.reports.statistics.measured import MEDIAN, P75, P99, RMS
 from boresight.scenarios.errors import BoresightError

@@ -10,8 +10,7 @@ from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 from boresight.reports.figures.scenario_grids import HeatMap, draw_curves, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.kinds import report_grids
-from boresight.reports.kinds.designs.figures import design_figures
-from boresight.reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
+from boresight.reports.kinds.designs import DesignData, Outcome, design_figures, design_grids, outcomes
 from boresight.reports.pages.build import html_page, write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run

@@ -9,11 +9,10 @@ from matplotlib.figure import Figure
 from stored_runs import ESTIMATOR, SCENARIO, pose_error, seal
 
 from boresight.reports.figures.landmarks import draw_landmark_counts
-from boresight.reports.figures.provenance import with_trial_counts
+from boresight.reports.figures.named import NamedFigure, with_trial_counts
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}

@@ -9,8 +9,7 @@ from boresight.reports.pages.content import notes, read_content
 from boresight.reports.run.data import read_run
 from boresight.reports.run.outcomes import reason_lines, unsolved_lines
 from boresight.reports.schema.grid import Grid, number, value_of
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.records import Record
+from boresight.reports.schema.records import Record, count_of
 from boresight.reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)

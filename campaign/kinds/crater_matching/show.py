@@ -21,9 +21,9 @@ from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterMatches
 from boresight.reports.compare.trials import missed_or_wrong
 from boresight.reports.figures.craters import MatchedRims, draw_matched_pair
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.pages.view3d import View3D
 from boresight.reports.run.data import RunData, read_run, select
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError

@@ -25,6 +25,7 @@ from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.contract import SequenceEstimate
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.sequences import (
     ANOMALY,
     TIME,
@@ -36,7 +37,6 @@ from boresight.reports.figures.sequences import (
     draw_trajectory,
 )
 from boresight.reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.bodies.embedded import sphere

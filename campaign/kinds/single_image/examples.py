@@ -18,8 +18,8 @@ from boresight.campaign.store import RunFolder
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer, Recognition
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.recognition import FitPanels, Overlay, draw_fit_panels
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
 from boresight.scenarios.observation import Observation
 from boresight.scenarios.spec.scenario import ScenarioSpec

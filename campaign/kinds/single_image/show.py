@@ -31,6 +31,7 @@ from boresight.estimators.landmark.projection import visible_landmarks
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer
 from boresight.renderers.mitsuba3 import BodyRenderer
 from boresight.renderers.mitsuba3.rays import body_window
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.recognition import (
     MatchedLandmarks,
     PoseRendering,
@@ -40,7 +41,6 @@ from boresight.reports.figures.recognition import (
 )
 from boresight.reports.pages.view3d import PointSet, View3D
 from boresight.reports.run.data import select
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from boresight.reports.compare.subjects import compared
 from boresight.reports.compare.tables import subject_tables
+from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs.figures import design_figures
-from boresight.reports.kinds.designs.tables import POSITION, REVOLUTION_ERRORS, design_grids
+from boresight.reports.kinds.designs import POSITION, REVOLUTION_ERRORS, design_figures, design_grids
 from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
 from boresight.reports.kinds.sequence.tables import (
     ratio_grids,
@@ -26,7 +26,6 @@ from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import pools
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
 from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import consistency_grid

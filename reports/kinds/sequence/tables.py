@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.sequences import (
     AFTER_REVOLUTIONS,
     LANDMARKS,
@@ -35,9 +36,7 @@ from boresight.reports.schema.grid import (
     text_column,
 )
 from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
-from boresight.reports.schema.labels import as_title, count_of
-from boresight.reports.schema.named_figure import NamedFigure, file_stem
-from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record
+from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record, as_title, count_of
 from boresight.reports.schema.tables import measure_label, measure_of
 from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS, Sample, measure_deviation
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST

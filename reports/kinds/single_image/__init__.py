@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
 from pydantic import ValidationError
 
+from boresight.reports.figures.comparison import draw_roc, draw_trade_off
+from boresight.reports.figures.landmarks import draw_centroid_offsets, draw_landmark_counts, draw_landmark_errors
+from boresight.reports.figures.named import NamedFigure, file_stem
+from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs.figures import design_figures
-from boresight.reports.kinds.designs.tables import design_grids
-from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid, trade_grid
-from boresight.reports.kinds.single_image.figures import image_figures
+from boresight.reports.kinds.designs import design_figures, design_grids
+from boresight.reports.kinds.single_image.databases import (
+    ATTITUDE,
+    POSITION,
+    costs,
+    mesh_variants,
+    prior_medians,
+    sensitivity_grid,
+    trade_grid,
+)
 from boresight.reports.published import Comparison
-from boresight.reports.run.data import RunData
+from boresight.reports.run.data import RunData, select
+from boresight.reports.run.outcomes import errors_by_stage, final_stage
 from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.named_figure import NamedFigure
-from boresight.reports.schema.records import CONTROL, DERIVED, Record
+from boresight.reports.schema.records import CONTROL, DERIVED, Record, stage_label
 from boresight.reports.statistics.consistency import consistency_grid
-from boresight.reports.statistics.measured import Measured, Sample
+from boresight.reports.statistics.measured import MEDIAN, Measured, Sample
 from boresight.reports.statistics.paired import paired_grid
-from boresight.reports.statistics.roc import outlier_grid
+from boresight.reports.statistics.roc import DEFINITIONS, OutlierScore, outlier_grid, outlier_scores
 from boresight.reports.tables import (
     detail_grid,
     diagnostic_brief,
@@ -30,7 +41,156 @@ from boresight.reports.tables import (
     timing_grid,
 )
 from boresight.reports.verdicts import comparison_grid
+from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.spec.camera import CameraSpec
+
+
+def image_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the tables of a run of single images allow."""
+    pairs = content.run.posed_pairs()
+    for scenario in dict.fromkeys(scenario for scenario, _ in pairs):
+        for estimator in (name for where, name in pairs if where == scenario and name != CONTROL):
+            yield pose_figure(content, scenario, estimator)
+            yield from landmark_figures(content, scenario, estimator)
+            yield from _outlier_figures(content.run, scenario, estimator)
+        yield from _scenario_figures(content, scenario, [name for where, name in pairs if where == scenario])
+    told = content.run.table("diagnostics")
+    for estimator in dict.fromkeys(told.loc[told["name"] == "centroid_du_px", "estimator"]):
+        title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
+        yield NamedFigure(
+            file_stem("centroid_offsets", str(estimator)),
+            draw_centroid_offsets(centroid_offsets(content.run, str(estimator)), title),
+            f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
+            "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
+        )
+
+
+def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
+    """Medians of the paper by (stage, measure), for the figures of one scenario and estimator."""
+    return {
+        (c.published.stage, c.published.measure): c.published.value
+        for c in content.compared
+        if (c.scenario, c.estimator) == (scenario, estimator) and c.published.statistic == MEDIAN.name
+        if c.verdict != "context"
+    }
+
+
+def pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the errors of an estimator after each of its stages."""
+    run = content.run
+    errors = {stage_label(name): table for name, table in errors_by_stage(run, scenario, estimator).items()}
+    medians = published_medians(content, scenario, estimator)
+    published = {(stage_label(stage), measure): value for (stage, measure), value in medians.items()}
+    title = f"Pose error, {scenario}, {estimator}"
+    triangles = " Open triangles on the axis: medians of the paper." if published else ""
+    return NamedFigure(
+        file_stem("pose_errors", scenario, estimator),
+        draw_pose_errors(errors, title, published, run.manifest.credits),
+        f"{title}: attitude and translation error before and after each stage, normalised; dotted lines: medians."
+        f"{triangles}",
+        f"Two histograms of the errors of attitude and position for the stages {', '.join(errors)}.",
+    )
+
+
+def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    """Draw the errors of recognised landmarks, and their number an image, where there are any."""
+    run = content.run
+    credit_lines = run.manifest.credits
+    marks = select(run.table("landmarks"), scenario, estimator)
+    error, chi_square = (marks[name].dropna().to_numpy(dtype=np.float64) for name in ("error_m", "chi_square"))
+    if len(error) and len(chi_square):
+        title = f"Landmark recognition error, {scenario}, {estimator}"
+        yield NamedFigure(
+            file_stem("landmark_errors", scenario, estimator),
+            draw_landmark_errors(error, chi_square, title, credit_lines),
+            f"{title}: distance from the landmark of the data base to the surface point that was matched with it, and"
+            " the same weighted by the landmark's covariance, with the distribution that a Gaussian error would give.",
+            "Histogram of landmark errors in metres, and histogram of chi-square with its theoretical curve.",
+        )
+    rows = select(run.rows, scenario, estimator)
+    counts = rows.loc[rows["status"] == "ok", "n_landmarks"].dropna().to_numpy(dtype=np.float64)
+    if len(set(counts)) > 1:
+        title = f"Landmarks an image, {scenario}, {estimator}"
+        medians = published_medians(content, scenario, estimator)
+        median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
+        yield NamedFigure(
+            file_stem("landmark_counts", scenario, estimator),
+            draw_landmark_counts(counts, title, median, credit_lines),
+            f"{title}: number of recognised landmarks in each image with an estimate.",
+            "Histogram of the number of recognised landmarks in each image.",
+        )
+
+
+def _outlier_figures(run: RunData, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    panels: dict[str, list[OutlierScore]] = {}
+    for one in outlier_scores(run):
+        if (one.scenario, one.estimator) == (scenario, estimator):
+            panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
+            panels.setdefault(panel, []).append(one)
+    if panels:
+        title = f"What tells bad solutions, {scenario}, {estimator}"
+        yield NamedFigure(
+            file_stem("outliers", scenario, estimator),
+            draw_roc(panels, title, run.manifest.credits),
+            f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
+            " estimator reports; the diagonal is chance.",
+            f"Receiver operating characteristics for {' and '.join(panels)}.",
+        )
+
+
+def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) -> Iterator[NamedFigure]:
+    """Draw all estimators of a scenario: their final errors over each other, what these cost, and their shares."""
+    run = content.run
+    rows = {label: select(run.rows, scenario, label) for label in labels}
+    final = {label: own for label, own in rows.items() if label != CONTROL}
+    if len(final) > 1:
+        title = f"Final pose error by estimator, {scenario}"
+        yield NamedFigure(
+            file_stem("method_errors", scenario),
+            draw_method_errors({"": final}, title, run.manifest.credits),
+            f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
+            " legend.",
+            f"Two histograms of the errors of attitude and position of {', '.join(final)}.",
+        )
+    found = {cost.estimator: cost for cost in costs(run) if cost.scenario == scenario}
+    if found:
+        errors = {
+            POSITION: {label: cost.position_m for label, cost in found.items()},
+            ATTITUDE: {label: cost.attitude_deg for label, cost in found.items()},
+        }
+        seconds = {label: cost.seconds.value for label, cost in found.items()}
+        spent = {
+            "time an image, ms": {label: 1e3 * value for label, value in seconds.items() if value is not None},
+            "data base, kB": {k: 1e-3 * cost.size_bytes for k, cost in found.items() if cost.size_bytes is not None},
+        }
+        title = f"Accuracy and its cost, {scenario}"
+        yield NamedFigure(
+            file_stem("trade_off", scenario),
+            draw_trade_off(errors, spent, prior_medians(run, scenario), title, run.manifest.credits),
+            f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
+            " prior. What reads no data base stands in the panels of time alone.",
+            f"Median errors of {', '.join(found)} against time an image and size of the data base.",
+        )
+    title = f"Cumulative error, {scenario}"
+    solved = {label: (own[own["status"] == "ok"], len(own)) for label, own in rows.items()}
+    yield NamedFigure(
+        file_stem("cumulative_errors", scenario),
+        draw_cumulative_errors(solved, title, run.manifest.credits),
+        f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
+        " estimate.",
+        f"Cumulative shares of attitude and position error for {', '.join(rows)}.",
+    )
+
+
+def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
+    """Collect the offsets (n, 2) of the brightness centroid that an estimator reports, px, scenario by scenario."""
+    numbers = run.table("diagnostics")[run.table("diagnostics")["estimator"] == estimator]
+    axes = numbers[numbers["name"].isin(["centroid_du_px", "centroid_dv_px"])]
+    wide = axes.pivot_table(index=["scenario", "trial"], columns="name", values="value")
+    return {
+        str(name): table[["centroid_du_px", "centroid_dv_px"]].dropna().to_numpy(dtype=np.float64)
+        for name, table in wide.groupby("scenario", sort=False)
+    }
 
 
 def derived_records(run: RunData, radius_m: float) -> Iterator[Record]:

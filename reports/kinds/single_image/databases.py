@@ -11,7 +11,7 @@ from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import succeeded
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, row_grid, value_of
 from boresight.reports.schema.records import CONTROL, Key, Record, by_key
 from boresight.reports.statistics.measured import MEDIAN, Measured, measure, share_of

@@ -1,18 +1,33 @@
-"""Provenance of figures: the runs in the footer, numbers of trials in the caption."""
+"""A figure with its caption, the stem of its files, and the runs and trials that it is of."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
 from boresight.reports.figures.style import add_footer
 from boresight.reports.run.data import Manifest, RunData
-from boresight.reports.schema.labels import count_of
-from boresight.reports.schema.named_figure import NamedFigure
+from boresight.reports.schema.records import count_of
 
 _FEW = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedFigure:
+    """A figure with the stem of its files, its caption and a description for those who cannot see it."""
+
+    stem: str
+    figure: Figure
+    caption: str
+    alt: str
+
+
+def file_stem(*parts: str) -> str:
+    """Make a file name that is valid on every system."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", "_".join(parts))
 
 
 def run_label(manifest: Manifest) -> str:
