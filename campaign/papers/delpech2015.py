@@ -15,7 +15,7 @@ from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from boresight.reports.kinds.designs import design_grids
-from boresight.reports.kinds.sequence.tables import (
+from boresight.reports.kinds.sequence import (
     ratio_grids,
     revolution_figure,
     revolution_series,

@@ -31,20 +31,25 @@ from boresight.campaign.threads import workers
 from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.landmark.clustering import PointCluster
 from boresight.estimators.landmark.database import LandmarkDatabase
-from boresight.reports.figures.landmarks import (
+from boresight.reports.figures.named import NamedFigure
+from boresight.reports.figures.pose import (
     ClusterView,
     SurfaceView,
     draw_centroid_offsets,
     draw_clusters,
     draw_count_comparison,
+    draw_method_errors,
     draw_triangulation,
 )
-from boresight.reports.figures.named import NamedFigure
-from boresight.reports.figures.pose import draw_method_errors
 from boresight.reports.figures.recognition import draw_fit_panels
 from boresight.reports.kinds.designs import design_grids
-from boresight.reports.kinds.single_image import centroid_offsets, landmark_figures, pose_figure
-from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid
+from boresight.reports.kinds.single_image import (
+    centroid_offsets,
+    landmark_figures,
+    mesh_variants,
+    pose_figure,
+    sensitivity_grid,
+)
 from boresight.reports.published import load_published
 from boresight.reports.run.data import select
 from boresight.reports.schema.grid import Grid

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pandas as pd
 
+from boresight.reports.figures.craters import draw_crater_counts, draw_landmark_spans
 from boresight.reports.figures.named import NamedFigure, file_stem
-from boresight.reports.figures.orbit import draw_crater_counts, draw_landmark_spans
 from boresight.reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
 from boresight.reports.run.data import TRIAL_KEY, RunData, select
 from boresight.reports.run.limits import limited_title

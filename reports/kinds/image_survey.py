@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from boresight.reports.figures.craters import draw_count_histogram
 from boresight.reports.figures.named import NamedFigure, file_stem
-from boresight.reports.figures.orbit import draw_count_histogram
 from boresight.reports.kinds import ReportKind
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from boresight.reports.figures.craters import draw_orbit_errors, draw_residuals
 from boresight.reports.figures.named import NamedFigure, file_stem
-from boresight.reports.figures.orbit import draw_orbit_errors, draw_residuals
 from boresight.reports.figures.style import band_label
 from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_grids

@@ -13,7 +13,7 @@ import pandas as pd
 
 from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials
 from boresight.reports.kinds import Content, report_kind
-from boresight.reports.kinds.sequence.tables import without_pooled
+from boresight.reports.kinds.sequence import without_pooled
 from boresight.reports.published import Comparison, load_published
 from boresight.reports.run.clusters import image_set
 from boresight.reports.run.data import RunData, read_run

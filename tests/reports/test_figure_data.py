@@ -10,16 +10,14 @@ from boresight.reports.figures.comparison import SubjectSummary, draw_summaries,
 from boresight.reports.figures.craters import (
     MatchedRims,
     draw_confidence_curves,
-    draw_matched_pair,
-    draw_rates,
-    draw_shares,
-)
-from boresight.reports.figures.orbit import (
     draw_count_histogram,
     draw_crater_counts,
     draw_landmark_spans,
+    draw_matched_pair,
     draw_orbit_errors,
+    draw_rates,
     draw_residuals,
+    draw_shares,
     draw_sightings_used,
 )
 from boresight.reports.figures.recognition import MatchedLandmarks, draw_matched_landmarks

@@ -6,19 +6,21 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 from scipy import stats
 
-from boresight.reports.figures.landmarks import (
+from boresight.reports.figures.pose import (
     ClusterView,
     SurfaceView,
     cluster_colours,
     draw_centroid_offsets,
     draw_clusters,
     draw_count_comparison,
+    draw_cumulative_errors,
     draw_landmark_counts,
     draw_landmark_errors,
+    draw_method_errors,
+    draw_pose_errors,
     draw_triangulation,
     one_sigma_ellipse,
 )
-from boresight.reports.figures.pose import draw_cumulative_errors, draw_method_errors, draw_pose_errors
 from boresight.reports.figures.recognition import (
     MATCH_SIGMAS,
     FitPanels,

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 from stored_runs import ESTIMATOR, SCENARIO, pose_error, seal
 
-from boresight.reports.figures.landmarks import draw_landmark_counts
 from boresight.reports.figures.named import NamedFigure, with_trial_counts
+from boresight.reports.figures.pose import draw_landmark_counts
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from boresight.reports.kinds.single_image.databases import mesh_variants, sensitivity_grid
+from boresight.reports.kinds.single_image import mesh_variants, sensitivity_grid
 from boresight.reports.published import load_published
 from boresight.reports.run.data import Manifest, RunData, StoredProduct
 from boresight.reports.schema.records import Record

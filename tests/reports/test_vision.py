@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stored_runs import ESTIMATOR, SCENARIO
 
-from boresight.reports.kinds.sequence.tables import vision_grid, vision_records
+from boresight.reports.kinds.sequence import vision_grid, vision_records
 from boresight.reports.run.data import read_run
 
 FRAMES = {  # by trial: features, share of tracks that go on, tracks, wrong ones; the first frame goes on from none

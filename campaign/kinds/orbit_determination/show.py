@@ -12,8 +12,8 @@ from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Estimator
 from boresight.campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
 from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from boresight.estimators.orbit.contract import Orbit
+from boresight.reports.figures.craters import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from boresight.reports.figures.named import NamedFigure
-from boresight.reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from boresight.reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.field import UniformRotation

@@ -1,36 +1,311 @@
-"""Report of sequences."""
+"""Report of sequences: errors after whole revolutions and along the frames, and the vision layer."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from boresight.reports.compare.subjects import compared
 from boresight.reports.compare.tables import subject_tables
-from boresight.reports.figures.named import NamedFigure
+from boresight.reports.figures.named import NamedFigure, file_stem
+from boresight.reports.figures.sequences import (
+    AFTER_REVOLUTIONS,
+    LANDMARKS,
+    POSITION,
+    draw_revolutions,
+    draw_starts,
+    draw_traces,
+)
+from boresight.reports.figures.style import band_label
 from boresight.reports.kinds import Content, ReportKind, Tables
-from boresight.reports.kinds.designs import POSITION, REVOLUTION_ERRORS, design_figures, design_grids
-from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
-from boresight.reports.kinds.sequence.tables import (
-    ratio_grids,
-    sequence_brief,
-    sequence_figures,
-    sequence_grid,
-    sequence_measures,
-    sign_grids,
-    vision_grid,
-    vision_records,
-    without_pooled,
+from boresight.reports.kinds.designs import REVOLUTION_ERRORS, design_figures, design_grids
+from boresight.reports.kinds.sequence.contrasts import (
+    ERROR_RATIOS,
+    cycle_ratio_records,
+    ratio_records,
+    reduction_records,
 )
 from boresight.reports.published import Comparison
-from boresight.reports.run.clusters import pools
-from boresight.reports.run.data import RunData
-from boresight.reports.schema.grid import Grid
-from boresight.reports.schema.records import Record
-from boresight.reports.schema.tables import measure_of
+from boresight.reports.run.clusters import clusters_of, groups, pooled_scenarios, pools
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.grid import (
+    ESTIMATOR,
+    NO_VALUE,
+    SCENARIO,
+    UNIT,
+    Grid,
+    GridColumn,
+    counts,
+    number,
+    of_ended,
+    record_column,
+    record_grid,
+    scenario_grids,
+    text_column,
+)
+from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record, as_title, count_of
+from boresight.reports.schema.tables import measure_label, measure_of
 from boresight.reports.statistics.consistency import consistency_grid
+from boresight.reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS, Sample, measure_deviation
+from boresight.reports.statistics.paired import BETTER, SIGN_TEST
 from boresight.reports.tables import diagnostic_grid, timing_grid
 from boresight.reports.verdicts import comparison_grid
+
+VISION = "vision"
+"""Stage of what the vision layer did to the images, whatever estimator used its tracks."""
+_VISION = {
+    "n_features": "features_per_image",
+    "repeatability": "repeatability_share",
+    "n_matches": "matches_per_image",
+    "right_share": "right_share",
+    "n_kept": "kept_per_image",
+    "kept_right_share": "kept_right_share",
+    "lost_right": "lost_right_share",
+    "survival": "track_survival_share",
+    "n_tracks": "tracks_per_image",
+    "n_wrong": "wrong_per_image",
+    "error_px": "track_error_px",
+    "sigma_px": "track_sigma_px",
+}
+_VISION_NOTE = (
+    "Mean over the frames of a trial, then over trials. The starts on one set of images are not independent of each"
+    " other: intervals are over sets, and one set by itself has none."
+)
+_NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
+_SIGN_NOTE = (
+    "A set of images counts once, by the sign of the median difference of the errors from its starts; p of the exact"
+    " two-sided sign test."
+)
+_RATIO_NOTE = (
+    "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
+    " 95 % interval; both follow the same tracks. Below 1 the line's estimator is the better."
+)
+_BRIEF = {"error_after_1_m": "1 revolution m", "error_after_2_m": "2 revolutions m", "landmark_rmse_m": "landmarks m"}
+_NOTE = (
+    "A landmark RMSE is over the landmarks that a frame sees, all frames of a sequence together; new ones are those"
+    " that the frame is the first to see. As seen last: each landmark once, as estimated when it was seen for the last"
+    " time, if it was seen twice or more. The tails dominate means and deviations."
+)
+
+
+def _mean_and_deviation(key: Key, known: Mapping[Key, Record]) -> str:
+    mean, deviation = (known.get(key._replace(statistic=name)) for name in (MEAN.name, DEVIATION))
+    if mean is None or mean.value is None:
+        return NO_VALUE
+    spread = "" if deviation is None or deviation.value is None else f" +- {number(deviation.value)}"
+    return of_ended(f"{number(mean.value)}{spread}", known[key].n_ok, known[key].n)
+
+
+_COLUMNS = (
+    SCENARIO,
+    ESTIMATOR,
+    text_column("number", lambda key: measure_label(key.measure)),
+    record_column("median [95 %]", interval=True, ended=True),
+    GridColumn("mean +- deviation", _mean_and_deviation),
+    record_column("RMS", statistic=RMS.name, ended=True),
+    record_column("95 %", statistic=P95.name, ended=True),
+    UNIT,
+    record_column("trials", printed=counts),
+)
+_SIGN_COLUMNS = (
+    text_column("quantity", lambda key: measure_label(key.measure.replace("_ratio", "_m"))),
+    ESTIMATOR,
+    text_column("against", lambda key: key.reference),
+    record_column(
+        "sets in which better",
+        printed=lambda test: f"{round((test.value or 0.0) * test.n_ok)}/{test.n_ok}" if test else NO_VALUE,
+    ),
+    record_column("p", statistic=SIGN_TEST),
+)
+
+
+def sequence_measures(run: RunData) -> Iterator[Record]:
+    """Measure the errors of whole sequences, under the stage ``sequence``; an estimator that never ends has 0 of n."""
+    for group, members in groups(run) if len(run.table("epochs")) else ():
+        together = run.rows[run.rows["scenario"].isin(members)]
+        names = [name for name in SEQUENCE_COLUMNS if together[name].notna().any()] or SEQUENCE_COLUMNS[:1]
+        for estimator, rows in together.groupby("estimator", sort=False):
+            sample, clusters = Sample(group, str(estimator), SEQUENCE, len(rows)), clusters_of(run, rows)
+            for name in names:
+                known = rows[name].notna().to_numpy()
+                yield from sample.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                values = rows[name].to_numpy(dtype=np.float64)[known]
+                yield sample.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values))
+
+
+def vision_records(run: RunData) -> list[Record]:
+    """Measure the vision layer of each scenario and estimator: means over the frames of each trial.
+
+    Right matches of a frame that were not kept are all of them where nothing was kept.
+    """
+    records: list[Record] = []
+    frames = run.table("vision")
+    right = frames["n_matches"] * frames["right_share"]
+    kept = (frames["n_kept"] * frames["kept_right_share"]).where(frames["n_kept"] > 0, 0.0)
+    frames = frames.assign(lost_right=1.0 - kept / right.where(right > 0.0))
+    for group, members in groups(run):
+        for estimator, own in frames[frames["scenario"].isin(members)].groupby("estimator", sort=False):
+            trials = own.groupby(["scenario", "trial"], as_index=False)[[*_VISION]].mean()
+            sample, clusters = Sample(group, str(estimator), VISION, len(trials)), clusters_of(run, trials)
+            for column, name in _VISION.items():
+                scale = 100.0 if name.endswith("_share") else 1.0
+                records += sample.records(name, scale * trials[column], clusters, (MEAN, MEDIAN))
+    return records
+
+
+def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
+    """Leave out the scenarios that are pooled."""
+    pooled = pooled_scenarios(run)
+    return [record for record in records if record.scenario not in pooled]
+
+
+def ratio_grids(records: Sequence[Record]) -> Iterator[Grid | None]:
+    """Tabulate the mean error of each estimator over that of each other one, a grid for each scenario and error."""
+    ratios = [r for r in records if r.stage == RATIO and r.measure in ERROR_RATIOS and r.statistic == MEAN.name]
+    for scenario, name in dict.fromkeys((r.scenario, r.measure) for r in ratios):
+        own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
+        labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
+        lines = [Key(scenario, label, RATIO, measure=name, statistic=MEAN.name) for label in labels]
+        columns = (
+            text_column("mean error of / over", lambda key: key.estimator),
+            *(record_column(label, reference=label, interval=True, ended=True) for label in labels),
+        )
+        yield record_grid(f"{as_title(measure_label(name))}, {scenario}", columns, own, lines, _RATIO_NOTE)
+
+
+def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
+    """Tabulate in how many sets of images each estimator is better than each other one, a grid for each pool."""
+    pooled = {pool.name for pool in pools(run)}
+    tests = [r for r in records if r.stage == RATIO and r.statistic == BETTER and r.scenario in pooled and r.n_ok]
+    return scenario_grids("Sign tests", _SIGN_COLUMNS, records, tests, _SIGN_NOTE)
+
+
+def sequence_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate the results of sequences; None if there are none."""
+    lines = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name]
+    return record_grid("Sequences", _COLUMNS, records, lines, _NOTE)
+
+
+def sequence_brief(records: Sequence[Record]) -> Iterator[Grid | None]:
+    """Tabulate the medians of each scenario for the terminal, a line for each estimator."""
+    found = [r for r in records if r.stage == SEQUENCE and r.statistic == MEDIAN.name and r.measure in _BRIEF]
+    for scenario in dict.fromkeys(r.scenario for r in found):
+        own = [r for r in found if r.scenario == scenario]
+        first: dict[str, Record] = {}
+        for record in own:
+            first.setdefault(record.estimator, record)
+        shown = [name for name in _BRIEF if any(r.measure == name for r in own)]
+        columns = (
+            ESTIMATOR,
+            record_column("trials", printed=counts),
+            *(record_column(_BRIEF[name], name, interval=True, ended=True) for name in shown),
+        )
+        yield record_grid(f"Median errors, {scenario}", columns, own, first.values())
+
+
+def vision_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate the vision layer; estimators that saw the same tracks share a line, None without images."""
+    shared: dict[tuple[object, ...], list[Record]] = {}
+    for line in records:
+        if line.stage == VISION and line.statistic == MEAN.name:
+            shared.setdefault((line.scenario, line.measure, line.value, line.low, line.high), []).append(line)
+    whose = {alike[0].key: ", ".join(line.estimator for line in alike) for alike in shared.values()}
+    columns = (
+        SCENARIO,
+        text_column("tracks of", lambda key: whose[key]),
+        text_column("quantity", lambda key: measure_of(key.measure).axis),
+        record_column("mean [95 %]", interval=True),
+        record_column("trials", printed=counts),
+    )
+    return record_grid("Vision layer", columns, records, [alike[0] for alike in shared.values()], _VISION_NOTE)
+
+
+def sequence_figures(run: RunData) -> Iterator[NamedFigure]:
+    """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
+    for scenario in dict.fromkeys(run.table("epochs")["scenario"]):
+        labels = [name for where, name in run.pairs() if where == scenario]
+        yield trace_figure(run, scenario, labels)
+    series = revolution_series(run)
+    if series:
+        yield revolution_figure(run, series)
+
+
+def trace_figure(
+    run: RunData, scenario: str, labels: Sequence[str], panels: Sequence[str] = (POSITION, LANDMARKS)
+) -> NamedFigure:
+    """Draw the errors of some estimators along the frames."""
+    here = run.table("epochs")[run.table("epochs")["scenario"] == scenario]
+    way, along = ("orbit", "the anomaly") if here["anomaly_deg"].notna().any() else ("trajectory", "time")
+    title = f"Errors along the {way}, {scenario}"
+    trials = here["trial"].nunique()
+    return NamedFigure(
+        file_stem(f"traces_{scenario}"),
+        draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
+        f"{title}: median over {count_of(trials, 'trial')}, and {band_label(trials)}; a thin line: the"
+        " first trial; a trial that failed ends with its last good frame.",
+        f"Position error and landmark error against {along} for {', '.join(labels)}.",
+    )
+
+
+def start_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the errors of every trial along the frames."""
+    epochs = select(run.table("epochs"), scenario, estimator)
+    title = f"Position error from {count_of(epochs['trial'].nunique(), 'start')}, {estimator}"
+    return NamedFigure(
+        file_stem(f"starts_{scenario}"),
+        draw_starts(epochs, title),
+        f"{title}, {scenario}: a line for each trial; a line that ends early is a trial that failed there.",
+        f"Position error against the anomaly for {estimator}, one line for each start.",
+    )
+
+
+def revolution_series(run: RunData) -> dict[str, dict[str, tuple[str, str]]]:
+    """Group what forms a series: label of a line to level to (scenario, estimator); nothing where nothing does.
+
+    Nor is there any where no trial came round once: a series is of errors after whole revolutions.
+
+    An axis of a grid is a series for every estimator; estimators of one scenario whose labels differ in a number at
+    the end alone, such as ba-slam-3 and ba-slam-5, are one.
+    """
+    if run.rows.reindex(columns=list(AFTER_REVOLUTIONS)).isna().all(axis=None):
+        return {}
+    lines: dict[str, dict[str, tuple[str, str]]] = {}
+    design = run.manifest.grid
+    levels = {one.name: "-".join(one.levels.values()) for one in design.scenarios} if design is not None else {}
+    for scenario, name in run.pairs():
+        numbered = _NUMBERED.fullmatch(name)
+        if scenario in levels:
+            lines.setdefault(name, {})[levels[scenario]] = (scenario, name)
+        elif design is None and numbered:
+            lines.setdefault(numbered["stem"], {})[numbered["number"]] = (scenario, name)
+    return {line: levels for line, levels in lines.items() if len(levels) > 1}
+
+
+def revolution_figure(
+    run: RunData, series: Mapping[str, Mapping[str, tuple[str, str]]], abscissa: str = ""
+) -> NamedFigure:
+    """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
+    errors = {
+        line: {
+            level: (rows := select(run.rows, *pair)).assign(cluster=clusters_of(run, rows))
+            for level, pair in levels.items()
+        }
+        for line, levels in series.items()
+    }
+    axes = run.manifest.grid.axes if run.manifest.grid is not None else ()
+    abscissa = abscissa or ", ".join(axis.label for axis in axes) or "views"
+    title = f"Position error after whole revolutions by {abscissa}"
+    return NamedFigure(
+        "revolutions",
+        draw_revolutions(errors, abscissa, title),
+        f"{title}: mean over the trials; thick bar: its 95 % interval; thin bar: one standard deviation of the trials;"
+        " tick: median.",
+        f"Mean position error after each revolution against {abscissa} for {', '.join(series)}.",
+    )
 
 
 def records(run: RunData, comparison: Comparison | None) -> Iterable[Record]:
