@@ -19,7 +19,7 @@ from boresight.campaign.store import TABLES, RunFolder, run_lock
 from boresight.campaign.store.folder import Block, BlockState, blocks
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.campaign.trial.methods import unbuilt_products
-from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.errors import BoresightError
 
 

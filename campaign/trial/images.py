@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.campaign.trial.kind import Records
-from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import Observation

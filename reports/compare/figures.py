@@ -16,7 +16,8 @@ from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.pose import draw_cumulative_errors
 from boresight.reports.figures.style import Points
 from boresight.reports.run.data import TRIAL_KEY
-from boresight.reports.schema.column import BORESIGHT, LATERAL, Measure
+from boresight.reports.schema.column import Measure
+from boresight.reports.schema.common import BORESIGHT, LATERAL
 from boresight.reports.schema.kinds.craters import DETECTION, MATCHING
 from boresight.reports.schema.records import CONTROL, as_title
 from boresight.reports.schema.tables import measure_of
@@ -57,16 +58,10 @@ _FEWEST = 5
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw all figures for which there are data; captions give the number of solved trials of each subject."""
     counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
-    for figure in _figures(found):
-        yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
-
-
-def _figures(found: RunComparison) -> Iterator[NamedFigure]:
-    yield summary_figure(found)
-    yield from consistency_figures(found)
+    figures = [summary_figure(found), *consistency_figures(found)]
     for group, subjects in found.groups.items():
-        yield cumulative_figure(found, group, subjects)
-        yield from conditions_figure(found, group, subjects)
+        figures += [cumulative_figure(found, group, subjects), *conditions_figure(found, group, subjects)]
+    return (replace(figure, caption=f"{figure.caption} Solved trials: {counts}.") for figure in figures)
 
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:

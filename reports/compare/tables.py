@@ -24,7 +24,7 @@ from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.run.limits import short_line
 from boresight.reports.run.outcomes import MEANING
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
-from boresight.reports.schema.records import CONTROL, FAILURES_AT_PRIOR, as_title, count_of
+from boresight.reports.schema.records import CONTROL, FAILURES_AT_PRIOR, as_title, count_of, shortened
 from boresight.reports.statistics.consistency import NormalisedErrors, normalised_errors, normalised_label
 from boresight.reports.statistics.measured import Measured
 from boresight.reports.tables import chance, interval
@@ -65,7 +65,9 @@ def scenario_differences(runs: Sequence[RunData]) -> str:
     for row in rows:
         whole = [{key: value for key, value in spec.items() if key not in NAMES} for spec in row]
         for key, values in differences(whole):
-            keys.setdefault(key, set()).add(" and ".join(map(_short, values)))
+            keys.setdefault(key, set()).add(
+                " and ".join(shortened(json_text(value), _MOST_CHARACTERS) for value in values)
+            )
     parts = [
         f"{key} is {''.join(texts)}" if len(texts) == 1 else key
         for key, texts in keys.items()
@@ -76,11 +78,6 @@ def scenario_differences(runs: Sequence[RunData]) -> str:
     if alone := [name for name in names if name not in shared]:
         parts.append(f"not in all runs: {', '.join(alone)}")
     return "; ".join(parts)
-
-
-def _short(value: object) -> str:
-    text = json_text(value)
-    return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..."
 
 
 def not_paired(found: RunComparison) -> str:

@@ -73,9 +73,24 @@ def draw_summaries(
     panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
     _draw_errors(panels[0], summaries, axis)
     if shown[1]:
-        _draw_success(panels[1], summaries)
+        success = panels[1]
+        for row, one in enumerate(summaries):
+            if one.success is not None:
+                _draw_interval(success, row, percent(one.success), one.colour)
+        low, high = success.get_xlim()
+        success.set_xlim(max(low, 0.0), min(high, 101.0))
+        success.set_xlabel("success, %")
     if shown[2]:
-        _draw_differences(panels[-1], summaries, axis, against)
+        differences = panels[-1]
+        differences.axvline(0.0, color=GREY, linewidth=1.0)
+        for row, one in enumerate(summaries):
+            if one.difference is not None:
+                _draw_interval(differences, row, one.difference, one.colour)
+        low, high = differences.get_xlim()
+        edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
+        differences.set_xlim(min(low, -edge), max(high, edge))
+        unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
+        differences.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
     panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
     panels[0].set_ylim(len(summaries) - 0.4, -0.6)
     return finish(figure, title, credit_lines, legend=panels[0])
@@ -111,27 +126,6 @@ def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> Non
     if measured.low is not None and measured.high is not None:
         axes.hlines(row, measured.low, measured.high, color=colour, linewidth=4.0, alpha=0.45)
     axes.plot(measured.value, row, "o", color=colour, markersize=5)
-
-
-def _draw_success(axes: Axes, summaries: Sequence[SubjectSummary]) -> None:
-    for row, one in enumerate(summaries):
-        if one.success is not None:
-            _draw_interval(axes, row, percent(one.success), one.colour)
-    low, high = axes.get_xlim()
-    axes.set_xlim(max(low, 0.0), min(high, 101.0))
-    axes.set_xlabel("success, %")
-
-
-def _draw_differences(axes: Axes, summaries: Sequence[SubjectSummary], axis: str, against: str) -> None:
-    axes.axvline(0.0, color=GREY, linewidth=1.0)
-    for row, one in enumerate(summaries):
-        if one.difference is not None:
-            _draw_interval(axes, row, one.difference, one.colour)
-    low, high = axes.get_xlim()
-    edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
-    axes.set_xlim(min(low, -edge), max(high, edge))
-    unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
-    axes.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
 
 
 @styled

@@ -61,10 +61,27 @@ def draw_matched_landmarks(
 ) -> Figure:
     """Draw matches with magnified residuals over the image, the residuals alone, and residuals over true errors."""
     figure, (over, spread, errors) = new_figure(3, width_in=10.6, height_in=3.7)
-    _draw_arrows(over, image, found)
-    _draw_spread(spread, found.residual_px)
+    residual_px, length_px = found.residual_px, np.linalg.norm(found.residual_px, axis=1)
+    # Residuals are drawn larger by a round factor with which the median is about a thirtieth of the image.
+    wanted = max(image.shape) / 30.0 / max(float(np.median(length_px)) if len(length_px) else 0.0, 1e-6)
+    scale = min((1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0), key=lambda step: abs(np.log(step / wanted)))
+    window = window_around(np.concatenate([found.seen_px, found.predicted_px]), 0.15, 10.0, image)
+    image_panel(over, image, f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}", window)
+    over.plot(*found.predicted_px.T, "o", markersize=4, markerfacecolor="none", markeredgecolor=ORANGE)
+    over.quiver(
+        *found.predicted_px.T, *(scale * residual_px).T, angles="xy", scale_units="xy", scale=1.0, color=VERMILION,
+        width=0.004,
+    )  # fmt: skip
+    spread.plot(*residual_px.T, "o", markersize=3.5, color=VERMILION, alpha=0.8)
+    rms = float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else float("nan")
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    spread.plot(rms * np.cos(angle), rms * np.sin(angle), color=GREY, linewidth=0.9, label=f"RMS {shortest(rms, 2)} px")
+    reach = 1.1 * max(float(np.abs(residual_px).max(initial=0.0)), rms, 1e-9) if len(residual_px) else 1.0
+    spread.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="column residual, px", ylabel="row residual, px")
+    spread.set_aspect("equal")
+    spread.legend(loc="upper right")
     # A small residual with a large true error is a wrong match.
-    known, length_px = np.isfinite(found.error_m), np.linalg.norm(found.residual_px, axis=1)
+    known = np.isfinite(found.error_m)
     errors.plot(found.error_m[known], length_px[known], "o", markersize=3.5, color=BLUE)
     missed = int(np.count_nonzero(~known))
     errors.set(xlabel="distance of the seen surface point from the landmark, m", ylabel="residual, px")
@@ -72,31 +89,6 @@ def draw_matched_landmarks(
     errors.set_xlim(left=0.0)
     errors.set_ylim(bottom=0.0)
     return finish(figure, title, credit_lines)
-
-
-def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmarks) -> None:
-    """Draw residuals over the image, by a round factor with which the median is about a thirtieth of the image."""
-    median = float(np.median(np.linalg.norm(found.residual_px, axis=1))) if len(found.residual_px) else 0.0
-    wanted = max(image.shape) / 30.0 / max(median, 1e-6)
-    scale = min((1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0), key=lambda step: abs(np.log(step / wanted)))
-    window = window_around(np.concatenate([found.seen_px, found.predicted_px]), 0.15, 10.0, image)
-    image_panel(axes, image, f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}", window)
-    axes.plot(*found.predicted_px.T, "o", markersize=4, markerfacecolor="none", markeredgecolor=ORANGE)
-    axes.quiver(
-        *found.predicted_px.T, *(scale * found.residual_px).T, angles="xy", scale_units="xy", scale=1.0,
-        color=VERMILION, width=0.004,
-    )  # fmt: skip
-
-
-def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
-    axes.plot(*residual_px.T, "o", markersize=3.5, color=VERMILION, alpha=0.8)
-    rms = float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else float("nan")
-    angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    axes.plot(rms * np.cos(angle), rms * np.sin(angle), color=GREY, linewidth=0.9, label=f"RMS {shortest(rms, 2)} px")
-    reach = 1.1 * max(float(np.abs(residual_px).max(initial=0.0)), rms, 1e-9) if len(residual_px) else 1.0
-    axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="column residual, px", ylabel="row residual, px")
-    axes.set_aspect("equal")
-    axes.legend(loc="upper right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -115,7 +115,9 @@ def plot_styles(labels: Iterable[str]) -> dict[str, PlotStyle]:
     every, of_report = list(dict.fromkeys(labels)), _OF_REPORT.get()
     colours: dict[str, str] = {}
     for label in every:
-        wanted = of_report[label].colour if label in of_report else _own_colour(label)
+        known = [name for name in _COLOURS if label == name or label.startswith(f"{name}-")]
+        own = _COLOURS[max(known, key=len)] if known else None
+        wanted = of_report[label].colour if label in of_report else own
         if wanted is not None and wanted not in colours.values():
             colours[label] = wanted
     found: dict[str, PlotStyle] = {}
@@ -132,12 +134,6 @@ def plot_styles(labels: Iterable[str]) -> dict[str, PlotStyle]:
             colours[label], next((one for one in (line, *LINE_STYLES) if one not in taken), line), marker
         )
     return found
-
-
-def _own_colour(label: str) -> str | None:
-    """Return the colour of the method whose name a label is or begins with; None for other labels."""
-    known = [name for name in _COLOURS if label == name or label.startswith(f"{name}-")]
-    return _COLOURS[max(known, key=len)] if known else None
 
 
 def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,7 +13,7 @@ import pandas as pd
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.published import Comparison
 from boresight.reports.run.data import RunData
-from boresight.reports.run.limits import short_line, with_single_draws
+from boresight.reports.run.limits import limited, short_line
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import Record
 from boresight.reports.tables import failure_grid
@@ -44,15 +44,10 @@ def told_grids(content: Content) -> list[Grid]:
 
 def _headed(run: RunData, grids: Tables) -> list[Grid]:
     """Add the conditions of intervals to titles, and the a priori knowledge to the first table."""
-    found = list(with_single_draws((grid for grid in grids if grid is not None), run))
+    found = [limited(grid, run) for grid in grids if grid is not None]
     if found and not found[0].known:
         found[0] = replace(found[0], known=short_line(run))
     return found
-
-
-def draw_figures(content: Content) -> Iterator[NamedFigure]:
-    """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
-    yield from report_kind(content.run).figures(content)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -203,8 +203,13 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
 
     ``brief``: the final position error alone, without changes.
     """
-    design, groups = run.manifest.grid, _by_measure(run)
-    if design is None or not groups:
+    design, of_measure = run.manifest.grid, dict[str, list[Outcome]]()
+    if design is None:
+        return []
+    for one in sorted(outcomes(run), key=lambda one: run.place_of(one.estimator)):
+        of_measure.setdefault(one.label, []).append(one)
+    groups = sorted(of_measure.values(), key=lambda group: (group[0].stage, group[0].measure) != ("", POSITION))
+    if not groups:
         return []
     data = DesignData(run, design)
     if brief:
@@ -216,14 +221,6 @@ def design_grids(run: RunData, brief: bool = False) -> list[Grid]:
     if brief:
         return [grid.keep(*(head for head in grid.columns if not head.endswith(f", {_CHANGE}"))) for grid in found]
     return found
-
-
-def _by_measure(run: RunData) -> list[list[Outcome]]:
-    """Group the outcomes of the same measure and stage, final positions first, estimators as the campaign has them."""
-    groups: dict[str, list[Outcome]] = {}
-    for one in sorted(outcomes(run), key=lambda one: run.place_of(one.estimator)):
-        groups.setdefault(one.label, []).append(one)
-    return sorted(groups.values(), key=lambda group: (group[0].stage, group[0].measure) != ("", POSITION))
 
 
 def _level_grids(data: DesignData, base: str, names: list[str], groups: list[list[Outcome]]) -> Iterator[Grid]:

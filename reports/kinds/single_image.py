@@ -25,7 +25,7 @@ from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
-from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, row_grid, value_of
 from boresight.reports.schema.records import CONTROL, DERIVED, Key, Record, by_key, stage_label
 from boresight.reports.statistics.consistency import consistency_grid
@@ -80,12 +80,6 @@ def costs(run: RunData) -> list[Cost]:
         if len(here) > 1 and any(cost.size_bytes is not None for cost in here):
             shown += here
     return shown
-
-
-def prior_medians(run: RunData, scenario: str) -> dict[str, float]:
-    """Medians of the prior's errors over all trials of a scenario, by `POSITION` and `ATTITUDE`."""
-    rows = run.rows[run.rows["scenario"] == scenario].drop_duplicates("trial")
-    return {name: float(np.median(rows[f"prior_{name}"])) for name in _ERRORS}
 
 
 _NOTE = (
@@ -322,10 +316,12 @@ def _scenario_figures(content: Content, scenario: str, labels: Sequence[str]) ->
             "time an image, ms": {label: 1e3 * value for label, value in seconds.items() if value is not None},
             "data base, kB": {k: 1e-3 * cost.size_bytes for k, cost in found.items() if cost.size_bytes is not None},
         }
+        once = run.rows[run.rows["scenario"] == scenario].drop_duplicates("trial")
+        prior = {name: float(np.median(once[f"prior_{name}"])) for name in _ERRORS}
         title = f"Accuracy and its cost, {scenario}"
         yield NamedFigure(
             file_stem("trade_off", scenario),
-            draw_trade_off(errors, spent, prior_medians(run, scenario), title, run.manifest.credits),
+            draw_trade_off(errors, spent, prior, title, run.manifest.credits),
             f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
             " prior. What reads no data base stands in the panels of time alone.",
             f"Median errors of {', '.join(found)} against time an image and size of the data base.",
@@ -401,18 +397,14 @@ def tables(content: Content) -> Tables:
     )
 
 
-def pose_brief(content: Content) -> list[Grid]:
-    """List the errors of poses for the terminal."""
-    several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
-    counted = (*(["estimator"] if several else []), "stage", "solved", "success")
-    return [grid.keep(*counted, "position m", "attitude deg") for grid in pose_grids(content.records, content.run)]
-
-
 def brief(content: Content) -> Tables:
     """List what the terminal shows: errors of poses, of other trials the numbers that they report."""
     if content.run.manifest.grid is not None:
         return design_grids(content.run, brief=True)
-    return pose_brief(content) or diagnostic_brief(content.records)
+    several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
+    heads = (*(["estimator"] if several else []), "stage", "solved", "success", "position m", "attitude deg")
+    poses = [grid.keep(*heads) for grid in pose_grids(content.records, content.run)]
+    return poses or diagnostic_brief(content.records)
 
 
 def figures(content: Content) -> Iterable[NamedFigure]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.figures.style import report_styles, save_figure
-from boresight.reports.kinds import Content, brief_grids, draw_figures, report_grids, told_grids
+from boresight.reports.kinds import Content, brief_grids, report_grids, report_kind, told_grids
 from boresight.reports.pages.content import headline, read_content, verdict_counts
 from boresight.reports.pages.document import Document, embed_figures, fill_template, template_text
 from boresight.reports.run.data import RunData
@@ -183,8 +183,17 @@ def write_report(
 
 def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kinds: Sequence[str]) -> list[str]:
     """Write all files into ``folder`` and list their names; the page is last, so that it never shows missing files."""
-    names = _write_tables(content, folder)
-    figures = [*(with_trial_counts(figure, [content.run]) for figure in draw_figures(content)), *extra]
+    table, rows = content.table(), content.run.rows
+    timed = table["measure"] == "seconds"
+    failures = rows.loc[rows["status"] != "ok", ["trial", "scenario", "estimator", "status", "reason"]]
+    frames = {"table.csv": table[~timed], "timings.csv": table[timed], "failures.csv": failures}
+    for name, frame in frames.items():
+        frame.to_csv(folder / name, index=False, lineterminator="\n")
+    names = list(frames)
+    figures = [
+        *(with_trial_counts(figure, [content.run]) for figure in report_kind(content.run).figures(content)),
+        *extra,
+    ]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
     if twice:
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
@@ -195,17 +204,6 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure], kin
     with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]
     (folder / "report.html").write_text(html_page(content, with_png), encoding="utf-8")
     return [*names, "report.md", "report.html"]
-
-
-def _write_tables(content: Content, folder: Path) -> list[str]:
-    table = content.table()
-    timed = table["measure"] == "seconds"
-    failed = content.run.rows[content.run.rows["status"] != "ok"]
-    failures = failed[["trial", "scenario", "estimator", "status", "reason"]]
-    frames = {"table.csv": table[~timed], "timings.csv": table[timed], "failures.csv": failures}
-    for name, frame in frames.items():
-        frame.to_csv(folder / name, index=False, lineterminator="\n")
-    return list(frames)
 
 
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:

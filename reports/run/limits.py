@@ -45,11 +45,10 @@ def limited_title(title: str, run: RunData) -> str:
     return ", of ".join(filter(None, (title, single_draws(run))))
 
 
-def with_single_draws(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
-    """Add what intervals are conditional on to the title of every table that has some."""
-    for grid in grids:
-        told = any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
-        yield replace(grid, title=limited_title(grid.title, run)) if told else grid
+def limited(grid: Grid, run: RunData) -> Grid:
+    """Add what intervals are conditional on to the title of a table that has some."""
+    told = any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
+    return replace(grid, title=limited_title(grid.title, run)) if told else grid
 
 
 def database_line(run: RunData) -> str:

@@ -9,8 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.column import POSE_COLUMNS
-from boresight.reports.schema.records import CONTROL, count_of
+from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.records import CONTROL, count_of, shortened
 from boresight.reports.schema.tables import kind_schema
 
 MEANING = (
@@ -54,14 +54,12 @@ def unsolved_lines(run: RunData) -> list[str]:
         rows = select(failed, scenario, estimator)
         n = len(select(run.rows, scenario, estimator))
         if len(rows) == n:
-            reasons = [f"{int(count):,} {_shortened(reason)}" for reason, count in tally(rows, ["reason"])]
+            reasons = [
+                f"{int(count):,} {shortened(reason, _MOST_CHARACTERS)}" for reason, count in tally(rows, ["reason"])
+            ]
             more = "" if len(reasons) <= _MOST_LINES else f"; and {count_of(len(reasons) - _MOST_LINES, 'more reason')}"
             lines.append(f"{estimator} solved 0 of {n:,} of {scenario}: {'; '.join(reasons[:_MOST_LINES])}{more}")
     return lines
-
-
-def _shortened(reason: str) -> str:
-    return reason if len(reason) <= _MOST_CHARACTERS else f"{reason[: _MOST_CHARACTERS - 3]}..."
 
 
 def reason_lines(run: RunData) -> list[str]:
@@ -72,7 +70,7 @@ def reason_lines(run: RunData) -> list[str]:
     reasons = tally(failed, ["estimator", "status", "reason"])
     lines = [f"no estimate in {len(failed):,} of {count_of(len(run.rows), 'trial')}, each estimator's counted:"]
     for estimator, status, reason, count in reasons[:_MOST_LINES]:
-        lines.append(f"  {int(count):,} {status}, {estimator}: {_shortened(reason)}")
+        lines.append(f"  {int(count):,} {status}, {estimator}: {shortened(reason, _MOST_CHARACTERS)}")
     rest = reasons[_MOST_LINES:]
     if rest:
         trials = sum(int(one[-1]) for one in rest)

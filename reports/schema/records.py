@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""
@@ -100,6 +100,11 @@ _TIMED = {
 def count_of(number: int, noun: str) -> str:
     """Say how many: '1 trial', '5,000 trials'."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def shortened(text: str, most: int) -> str:
+    """Return a text of so many characters at most; a longer one ends in three dots."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def stage_label(stage: str, timed: bool = False) -> str:

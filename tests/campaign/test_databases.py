@@ -23,7 +23,7 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.maplets.build import MapletOptions, spread_points
 from boresight.reports.figures.named import with_trial_counts
-from boresight.reports.kinds import draw_figures
+from boresight.reports.kinds import report_kind
 from boresight.reports.pages.build import html_page, markdown
 from boresight.reports.pages.content import read_content
 from boresight.scenarios.bodies import load_body
@@ -105,7 +105,7 @@ def test_a_case_is_worked_out_again_with_its_data_base(several):
 
 
 def page_without_pixels(content):
-    figures = [with_trial_counts(figure, [content.run]) for figure in draw_figures(content)]
+    figures = [with_trial_counts(figure, [content.run]) for figure in report_kind(content.run).figures(content)]
     return html_page(content, [(figure, b"") for figure in figures])
 
 

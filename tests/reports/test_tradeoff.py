@@ -7,7 +7,7 @@ from stored_runs import find
 
 from boresight.reports.figures.comparison import draw_trade_off
 from boresight.reports.figures.style import render
-from boresight.reports.kinds import draw_figures
+from boresight.reports.kinds import report_kind
 from boresight.reports.kinds.single_image import costs, trade_grid
 from boresight.reports.pages.build import write_report
 from boresight.reports.pages.content import read_content
@@ -67,7 +67,7 @@ def test_the_size_is_a_number_of_the_report(builder):
     content = read_content(fill(builder))
     size = find(content.records, scenario=ITOKAWA, estimator="maplets", measure="database_bytes")
     assert (size.value, size.unit, size.statistic) == (160_000, "bytes", "count")
-    (traded,) = (one for one in draw_figures(content) if one.stem == "trade_off_itokawa")
+    (traded,) = (one for one in report_kind(content.run).figures(content) if one.stem == "trade_off_itokawa")
     times, sizes = ([float(c.lines[0].get_xdata()[0]) for c in axes.containers] for axes in traded.figure.axes[:2])
     assert (times, sizes) == (pytest.approx([40.0, 45.0]), [50.0, 160.0]), "milliseconds and kilobytes"
     files = write_report(content.run.folder)

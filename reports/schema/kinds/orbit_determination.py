@@ -4,23 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from boresight.reports.schema.column import (
-    DATABASE,
-    KEY,
-    POSE_ERROR,
-    VIEW,
-    Column,
-    Columns,
-    KindSchema,
-    count,
-    flag,
-    measured,
-    names,
-    number,
-    plain,
-    share,
-    text,
-)
+from boresight.reports.schema.column import Column, Columns, KindSchema, count, flag, measured, number, text
+from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW, plain, share
 
 
 def _of_arc(name: str, meaning: str, label: str = "") -> Column:
@@ -33,22 +18,11 @@ ROW: Columns = (
     number("position_sigma_m", "RMS position error at the epoch that the covariance foretells"),
     *VIEW[:1],
 )
-_ARC: Columns = (
-    _of_arc("arc_rms_m", "root mean square of the same", "RMS position error over the arc"),
-    _of_arc("arc_median_m", "median position error over the arc, every 6 h", "median position error over the arc"),
-    _of_arc("arc_p90_m", "90 % of the same"),
-    _of_arc("predicted_error_m", "position error at the end of the predicted days", "predicted position error"),
-    _of_arc("residual_rms_px", "RMS of a coordinate of the residuals that were not edited"),
-)
-_EDITING: Columns = (
-    _of_arc("wrong_left_share", "share of wrong sightings among those that were not edited"),
-    _of_arc("right_edited_share", "share of the right sightings that were edited"),
-)
-ORBIT_COLUMNS = names((*_ARC, *_EDITING))
+_ARC = ("arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px")
+ORBIT_COLUMNS = (*_ARC, "wrong_left_share", "right_edited_share")
 """Errors of an orbit in the table ``orbits``; the position error is that at the epoch."""
 
-METRICS = ("position_error_m", *names(_ARC))
-_BY_NAME = {column.name: column for column in (*_ARC, *_EDITING)}
+METRICS = ("position_error_m", *_ARC)
 
 _ORBIT = KindSchema(
     row=(*DATABASE, *ROW),
@@ -58,14 +32,17 @@ _ORBIT = KindSchema(
             measured("epoch_error_m", "position error at the epoch, inertial axes", "position error at the epoch"),
             number("epoch_velocity_error_m_s", "velocity error there"),
             number("epoch_nees", "error of the state weighted by its covariance, over 6: 1 is expected"),
-            _BY_NAME["arc_median_m"],
-            _BY_NAME["arc_rms_m"],
-            _BY_NAME["arc_p90_m"],
+            _of_arc(
+                "arc_median_m", "median position error over the arc, every 6 h", "median position error over the arc"
+            ),
+            _of_arc("arc_rms_m", "root mean square of the same", "RMS position error over the arc"),
+            _of_arc("arc_p90_m", "90 % of the same"),
             number("arc_nees", "mean over the arc of the position error weighted by its covariance, over 3"),
-            _BY_NAME["predicted_error_m"],
+            _of_arc("predicted_error_m", "position error at the end of the predicted days", "predicted position error"),
             number("predicted_sigma_m", "RMS position error that the covariance foretells there"),
-            _BY_NAME["residual_rms_px"],
-            *_EDITING,
+            _of_arc("residual_rms_px", "RMS of a coordinate of the residuals that were not edited"),
+            _of_arc("wrong_left_share", "share of wrong sightings among those that were not edited"),
+            _of_arc("right_edited_share", "share of the right sightings that were edited"),
             number("gm_error", "relative error of GM"),
             number("solar_pressure_error", "relative error of the size of solar pressure"),
         ),
