@@ -7,7 +7,8 @@ bounds were chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeVar
@@ -182,6 +183,11 @@ def value_verdict(ours: Record | None, published: PublishedValue, own: bool = Tr
         return "undecided"
     beyond = {"above": "higher", "below": "lower"}.get(published.relation)
     return "better" if beyond == published.better and not own else "reproduced"
+
+
+def verdict_tally(verdicts: Iterable[Verdict]) -> str:
+    """Count the verdicts in words; '' if there are none."""
+    return ", ".join(f"{count} {verdict}" for verdict, count in Counter(verdicts).most_common())
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:

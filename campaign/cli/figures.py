@@ -29,8 +29,9 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.pages.rich_tables import FittedTable
-from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, verdict_tally, write_paper
+from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, write_paper
 from boresight.reports.schema.records import count_of
+from boresight.reports.verdicts import verdict_tally
 from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load import load_campaign
 
@@ -167,7 +168,8 @@ def _print(written: _Written, arguments: argparse.Namespace) -> None:
         out.print(FittedTable(paper_grid(written.lines).keep(*shown)))
     for line in (*written.refused, *(written.missing if written.runs else _needed(written.paper, arguments))):
         out.print(line)
-    out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdict_tally(written.lines)}")
+    verdicts = verdict_tally(line.verdict for line in written.lines)
+    out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdicts}")
     out.print(value_tally(written.lines))
     out.print(f"page: {written.page}")
 

@@ -24,13 +24,12 @@ from boresight.reports.papers.page import (
     paper_lines,
     table_figure,
     value_tally,
-    verdict_tally,
 )
 from boresight.reports.published import load_published
 from boresight.reports.run.limits import short_line
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import count_of
-from boresight.reports.verdicts import Verdict
+from boresight.reports.verdicts import Verdict, verdict_tally
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
 from boresight.scenarios.spec.body import STAND_INS
@@ -133,7 +132,7 @@ def paper_page(
         facts=[
             ("Paper", "; ".join(sorted({one.source for one in comparisons.values()}))),
             ("Values", value_tally(lines)),
-            ("Verdicts", verdict_tally(lines)),
+            ("Verdicts", verdict_tally(line.verdict for line in lines)),
             *((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
         ],
         lists=[

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -29,7 +28,14 @@ from boresight.reports.statistics.measures import measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.roc import outlier_records
 from boresight.reports.tables import interval
-from boresight.reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims, on_embedded_body
+from boresight.reports.verdicts import (
+    ComparedClaim,
+    ComparedValue,
+    compare,
+    compare_claims,
+    on_embedded_body,
+    verdict_tally,
+)
 from boresight.scenarios.errors import BoresightError
 
 _MOST_IN_HEADLINE = 3
@@ -54,7 +60,15 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         f" which less than one trial is expected are left out. {NO_VALUE!r} in a table is {WITHOUT_VALUE}."
     )
     yield from filter(None, [database_line(run)])
-    yield from _set_lines(run)
+    scenarios = [name for name in dict.fromkeys(run.rows["scenario"]) if image_set(run.manifest.scenarios[name])]
+    if scenarios:
+        starts = len(run.rows.loc[run.rows["scenario"].isin(scenarios), ["scenario", "trial"]].drop_duplicates())
+        sets = len({image_set(run.manifest.scenarios[name]) for name in scenarios})
+        yield (
+            f"{count_of(sets, 'set')} of images (one for each body and texture), {count_of(starts, 'start')}."
+            " The starts on one set share the errors of its features: intervals and sign tests take the set for what"
+            " is independent, and one set by itself has no interval."
+        )
     posed = bool(run.posed_pairs())
     if posed:
         yield (
@@ -80,20 +94,6 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if posed and absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."
     yield from run.manifest.notes
-
-
-def _set_lines(run: RunData) -> Iterator[str]:
-    """Yield the number of sets of images and of starts of sequences that use images."""
-    scenarios = [name for name in dict.fromkeys(run.rows["scenario"]) if image_set(run.manifest.scenarios[name])]
-    if scenarios:
-        seen = run.rows[run.rows["scenario"].isin(scenarios)]
-        starts = len(seen[["scenario", "trial"]].drop_duplicates())
-        sets = len({image_set(run.manifest.scenarios[name]) for name in scenarios})
-        yield (
-            f"{count_of(sets, 'set')} of images (one for each body and texture), {count_of(starts, 'start')}."
-            " The starts on one set share the errors of its features: intervals and sign tests take the set for what"
-            " is independent, and one set by itself has no interval."
-        )
 
 
 def read_content(folder: Path) -> Content:
@@ -192,5 +192,4 @@ def headline(run: RunData) -> str:
 
 def verdict_counts(content: Content) -> str:
     """Count the verdicts on published values and claims, in words; '' if there are none."""
-    verdicts = Counter([one.verdict for one in content.compared] + [one.verdict for one in content.claims])
-    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
+    return verdict_tally(one.verdict for one in (*content.compared, *content.claims))

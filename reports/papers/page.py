@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,41 +95,27 @@ def paper_lines(
         compared, stated = content.compared, content.claims
     shown = [item for item in compared if content is None or item.estimator in labels]
     several = len({item.estimator for item in shown}) > 1
-    yield from (_value_line(campaign, item, name=several) for item in shown)
-    yield from (_claim_line(campaign, item) for item in stated)
-
-
-def _value_line(campaign: str, item: ComparedValue, *, name: bool) -> PaperLine:
-    published = item.published
-    stage = stage_label(published.stage, timed=published.measure == "seconds")
-    whose = f", {item.estimator}" if published.estimator or name else ""
-    return PaperLine(
-        campaign,
-        item.scenario,
-        item.estimator,
-        published.place,
-        f"{measure_label(published.measure)}, {stage}{whose}",
-        published.statistic,
-        published.quoted,
-        (item.ours,),
-        published.tolerance if item.verdict != "context" else None,
-        item.verdict,
-        said=verdict_of(item.verdict, (item.ours,)),
-    )
-
-
-def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
-    claim = item.claim
-    solved = (
-        "trials solved" if claim.within is None else f"% of trials within {claim.within:g} {unit_of(claim.measure)}"
-    )
-    how = claim.unmeasured or (solved if claim.solves else f"order of the {claim.statistic}s")
-    quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
-    names = tuple(term.label for term in claim.order)
-    return PaperLine(
-        campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names,
-        verdict_of_claim(item), claim.unjudged, bool(claim.unmeasured),
-    )  # fmt: skip
+    for item in shown:
+        published = item.published
+        stage = stage_label(published.stage, timed=published.measure == "seconds")
+        whose = f", {item.estimator}" if published.estimator or several else ""
+        quantity = f"{measure_label(published.measure)}, {stage}{whose}"
+        tolerance = published.tolerance if item.verdict != "context" else None
+        yield PaperLine(
+            campaign, item.scenario, item.estimator, published.place, quantity, published.statistic, published.quoted,
+            (item.ours,), tolerance, item.verdict, said=verdict_of(item.verdict, (item.ours,)),
+        )  # fmt: skip
+    for statement in stated:
+        claim = statement.claim
+        bound = "" if claim.within is None else f"% of trials within {claim.within:g} {unit_of(claim.measure)}"
+        order = f"order of the {claim.statistic}s"
+        how = claim.unmeasured or ((bound or "trials solved") if claim.solves else order)
+        quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
+        names = tuple(term.label for term in claim.order)
+        yield PaperLine(
+            campaign, statement.scenario, "", claim.place, quantity, how, claim.text, statement.ours, None,
+            statement.verdict, names, verdict_of_claim(statement), claim.unjudged, bool(claim.unmeasured),
+        )  # fmt: skip
 
 
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
@@ -153,12 +138,6 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
         })  # fmt: skip
     text = rows[0].keys() - {"ok", "tolerance"}
     return row_grid("Every published number beside ours", rows, text, VERDICT_RULE)
-
-
-def verdict_tally(lines: Sequence[PaperLine]) -> str:
-    """Count the verdicts in words."""
-    tally = Counter(line.verdict for line in lines)
-    return ", ".join(f"{count} {verdict}" for verdict, count in tally.most_common())
 
 
 def value_tally(lines: Sequence[PaperLine]) -> str:
