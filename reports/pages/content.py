@@ -192,4 +192,5 @@ def headline(run: RunData) -> str:
 
 def verdict_counts(content: Content) -> str:
     """Count the verdicts on published values and claims, in words; '' if there are none."""
-    return verdict_tally(one.verdict for one in (*content.compared, *content.claims))
+    values, claims = ([one.verdict for one in found] for found in (content.compared, content.claims))
+    return verdict_tally([*values, *claims])
