@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from boresight.campaign.imaging.real_images import images_digest
-from boresight.estimators.registry import base_of, file_of, source_digest
+from boresight.estimators.registry import bases_of, file_of, source_digest
 from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.bodies import body_digest
@@ -17,7 +17,7 @@ from boresight.scenarios.craters import shape_digest
 from boresight.scenarios.designs import GridVariation
 from boresight.scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
 from boresight.scenarios.onboard import onboard_spec
-from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
+from boresight.scenarios.spec.campaign import CampaignSpec
 
 DRAFT_VERSION = 4
 """Version of `campaign.draft`: raise it when the same fraction keeps something else."""
@@ -73,7 +73,12 @@ class ResolvedCampaign:
                 for s in self.scenarios
             ],
             "estimators": [
-                {"label": e.label, **_sources(e), "options": e.options, "version": list(methods[e.label])}
+                {
+                    "label": e.label,
+                    **_sources(e.name, e.options),
+                    "options": e.options,
+                    "version": list(methods[e.label]),
+                }
                 for e in self.spec.estimators
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
@@ -115,10 +120,10 @@ class ResolvedCampaign:
         return hash(self.digest)
 
 
-def _sources(entry: EstimatorSpec) -> dict[str, object]:
-    """Identify the code of a campaign's estimator, and of a file that it builds on."""
-    base = base_of(entry.name, entry.options)
-    return {**_source(entry.name), **({"base": _source(base)} if base is not None and file_of(base) else {})}
+def _sources(name: str, options: Mapping[str, object]) -> dict[str, object]:
+    """Identify the code of an estimator of a campaign, and of the files that it builds on."""
+    found = {base.key: _sources(base.name, base.options) for base in bases_of(name, options)}
+    return {**_source(name), **{key: of_base for key, of_base in found.items() if len(of_base) > 1}}
 
 
 def _source(estimator: str) -> dict[str, object]:

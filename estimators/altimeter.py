@@ -11,7 +11,7 @@ from pydantic import Field, JsonValue
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, Stage, Stopwatch
 from boresight.estimators.landmark.database import LandmarkDatabase
-from boresight.estimators.options import OptionsError, parse_options
+from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose
@@ -212,16 +212,12 @@ class AltimeterEstimator:
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options, which name the base and give its options."""
-        from boresight.estimators.registry import estimator_class  # the registry imports this module by name
+        from boresight.estimators.registry import built_base  # the registry imports this module by name
 
         parsed = parse_options(AltimeterOptions, options, cls.name)
         if parsed.base == cls.name:
             raise BoresightError(f"estimator {cls.name}: base: it cannot be its own: the range would count twice")
-        try:
-            base = estimator_class(parsed.base).from_options(parsed.options, assets)
-        except OptionsError as error:
-            error.section = "options"
-            raise
+        base = built_base(parsed.base, parsed.options, assets)
         database = getattr(base, "database", None)
         if not isinstance(database, LandmarkDatabase):
             raise BoresightError(

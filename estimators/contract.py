@@ -130,9 +130,10 @@ class Estimate:
 class Estimator(Protocol):
     """An estimator of the pose from one observation.
 
-    ``version`` is part of the key of every result: raise it when results change. Two class attributes are optional:
-    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base``, the name of the
-    estimator that it builds on unless the option ``base`` names another; the version of the base is part of the key.
+    ``version`` is part of the key of every result: raise it when results change. Three class attributes are optional:
+    ``sensors``, the names of the sensors that it needs in addition to the camera, and ``base`` and ``second``, the
+    names of estimators that it builds on unless options of these names give others, with their options in ``options``
+    and ``second_options``. Their versions are part of the key.
     """
 
     name: ClassVar[str]

@@ -17,19 +17,18 @@ Model = TypeVar("Model", bound=SpecModel)
 
 
 class OptionsError(BoresightError):
-    """Wrong options of an estimator; they are of ``model``, in the section of that key of the estimator's options."""
+    """Wrong options of an estimator; they are of ``model``, in nested ``sections`` of its options."""
 
     model: type[SpecModel] = SpecModel
-    section: str = ""
+    sections: tuple[str, ...] = ()
 
     def located(self, options: ConfigEntry, estimator: str) -> BoresightError:
         """Return the error with the file and line of each wrong option."""
         if not isinstance(self.__cause__, ValidationError):
             return self
-        if self.section:
-            options = (options.section or {}).get(self.section, options)
-            estimator = f"{estimator}.{self.section}"
-        return BoresightError(explain(self.__cause__, options, self.model, estimator))
+        for section in self.sections:
+            options = (options.section or {}).get(section, options)
+        return BoresightError(explain(self.__cause__, options, self.model, ".".join((estimator, *self.sections))))
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:

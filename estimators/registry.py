@@ -15,10 +15,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
+from boresight.estimators.options import OptionsError
 from boresight.scenarios.errors import BoresightError, one_line
 
 if TYPE_CHECKING:
-    from boresight.estimators.contract import Estimator
+    from boresight.estimators.contract import Assets, Estimator
 
 T = TypeVar("T")
 
@@ -158,6 +159,7 @@ ESTIMATORS: Registry[Estimator] = Registry(
         "lmaps": "boresight.estimators.maplets.recognizer:MapletNavigator",
         "crater-pose": "boresight.estimators.craters.pose:CraterPose",
         "tuned": "boresight.estimators.tuned:TunedEstimator",
+        "consensus": "boresight.estimators.consensus:ConsensusEstimator",
         "prior": "boresight.estimators.prior:PriorEstimator",
     },
     group="boresight.estimators",
@@ -171,10 +173,45 @@ def needed_sensors(name: str) -> frozenset[str]:
     return frozenset(cast("Iterable[str]", _said_by(name, "sensors", ())))
 
 
-def base_of(name: str, options: Mapping[str, object]) -> str | None:
-    """Return the name of the estimator that another builds on, by option or class attribute; None for most."""
-    base = _said_by(name, "base", None)
-    return None if base is None else str(options.get("base", base))
+@dataclass(frozen=True, slots=True)
+class Base:
+    """An estimator that another builds on: the option that names it, its name, the key of its options and these."""
+
+    key: str
+    name: str
+    section: str
+    options: Mapping[str, object]
+
+
+def bases_of(name: str, options: Mapping[str, object]) -> tuple[Base, ...]:
+    """Return the estimators that another builds on, by its options or class attributes; none for most."""
+    found = []
+    for key, section in (("base", "options"), ("second", "second_options")):
+        default, given = _said_by(name, key, None), options.get(section)
+        if default is not None:
+            of_base = cast("Mapping[str, object]", given) if isinstance(given, Mapping) else {}
+            found.append(Base(key, str(options.get(key, default)), section, of_base))
+    return tuple(found)
+
+
+def with_bases(name: str, options: Mapping[str, object]) -> tuple[str, ...]:
+    """Return the name of an estimator, those of the ones that it builds on, and of those that these build on."""
+    return name, *(found for base in bases_of(name, options) for found in with_bases(base.name, base.options))
+
+
+def built_base(name: str, options: Mapping[str, object], assets: Assets, section: str = "options") -> Estimator:
+    """Build an estimator for another one that has its options in ``section``.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be built; errors of its options name the section.
+    """
+    try:
+        return estimator_class(name).from_options(options, assets)
+    except OptionsError as error:
+        error.sections = (section, *error.sections)
+        raise
 
 
 def _said_by(name: str, attribute: str, default: object) -> object:

@@ -14,7 +14,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
-from boresight.estimators.options import OptionsError, parse_options
+from boresight.estimators.options import parse_options
 from boresight.estimators.prior import floor_variances
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
@@ -214,17 +214,14 @@ class TunedEstimator:
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options, which name the base and give its options."""
-        from boresight.estimators.registry import estimator_class, source_digest  # it imports this module by name
+        # It imports this module by name.
+        from boresight.estimators.registry import built_base, estimator_class, source_digest
 
         parsed = parse_options(TunedOptions, options, cls.name)
         found = estimator_class(parsed.base)
         if hasattr(found, "base"):
             raise BoresightError(f"estimator {cls.name}: base: {parsed.base} builds on another itself: tune that one")
-        try:
-            base = found.from_options(parsed.options, assets)
-        except OptionsError as error:
-            error.section = "options"
-            raise
+        base = built_base(parsed.base, parsed.options, assets)
         asked = Rehearsals(
             **dict(parsed.tuning),
             base=parsed.base,

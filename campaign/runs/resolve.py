@@ -10,7 +10,7 @@ from typing import Any
 from boresight.campaign.resolved import ResolvedCampaign, Versions
 from boresight.campaign.runs.read import read_campaign
 from boresight.campaign.trial.kind import Trials, kind_named
-from boresight.estimators.registry import base_of, file_of, needed_sensors
+from boresight.estimators.registry import file_of, needed_sensors, with_bases
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedCampaign, LoadedScenario
 from boresight.scenarios.spec.campaign import CampaignSpec, EstimatorSpec
@@ -107,7 +107,7 @@ def _versions(spec: CampaignSpec, loaded: LoadedCampaign | None = None) -> Versi
 def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) -> None:
     """Refuse an estimator that needs what a scenario has not aboard."""
     for scenario in scenarios:
-        needed = needed_sensors(entry.name) | needed_sensors(base_of(entry.name, entry.options) or entry.name)
+        needed = frozenset[str]().union(*map(needed_sensors, with_bases(entry.name, entry.options)))
         for sensor in sorted(needed - scenario.spec.sensors.aboard):
             raise BoresightError(
                 f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, cast
 
 from boresight.campaign.pool.steps import report_progress
-from boresight.estimators.registry import base_of
+from boresight.estimators.registry import bases_of, with_bases
 from boresight.scenarios.arrays import Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.lengths import lengths_left_out, with_lengths
@@ -109,8 +109,7 @@ class Trials(ABC):
     @classmethod
     def method_names(cls, entry: EstimatorSpec) -> tuple[str, ...]:
         """Return the names of the methods that an entry of a campaign runs: its own, and those that it builds on."""
-        base = base_of(entry.name, entry.options)
-        return (entry.name,) if base is None else (entry.name, base)
+        return with_bases(entry.name, entry.options)
 
     @classmethod
     def options_model(cls, name: str) -> type[SpecModel] | None:
@@ -123,14 +122,17 @@ class Trials(ABC):
         # Imported here: it loads the renderer, which the names of kinds do without.
         from boresight.campaign.imaging.world import scale_of
 
-        model, base = cls.options_model(entry.name), base_of(entry.name, entry.options)
         scale = scale_of(scenario)
-        found = {} if model is None else lengths_left_out((model,), entry.options, scale)
-        if base is not None and (of_base := cls.options_model(base)) is not None:
-            given = entry.options.get("options", {})
-            if isinstance(given, Mapping):  # else it is refused where options are read
-                found["options"] = lengths_left_out((of_base,), given, scale)
-        return found
+
+        def of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+            model = cls.options_model(name)
+            found = {} if model is None else lengths_left_out((model,), options, scale)
+            for base in bases_of(name, options):
+                if isinstance(options.get(base.section, {}), Mapping):  # else it is refused where options are read
+                    found[base.section] = of(base.name, base.options)
+            return found
+
+        return of(entry.name, entry.options)
 
     @classmethod
     def entries(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> list[EstimatorSpec]:
