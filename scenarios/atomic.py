@@ -14,10 +14,7 @@ from boresight.scenarios.errors import BoresightError
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Write a temporary file in the folder of ``path`` by ``write(temporary)``, flush it to the disk, then rename it.
 
-    Raises
-    ------
-    BoresightError
-        If the disk is full or the folder cannot be written; the temporary file is removed.
+    Raise BoresightError if the disk is full or the folder cannot be written; the temporary file is removed.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

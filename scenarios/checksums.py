@@ -25,10 +25,7 @@ def checksum_text(contents: Mapping[str, bytes]) -> str:
 def refuse_damaged(run: Path, table: str | None = None) -> None:
     """Verify the checksums of a run, or of one table of it.
 
-    Raises
-    ------
-    BoresightError
-        If a file differs from its checksum, or has none; the message names the first.
+    Raise BoresightError if a file differs from its checksum, or has none; the message names the first.
     """
     found = list(damaged(run, table))
     if found:

@@ -198,10 +198,7 @@ def drawn_together(spec: ScenarioSpec, seed: int, trial: int) -> ScenarioSpec:
 def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator, state: int = 0) -> View:
     """Draw the true view of a trial, at a state of the trajectory if there is one.
 
-    Raises
-    ------
-    BoresightError
-        If the scenario has no viewpoint section: its views come from a table of real images.
+    Raise BoresightError if the scenario has no viewpoint section: its views come from a table of real images.
     """
     if spec.viewpoint is None:
         raise BoresightError(

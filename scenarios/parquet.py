@@ -45,10 +45,7 @@ class TableLayout(NamedTuple):
 def read_table(folder: Path, layout: TableLayout) -> pa.Table:
     """Read the files ``*.parquet`` of a folder (at least one) as one table, in the order of their names.
 
-    Raises
-    ------
-    BoresightError
-        If a file is damaged, does not have the layout, or would expand to far more than its size.
+    Raise BoresightError if a file is damaged, does not have the layout, or would expand to far more than its size.
     """
     with _explained(folder):
         return _table(folder, sorted(folder.glob("*.parquet")), layout)
@@ -57,10 +54,7 @@ def read_table(folder: Path, layout: TableLayout) -> pa.Table:
 def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
     """Read a folder as `read_table` does, as a frame; metadata of pandas in the files is ignored.
 
-    Raises
-    ------
-    BoresightError
-        As `read_table`.
+    Raise BoresightError as `read_table` does.
     """
     table = read_table(folder, layout)
     with _explained(folder):
@@ -72,12 +66,7 @@ def read_where(path: Path, layout: TableLayout, values: Mapping[str, object]) ->
     """Read the rows of a file whose key columns have the given values.
 
     All rows are read and then filtered: filters of pyarrow use the column statistics of the file and abort the process
-    if these are damaged.
-
-    Raises
-    ------
-    BoresightError
-        As `read_table`.
+    if these are damaged. Raise BoresightError as `read_table` does.
     """
     with _explained(path):
         table = _table(path, [path], layout)
@@ -88,13 +77,7 @@ def read_where(path: Path, layout: TableLayout, values: Mapping[str, object]) ->
 
 
 def read_column(path: Path, name: str) -> list[Any]:
-    """Read one column of a file.
-
-    Raises
-    ------
-    BoresightError
-        As `read_table`.
-    """
+    """Read one column of a file; raise BoresightError as `read_table` does."""
     with _explained(path):
         (table,) = _tables([path], [name])
         values: list[Any] = table.column(name).to_pylist()

@@ -57,10 +57,7 @@ def read_json(path: Path, what: str) -> Any:
 def plain_json(path: Path) -> Any:
     """Read a JSON file and raise plain exceptions for the caller to explain.
 
-    Raises
-    ------
-    OSError, ValueError
-        If it cannot be read or is no JSON.
+    Raise OSError or ValueError if it cannot be read or is no JSON.
     """
     if path.exists() and not path.is_file():
         raise ValueError("it is a folder, a device or a pipe")
@@ -73,10 +70,7 @@ def plain_json(path: Path) -> Any:
 def held_to(model: type[Model], plain: object) -> Model:
     """Validate the content of a file against a model.
 
-    Raises
-    ------
-    ValueError
-        If it does not fit; the message is one line about the first fault.
+    Raise ValueError if it does not fit; the message is one line about the first fault.
     """
     try:
         return model.model_validate(plain)
@@ -99,10 +93,8 @@ def unreadable(path: Path, what: str, error: Exception) -> BoresightError:
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of a NumPy archive without unpickling any object.
 
-    Raises
-    ------
-    ValueError
-        If the file is missing, is not an archive, or declares implausibly many numbers. The caller adds the context.
+    Raise ValueError if the file is missing, is not an archive, or declares implausibly many numbers. The caller adds
+    the context.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -40,9 +40,10 @@ _PAIRS_AT_ONCE = 1 << 22  # pairs of a direction and a facet
 def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
     """Resample a star-shaped mesh at the directions of the vertices of an icosphere.
 
-    A direction d intersects a facet with corners a, b, c if d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c
-    has no negative weight; the normalised weights are the barycentric coordinates of the intersection. The new
-    vertices lie on the shape; the facets between them cut its edges, so that a convex body loses a little volume.
+    A direction d intersects a facet with corners a, b, c if d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c has no
+    negative weight; the normalised weights are the barycentric coordinates of the intersection. The new vertices lie on
+    the shape; the facets between them cut its edges, so that a convex body loses a little volume. Raise BoresightError
+    if a facet does not face away from the origin, so that the shape is not star-shaped.
 
     Parameters
     ----------
@@ -50,11 +51,6 @@ def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
         Minimum number of facets; the result has less than four times as many.
     source
         Name of the shape, for the error message.
-
-    Raises
-    ------
-    BoresightError
-        If a facet does not face away from the origin, so that the shape is not star-shaped.
     """
     corners = np.asarray(mesh.corners_m, dtype=np.float64)
     # For corners a, b, c: b x c, c x a, a x b, whose products with d are the weights of a, b, c.

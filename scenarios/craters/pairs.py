@@ -67,10 +67,7 @@ def draw_pair(
 ) -> CraterPair:
     """Draw the pair of a trial; ``address`` is the seed and the number of the trial.
 
-    Raises
-    ------
-    BoresightError
-        If no two views with the required angles have a lit and visible target.
+    Raise BoresightError if no two views with the required angles have a lit and visible target.
     """
     views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))

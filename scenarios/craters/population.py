@@ -49,13 +49,9 @@ class Craters:
 def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Craters:
     """Draw a population, uniform over the area of a smooth surface with unit normals ``up`` (V, 3) at its vertices.
 
-    Ages are uniform; degradation is proportional to age. Diameters follow a truncated power law. A crater is
-    drawn again at another place if the surface normal within 1.2 radii deviates by 60 deg or more.
-
-    Raises
-    ------
-    BoresightError
-        If the body is too strongly curved everywhere for one of the craters.
+    Ages are uniform; degradation is proportional to age. Diameters follow a truncated power law. A crater is drawn
+    again at another place if the surface normal within 1.2 radii deviates by 60 deg or more. Raise BoresightError if
+    the body is too strongly curved everywhere for one of the craters.
     """
     rng = np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(1)[0])
     n = spec.count

@@ -103,10 +103,7 @@ class CrateredSurface:
     def distance_along_m(self, direction: FloatArray) -> float:
         """Return the distance from the origin to the outermost facet along a unit vector, (3,).
 
-        Raises
-        ------
-        BoresightError
-            If no facet lies in that direction.
+        Raise BoresightError if no facet lies in that direction.
         """
         along = self.middles_m @ direction
         across_m = np.linalg.norm(self.middles_m - along[:, None] * direction, axis=1)
@@ -121,10 +118,7 @@ def cratered_surface(
 ) -> CrateredSurface:
     """Build a cratered surface or take it from the cache; the same sections give the same one, bit for bit.
 
-    Raises
-    ------
-    BoresightError
-        If it would take more memory than this machine has; see `check_size`.
+    Raise BoresightError if it would take more memory than this machine has; see `check_size`.
     """
     sha256 = surface_digest(body, craters, search_dirs)
     carrier = load_body(body, search_dirs, cache)
@@ -164,12 +158,8 @@ def build_surfaces(
 ) -> None:
     """Build cratered surfaces of one body into the cache, as many at once as threads and half of the memory allow.
 
-    ``report`` is called with a message if some of them are not in the cache.
-
-    Raises
-    ------
-    BoresightError
-        As `cratered_surface`.
+    ``report`` is called with a message if some of them are not in the cache. Raise BoresightError as `cratered_surface`
+    does.
     """
     mesh = load_body(body, search_dirs).mesh
     most = max(sum(expected_bytes(mesh, craters)) for craters in populations)

@@ -154,10 +154,7 @@ def expected_bytes(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
 def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
     """Check that this machine has enough memory for a cratered surface.
 
-    Raises
-    ------
-    BoresightError
-        If it has not; the message states the required memory and what to change.
+    Raise BoresightError if it has not; the message states the required memory and what to change.
     """
     parts, room = expected_bytes(mesh, spec), installed_memory_bytes()
     if sum(parts) <= room:

@@ -95,10 +95,7 @@ class DataSet(SpecModel):
 def read_registry(path: Path) -> dict[str, DataSet]:
     """Read data sets from a YAML file, by name.
 
-    Raises
-    ------
-    BoresightError
-        If the file cannot be read or an entry is invalid.
+    Raise BoresightError if the file cannot be read or an entry is invalid.
     """
     found = {}
     for name, entry in (read(path).section or {}).items():

@@ -64,7 +64,9 @@ def propagate(
 ) -> FloatArray:
     """Propagate an orbit by Dormand and Prince's method of eighth order (DOP853) with tolerances of 1e-12.
 
-    Lengths and speeds are scaled by their initial values, to which the tolerances refer.
+    Lengths and speeds are scaled by their initial values, to which the tolerances refer. Raise OrbitLostError if the
+    distance from the origin falls to ``lowest_m`` before the end of the interval with the last time, or the integrator
+    fails.
 
     Parameters
     ----------
@@ -82,12 +84,6 @@ def propagate(
     Returns
     -------
     (T, 6) states.
-
-    Raises
-    ------
-    OrbitLostError
-        If the distance from the origin falls to ``lowest_m`` before the end of the interval with the last time, or the
-        integrator fails.
     """
     length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
     # One absolute tolerance holds for positions and velocities only if both are near 1.

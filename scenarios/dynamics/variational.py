@@ -25,10 +25,7 @@ def propagate_states(
 ) -> FloatArray:
     """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate`.
 
-    Raises
-    ------
-    OrbitLostError
-        If the orbit comes nearer the origin than the field's reference radius.
+    Raise OrbitLostError if the orbit comes nearer the origin than the field's reference radius.
     """
     return propagate(field.acceleration, field.harmonics.radius_m, state, times_s, pushes)
 
@@ -61,12 +58,8 @@ def propagate_partials(
     """Propagate an orbit with its partial derivatives in fixed steps.
 
     Derivatives by a piecewise acceleration are integrated over its interval. After its end they are the state
-    transition matrix times the equivalent change of the state at the epoch, ``Phi^-1 Gamma`` at the end.
-
-    Raises
-    ------
-    OrbitLostError
-        If the orbit comes nearer the origin than the field's reference radius, or diverges.
+    transition matrix times the equivalent change of the state at the epoch, ``Phi^-1 Gamma`` at the end. Raise
+    OrbitLostError if the orbit comes nearer the origin than the field's reference radius, or diverges.
     """
     flat, p = field.flat, field.parameters
     stages = DOP853.n_stages

@@ -177,10 +177,7 @@ class Ellipses:
     def from_conics(cls, conics: FloatArray) -> Ellipses:
         """Read centres and axes from (n, 3, 3) conics of any scale.
 
-        Raises
-        ------
-        BoresightError
-            If one of them is not a real ellipse.
+        Raise BoresightError if one of them is not a real ellipse.
         """
         found, real = cls.among(conics)
         if not real.all():
@@ -220,18 +217,14 @@ class Ellipses:
 def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArray, radius_m: FloatArray) -> Ellipses:
     """Project circles of the body frame (plane rims of ideal craters) to ellipses in the image of the pinhole.
 
-    Distortion of the lens is not applied. A point of circle i is H (cos t, sin t, 1) in the image with
-    H = K [r e1, r e2, c] in camera axes, so that its conic is H^-T diag(1, 1, -1) H^-1.
+    Distortion of the lens is not applied. A point of circle i is H (cos t, sin t, 1) in the image with H = K [r e1, r
+    e2, c] in camera axes, so that its conic is H^-T diag(1, 1, -1) H^-1. Raise BoresightError if a circle has no
+    elliptic image: it is seen edge-on or reaches behind the camera.
 
     Parameters
     ----------
     centre_body_m, normal_body, radius_m
         (n, 3), (n, 3) unit normals of the rims' planes, and (n,). All circles must lie in front of the camera.
-
-    Raises
-    ------
-    BoresightError
-        If a circle has no elliptic image: it is seen edge-on or reaches behind the camera.
     """
     rotation, translation = view.T_cam_body.rotation, view.T_cam_body.translation_m
     first, second = plane_axes(normal_body)

@@ -95,10 +95,7 @@ class TriangleMesh:
     def distance_along_m(self, direction: FloatArray) -> float:
         """Return the distance from the origin to the outermost facet along a unit vector, (3,).
 
-        Raises
-        ------
-        BoresightError
-            If no facet lies in that direction.
+        Raise BoresightError if no facet lies in that direction.
         """
         # Coordinates across and along the ray: it meets a facet if the origin lies within its projection.
         first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])

@@ -151,12 +151,8 @@ def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
     """Point a camera's boresight at the body's origin: T_cam_body.
 
     At zero roll the camera's y axis (down) points away from the body's z axis, so that north is up; over a pole the
-    body's x axis replaces it. ``roll_rad`` turns the camera's axes about its boresight, x towards y.
-
-    Raises
-    ------
-    BoresightError
-        If the camera is at the origin.
+    body's x axis replaces it. ``roll_rad`` turns the camera's axes about its boresight, x towards y. Raise
+    BoresightError if the camera is at the origin.
     """
     position = np.asarray(camera_position_body_m, dtype=np.float64)
     distance = float(np.linalg.norm(position))

@@ -88,7 +88,8 @@ def load_scenario(
 ) -> LoadedScenario:
     """Read a scenario: defaults < what it extends < the file < ``base`` < ``levels`` < ``overrides``.
 
-    Lengths that are left out and follow from the camera or the body are filled in.
+    Lengths that are left out and follow from the camera or the body are filled in. Raise BoresightError with one line
+    for each fault: file, line, key, value and what is allowed.
 
     Parameters
     ----------
@@ -105,11 +106,6 @@ def load_scenario(
     embedded
         Take built-in bodies, in truth and on board, in place of the shape files that they stand for, but for real
         images.
-
-    Raises
-    ------
-    BoresightError
-        With one line for each fault: file, line, key, value and what is allowed.
     """
     path = find(name_or_path, CATALOG, near)
     file = _read_chain(path, CATALOG, ScenarioSpec)
@@ -140,10 +136,7 @@ def _without_nulls(root: ConfigEntry) -> ConfigEntry:
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
     """Read a campaign; ``overrides`` change its own keys, for example ``trials=20``.
 
-    Raises
-    ------
-    BoresightError
-        As ``load_scenario``.
+    Raise BoresightError as ``load_scenario`` does.
     """
     path = find(name_or_path, catalog, what="campaign")
     file = _read_chain(path, catalog, CampaignSpec)
@@ -162,12 +155,8 @@ def validated(
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
 
     ``lengths`` are those that it leaves out. Tables that it names are read from ``folders`` or the data folder; so is
-    the shape that a descent leads to, or the ``embedded`` one in its place.
-
-    Raises
-    ------
-    BoresightError
-        With one line for each fault.
+    the shape that a descent leads to, or the ``embedded`` one in its place. Raise BoresightError with one line for each
+    fault.
     """
     try:
         # As JSON, because strict validation of Python values would refuse lists for tuples.
@@ -182,17 +171,14 @@ def validated(
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:
     """Return whether a file is a scenario or a campaign, by its keys.
 
+    Raise BoresightError if the file cannot be read; if it does not exist, the message suggests a similar name.
+
     Parameters
     ----------
     path
         The file.
     known
         Further names for the suggestion in the error, besides the scenarios of the catalogue.
-
-    Raises
-    ------
-    BoresightError
-        If the file cannot be read; if it does not exist, the message suggests a similar name.
     """
     if not exists(path):
         near = difflib.get_close_matches(path.name, [*known, *scenario_names()], n=1)

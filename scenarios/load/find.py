@@ -27,6 +27,8 @@ def name_of(path: Path) -> str:
 def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
     """Find a file by its name in the catalogue, otherwise by its path.
 
+    Raise BoresightError if there is none; the message suggests similar names.
+
     Parameters
     ----------
     name_or_path
@@ -38,11 +40,6 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
         None.
     what
         Kind of file, for error messages.
-
-    Raises
-    ------
-    BoresightError
-        If there is none; the message suggests similar names.
     """
     for folder in (catalog, near):
         found = None if folder is None else _named_in(folder, name_or_path)
@@ -74,10 +71,7 @@ def exists(path: Path) -> bool:
 def read(path: Path) -> ConfigEntry:
     """Read and parse a file whose top level must be a section of keys.
 
-    Raises
-    ------
-    BoresightError
-        If it cannot be read, is not UTF-8 text, is empty or is not a mapping.
+    Raise BoresightError if it cannot be read, is not UTF-8 text, is empty or is not a mapping.
     """
     shown = display(path)
     try:

@@ -96,10 +96,7 @@ def _part(folders: Sequence[Path], model: type[Model], value: object) -> Model:
 def surface_m(plain: Plain, folders: Sequence[Path], embedded: bool, direction: FloatArray) -> float:
     """Return the distance of a scenario's true surface from the origin along a unit vector, (3,), m, by its keys.
 
-    Raises
-    ------
-    BoresightError
-        If it cannot be read, or its keys are wrong, which the check of its section says too.
+    Raise BoresightError if it cannot be read, or its keys are wrong, which the check of its section says too.
     """
     # Imported here: most scenarios are read without their shape, and data sets of shapes are read by this package.
     from boresight.scenarios.bodies import load_body

@@ -79,10 +79,7 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
 def parse_override(text: str, place: str = "") -> ConfigEntry:
     """Parse ``key.key=value`` with a YAML value; ``place`` is the location for errors, by default the text.
 
-    Raises
-    ------
-    BoresightError
-        If it does not have that form.
+    Raise BoresightError if it does not have that form.
     """
     place = place or f"--set {printable(text)}"
     dotted, equals, value = text.partition("=")
@@ -101,11 +98,8 @@ def settings(value: ConfigEntry | Mapping[str, object], models: Models) -> Confi
 def apply(base: ConfigEntry, layers: list[ConfigEntry], models: Models) -> ConfigEntry:
     """Merge layers in order over ``base``, keeping its location.
 
-    Raises
-    ------
-    BoresightError
-        If a layer replaces a key of two groups of alternatives by one of the first group, and no layer gives one of the
-        second group, which would fall back to its default.
+    Raise BoresightError if a layer replaces a key of two groups of alternatives by one of the first group, and no layer
+    gives one of the second group, which would fall back to its default.
     """
     stages = [base]
     for layer in layers:

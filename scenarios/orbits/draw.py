@@ -114,13 +114,7 @@ class OrbitTruth:
 
 
 def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, OrbitData]:
-    """Draw a trial.
-
-    Raises
-    ------
-    OrbitLostError
-        If the true orbit leads into the body.
-    """
+    """Draw a trial; raise OrbitLostError if the true orbit leads into the body."""
     arc, images = world.spec.arc.days * DAY_S, world.spec.sightings.images
     times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, arc, images))
     flown = propagate_truth(world, times, seed, trial)

@@ -73,10 +73,7 @@ class StarShape:
 def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
     """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin.
 
-    Raises
-    ------
-    BoresightError
-        If the mesh has too few vertices for the degree.
+    Raise BoresightError if the mesh has too few vertices for the degree.
     """
     if 2 * (degree + 1) ** 2 > len(mesh.vertices_m):
         raise BoresightError(

@@ -60,10 +60,7 @@ class TrueOrbit:
 def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> TrueOrbit:
     """Propagate the true orbit of a trial, with images at ``times_s``, ascending.
 
-    Raises
-    ------
-    OrbitLostError
-        If the true orbit leads into the body.
+    Raise OrbitLostError if the true orbit leads into the body.
     """
     arc = world.spec.arc
     end, last = arc.days * DAY_S, (arc.days + arc.predicted_days) * DAY_S

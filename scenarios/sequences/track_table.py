@@ -66,10 +66,7 @@ class TrackTable:
     def open(cls, spec: TrackTableSpec, camera: Camera, folders: Sequence[Path]) -> TrackTable:
         """Read the files of a scenario, once as long as they do not change.
 
-        Raises
-        ------
-        BoresightError
-            If one is missing or wrong.
+        Raise BoresightError if one is missing or wrong.
         """
         found = _opened(spec.table, spec.poses, camera, tuple(folders), track_files_digest(spec, folders))
         _check_frames(spec, len(found.states))

@@ -185,11 +185,7 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
     """Compute the camera trajectory over the rotating body.
 
     ``unmodelled_m_s2``, (F - 1, 3), inertial axes, acts on propagated orbits only. Given states are taken as they are.
-
-    Raises
-    ------
-    OrbitLostError
-        If a propagated orbit impacts on the body.
+    Raise OrbitLostError if a propagated orbit impacts on the body.
     """
     if spec.trajectory is not None:
         return _given_trajectory(spec.trajectory, spec.motion)

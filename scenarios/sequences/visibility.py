@@ -46,10 +46,7 @@ class Visibility:
     def share(self, views: Sequence[View]) -> float:
         """Return the share of the area that is visible, as the mean over the views of an orbit.
 
-        Raises
-        ------
-        BoresightError
-            If nothing is visible from any of them.
+        Raise BoresightError if nothing is visible from any of them.
         """
         some = views[:: max(1, len(views) // _PROBED_FRAMES)]
         if isinstance(self.ground, SphereGround) and all(_is_centred(view) for view in some):

@@ -23,15 +23,10 @@ _FAULTS = (
 def read_matlab(path: Path) -> Mapping[str, NDArray[np.float64]]:
     """Read poses (``cam_positions``, ``cam_rots``) or tracks (``Tracks`` of ``viewIds`` and ``meas``) as a table.
 
-    Poses: ``cam_positions``, (3, F) km, points from the camera to the body's origin, so that the camera is at minus
-    it; ``cam_rots``, (3, 3, F), takes body to camera axes. The files have no epochs: ``time_s`` is the number of the
-    view, from 0. Tracks: view numbers from 1 and coordinates x / z, y / z. Tracks of one sighting are left out, as the
-    matcher that wrote them leaves what it did not find again.
-
-    Raises
-    ------
-    ValueError
-        If it is no such file.
+    Poses: ``cam_positions``, (3, F) km, points from the camera to the body's origin, so that the camera is at minus it;
+    ``cam_rots``, (3, 3, F), takes body to camera axes. The files have no epochs: ``time_s`` is the number of the view,
+    from 0. Tracks: view numbers from 1 and coordinates x / z, y / z. Tracks of one sighting are left out, as the
+    matcher that wrote them leaves what it did not find again. Raise ValueError if it is no such file.
     """
     # 0.1 s, which most commands do without.
     from scipy.io import loadmat, whosmat

@@ -28,12 +28,8 @@ Table = Mapping[str, Sequence[object] | FloatArray]
 def read_table(file: str, folders: Sequence[Path]) -> Table:
     """Read a CSV file with a header and comments after #, Parquet, OEM or SONIC's MATLAB file.
 
-    It is looked for in ``folders`` and the data folder.
-
-    Raises
-    ------
-    BoresightError, OSError, ValueError
-        If it is missing, not readable, or of lines of unlike length.
+    It is looked for in ``folders`` and the data folder. Raise BoresightError, OSError or ValueError if it is missing,
+    not readable, or of lines of unlike length.
     """
     path = find_data_file(file, folders, "tables", "table")
     if path.suffix == ".parquet":
@@ -120,10 +116,7 @@ def _epoch(text: str, line: int) -> tuple[datetime, float]:
 def columns_of(table: Table, names: Sequence[str]) -> FloatArray:
     """Return columns of a table, (n, len(names)).
 
-    Raises
-    ------
-    ValueError, TypeError
-        If a column is missing, or a value is no number of any use.
+    Raise ValueError or TypeError if a column is missing, or a value is no number of any use.
     """
     absent = [name for name in names if name not in table]
     if absent:

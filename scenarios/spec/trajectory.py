@@ -210,10 +210,7 @@ class SequenceTrajectorySpec(FlownSpec):
 def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
     """Turn the columns of a table, as `TrajectorySpec` has them, into states in body axes.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If a column is missing or wrong, or the table is not in the order of time.
+    Raise ValueError or TypeError if a column is missing or wrong, or the table is not in the order of time.
     """
     if unknown := [name for name in table if name not in _KNOWN]:
         # A needed column that is missing is often there by another name.

@@ -38,12 +38,8 @@ def read_camera(
     ``FOV_*`` give the field of view, ``PIXEL_SAMPLES`` and ``PIXEL_LINES`` the size, or else ``size_px``. With
     ``FOCAL_LENGTH`` and ``PIXEL_SIZE`` or ``PIXEL_PITCH`` the focal length is their ratio, in the units (m, mm, um) in
     which it agrees with the field of view. ``OD_K`` is the distortion of ISIS: 1 - k0 - k1 r^2 - k2 r^4, r in mm. The
-    principal point is the boresight, which must be the z axis of the camera's frame, x along the samples.
-
-    Raises
-    ------
-    BoresightError
-        If a kernel is missing, or does not have these.
+    principal point is the boresight, which must be the z axis of the camera's frame, x along the samples. Raise
+    BoresightError if a kernel is missing, or does not have these.
     """
     with loaded_kernels(find_kernels(kernels, folders, "kernels")):
         try:

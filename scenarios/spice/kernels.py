@@ -33,10 +33,7 @@ _ORDERS = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}
 def check_binary(path: Path) -> None:
     """Check that counts and pointers of a binary kernel stay within the file and do not loop; ignore text kernels.
 
-    Raises
-    ------
-    OSError, ValueError
-        If they do not, or the kernel is of a type that is not supported.
+    Raise OSError or ValueError if they do not, or the kernel is of a type that is not supported.
     """
     records, words = path.stat().st_size // _RECORD, path.stat().st_size // _WORD
     with path.open("rb") as file:
@@ -93,12 +90,8 @@ def loaded_kernels(paths: Sequence[Path]) -> Iterator[None]:
     """Load kernels in the given order, later ones overriding earlier ones, and unload them on exit.
 
     Meanwhile the kernel pool is locked for other threads; other processes have pools of their own. Errors of SPICE
-    inside the context become a `BoresightError` of one line.
-
-    Raises
-    ------
-    BoresightError
-        If a kernel is missing or invalid, or SPICE signals an error inside the context.
+    inside the context become a `BoresightError` of one line. Raise BoresightError if a kernel is missing or invalid, or
+    SPICE signals an error inside the context.
     """
     with _POOL:
         done: list[Path] = []
@@ -157,10 +150,7 @@ class Constants:
     def numbers(self, name: str, count: int) -> NDArray[np.float64]:
         """Return the ``count`` numbers under ``INS<id>_<name>``.
 
-        Raises
-        ------
-        BoresightError
-            If no loaded kernel has them, their number differs, or one of them is too large.
+        Raise BoresightError if no loaded kernel has them, their number differs, or one of them is too large.
         """
         key = f"INS{self.kernel_id}_{name}"
         try:
@@ -177,13 +167,7 @@ class Constants:
         return float(self.numbers(name, 1)[0])
 
     def above_zero(self, name: str) -> float:
-        """Return the one number under ``INS<id>_<name>``, which must be above 0.
-
-        Raises
-        ------
-        BoresightError
-            If it is not.
-        """
+        """Return the one number under ``INS<id>_<name>``, which must be above 0; raise BoresightError if it is not."""
         value = self.number(name)
         if not value > 0.0:
             raise BoresightError(f"INS{self.kernel_id}_{name}: {value:g} is not above 0: check the instrument kernel")

@@ -19,12 +19,8 @@ from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels
 def spice_states(spec: SpiceTrajectorySpec, folders: Sequence[Path], *, spin: bool) -> StatesSpec:
     """Compute apparent states (see `apparent_geometry`) at the epochs of a trajectory, and the first ``spin``.
 
-    Velocities are geometric: they serve to name the directions along and across an orbit.
-
-    Raises
-    ------
-    BoresightError
-        If a kernel is missing or damaged, or the kernels do not have a name, a frame or an epoch.
+    Velocities are geometric: they serve to name the directions along and across an orbit. Raise BoresightError if a
+    kernel is missing or damaged, or the kernels do not have a name, a frame or an epoch.
     """
     names = SpiceNames(spec.observer, spec.camera_frame or "J2000", spec.target, spec.target_frame)
     with loaded_kernels(find_kernels(spec.kernels, folders, "spice.kernels")):

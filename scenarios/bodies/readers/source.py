@@ -79,10 +79,7 @@ class ShapeFile:
     def table(self, lines: Sequence[str], rows: Sequence[int], columns: tuple[int, ...]) -> FloatArray:
         """Parse the given columns of the given lines (both from 0) to (len(rows), len(columns)) finite numbers.
 
-        Raises
-        ------
-        BoresightError
-            With the first line in which a column is missing, not a number or not finite.
+        Raise BoresightError with the first line in which a column is missing, not a number or not finite.
         """
         if not rows:
             return np.empty((0, len(columns)))
