@@ -56,15 +56,10 @@ class CacheEntry:
 
 @dataclass(frozen=True, slots=True)
 class Cache:
-    """A cache under one folder.
+    """A cache under one folder, created when first needed.
 
-    Parameters
-    ----------
-    root
-        The folder; created when first needed.
-    limit_bytes
-        After a build, entries are removed in descending order of size times time since the last use until the rest
-        fits.
+    After a build, entries are removed in descending order of size times time since the last use until the rest fits
+    into ``limit_bytes``.
     """
 
     root: Path
@@ -73,15 +68,8 @@ class Cache:
     def folder(self, kind: str, key: str, build: Callable[[Path], None]) -> Path:
         """Return the folder of an entry, built by ``build(empty_folder)`` if it is missing or damaged.
 
-        Safe for concurrent processes: each builds in a folder of its own, and the first to finish is kept.
-
-        Parameters
-        ----------
-        kind, key
-            Name of the entry: letters, digits and ``._-``. The key must identify everything that the content
-            depends on.
-        build
-            Function that writes the entry's files into the given folder.
+        Safe for concurrent processes: each builds in a folder of its own, and the first to finish is kept. ``kind`` and
+        ``key`` consist of letters, digits and ``._-``; the key must identify everything that the content depends on.
         """
         found = self.find(kind, key)
         if found is not None:

@@ -37,14 +37,9 @@ def refuse_damaged(run: Path, table: str | None = None) -> None:
 
 
 def damaged(run: Path, table: str | None = None) -> Iterator[str]:
-    """Yield the files of a run that differ from their checksums; blocks without rows are unfinished and not checked.
+    """Yield the files of a run, or of one ``table`` of it, that differ from their checksums.
 
-    Parameters
-    ----------
-    run
-        The run folder.
-    table
-        Check only the files of this subfolder.
+    Blocks without rows are unfinished and not checked.
     """
     for rows in sorted((run / ROWS).glob("*.parquet")):
         yield from damaged_of(run, run / FOLDER / f"{rows.stem}.sha256", table)

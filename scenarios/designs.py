@@ -14,16 +14,9 @@ from boresight.scenarios.spec.campaign import GridSpec
 
 @dataclass(frozen=True, slots=True)
 class GridCell:
-    """One scenario of a grid.
+    """One scenario of a grid: the level of each axis by name, and the overrides of each in the order of the axes.
 
-    Parameters
-    ----------
-    suffix
-        Suffix added to the name of the varied scenario; '' for the reference of ``one-at-a-time``.
-    levels
-        Level of each axis, by name.
-    overrides
-        Overrides of each level, in the order of the axes.
+    ``suffix`` is added to the name of the varied scenario; '' for the reference of ``one-at-a-time``.
     """
 
     suffix: str

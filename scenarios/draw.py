@@ -345,17 +345,9 @@ def prior_covariance(
 ) -> FloatArray:
     """Return the (6, 6) second moment of the error that ``degrade`` adds, [rotation_rad, translation_m] in camera axes.
 
-    Parameters
-    ----------
-    spec
-        The pose-error section.
-    prior
-        The degraded pose, as the spacecraft does not know the true one. Its range scales errors in pixel sizes, and an
-        error in body axes is turned by it, to first order.
-    camera
-        The camera: scales them as well.
-    velocity_m_s
-        (3,) velocity of the camera in body axes, for errors in radial, transverse and normal direction.
+    ``prior`` is the degraded pose, as the spacecraft does not know the true one: its range and the camera scale errors
+    in pixel sizes, and it turns errors in body axes, to first order. Errors in radial, transverse and normal direction
+    need the velocity (3,), in body axes.
     """
     if spec.pose_cam_deg_m is not None:
         units = np.array([*np.full(3, np.radians(1.0)), 1.0, 1.0, 1.0])

@@ -32,15 +32,9 @@ THRESHOLDS = (
 class Item:
     """One part of the truth and its a priori knowledge on board.
 
-    Parameters
-    ----------
-    name
-        Name of the part.
-    standing
-        ``exactly``: identical with the truth. ``not``: different from it or unknown. ``absent``: the truth has no such
-        effect, which favours the estimators. ``partly``: exact or absent in some scenarios only.
-    detail
-        By how much it differs, or why it is absent.
+    ``exactly`` known is identical with the truth, ``not`` different from it or unknown. ``absent``: the truth has no
+    such effect, which favours the estimators. ``partly``: exact or absent in some scenarios only. The ``detail`` is by
+    how much it differs, or why it is absent.
     """
 
     name: str
@@ -56,16 +50,10 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A priori knowledge on board.
+    """A priori knowledge on board: items in the order of the line, each name once.
 
-    Parameters
-    ----------
-    items
-        In the order of the line, each name once.
-    remarks
-        Sentences about further dependences of the estimators on the truth.
-    aligned
-        Names of reference poses that were determined by methods like those that are evaluated against them.
+    ``remarks`` are sentences about further dependences of the estimators on the truth, ``aligned`` names of reference
+    poses that were determined by methods like those that are evaluated against them.
     """
 
     items: tuple[Item, ...]
@@ -127,15 +115,7 @@ def merged(several: Sequence[Known]) -> Known:
 
 
 def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
-    """Return which parts of the truth an estimator has exactly, with errors, or not at all.
-
-    Parameters
-    ----------
-    spec
-        The scenario.
-    experiment
-        The kind of the trials, which determines the data given to estimators.
-    """
+    """Return which parts of the truth an estimator has exactly, with errors, or not at all, in a kind of trials."""
     if spec.sequence is not None:
         real = () if spec.sequence.tracks is None else (REAL_TRACKS,)
         return Known(tuple(_of_sequences(spec.sequence)), real)

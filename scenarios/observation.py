@@ -52,12 +52,7 @@ class Frame:
 class CameraSigma:
     """Standard deviations that the camera's calibration declares of its own errors; 0 where it is exact.
 
-    Parameters
-    ----------
-    focal
-        Of the focal length, relative.
-    principal_point_px
-        Of each coordinate of the principal point.
+    ``focal`` is relative, ``principal_point_px`` of each coordinate.
     """
 
     focal: float = 0.0

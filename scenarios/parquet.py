@@ -30,12 +30,8 @@ _AT_ONCE = 500
 class TableLayout(NamedTuple):
     """Expected columns of a table.
 
-    Parameters
-    ----------
-    keys
-        Required columns without missing values; numeric ones hold integers.
-    is_text
-        Function from a column name to whether the column holds text (True), numbers (False) or either (None).
+    ``keys`` are required columns without missing values; numeric ones hold integers. ``is_text`` takes the name of a
+    column to whether it holds text (True), numbers (False) or either (None).
     """
 
     keys: tuple[str, ...]

@@ -30,21 +30,9 @@ CONTENT_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeE
 
 
 def read_json(path: Path, what: str) -> Any:
-    """Read a JSON file.
+    """Read a JSON file; ``what`` is its expected content, for the error message.
 
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        Description of the expected content, for the error message.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the file does not exist.
-    BoresightError
-        If it cannot be read or is not JSON.
+    Raise FileNotFoundError if it does not exist, BoresightError if it cannot be read or is not JSON.
     """
     try:
         return plain_json(path)

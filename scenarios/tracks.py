@@ -26,17 +26,10 @@ class TrackRange:
 class Forces:
     """A priori force model, inertial axes: equation (6) of Delpech et al. (2015).
 
-    Parameters
-    ----------
-    gm_m3_s2, gm_sigma_m3_s2
-        Gravity parameter of the body, and the standard deviation of its error.
-    radiation_m_s2, radiation_sigma_m_s2
-        (3,) acceleration by solar radiation pressure, and the standard deviation of the error of its size.
-    noise_m_s2
-        Standard deviation of each coordinate of the unmodelled acceleration, constant between two frames and
-        independent from one interval to the next.
-    velocity_m_s, velocity_covariance_m2_s2
-        (3,) and (3, 3): velocity at the first frame relative to the body's centre, and the covariance of its error.
+    ``radiation_m_s2`` (3,) is the acceleration by solar radiation pressure, with the standard deviation of the error of
+    its size. ``noise_m_s2`` is the standard deviation of each coordinate of the unmodelled acceleration, constant
+    between two frames and independent from one interval to the next. ``velocity_m_s`` (3,) is at the first frame,
+    relative to the body's centre, with the covariance (3, 3) of its error.
     """
 
     gm_m3_s2: float
@@ -105,15 +98,10 @@ class TrackFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Landmark positions in the next image as predicted by an estimator.
+    """Landmark positions in the next image as predicted by an estimator, tracks ascending.
 
-    Parameters
-    ----------
-    tracks, uv_px
-        (n,), ascending, and (n, 2).
-    covariance_px2
-        (2 n, 2 n) joint covariance of those pixels without measurement noise; landmarks are correlated by the common
-        error of the camera's position.
+    ``covariance_px2`` (2 n, 2 n) is joint and without measurement noise; landmarks are correlated by the common error
+    of the camera's position.
     """
 
     tracks: IndexArray

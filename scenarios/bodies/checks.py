@@ -19,30 +19,12 @@ METRES = {"m": 1.0, "km": 1000.0}
 def checked_mesh(
     shape: RawShape, where: Path, unit: str, expected_diameter_m: tuple[float, float]
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Convert the vertices and faces of a file to a valid mesh in metres.
+    """Convert the vertices and faces of a file, in its ``unit`` m or km, to a valid mesh in metres, and notes about it.
 
     Repaired, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
-    vertex, a closed mesh whose facets all face inward. Any other defect raises an error.
-
-    Parameters
-    ----------
-    shape
-        Vertices and faces in the unit of the file.
-    where
-        The file, for messages.
-    unit
-        ``m`` or ``km``: the unit of the file.
-    expected_diameter_m
-        Least and greatest longest side of the body's box.
-
-    Returns
-    -------
-    The mesh, and one note for each repair or remarkable property.
-
-    Raises
-    ------
-    BoresightError
-        The extent does not fit, the mesh is open or inconsistently wound, or the origin lies outside.
+    vertex, a closed mesh whose facets all face inward. Raise BoresightError for any other defect: the longest side of
+    the body's box is outside ``expected_diameter_m``, the mesh is open or inconsistently wound, or the origin lies
+    outside. ``where`` is the file, for messages.
     """
     vertices, faces, notes = _repaired(shape.vertices * METRES[unit], shape.faces)
     _check_extent(vertices, where, unit, expected_diameter_m)

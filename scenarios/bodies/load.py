@@ -40,17 +40,11 @@ _PAIRS_AT_ONCE = 1 << 22  # pairs of a direction and a facet
 def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
     """Resample a star-shaped mesh at the directions of the vertices of an icosphere.
 
-    A direction d intersects a facet with corners a, b, c if d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c has no
-    negative weight; the normalised weights are the barycentric coordinates of the intersection. The new vertices lie on
-    the shape; the facets between them cut its edges, so that a convex body loses a little volume. Raise BoresightError
-    if a facet does not face away from the origin, so that the shape is not star-shaped.
-
-    Parameters
-    ----------
-    facets
-        Minimum number of facets; the result has less than four times as many.
-    source
-        Name of the shape, for the error message.
+    It has at least ``facets`` and less than four times as many. A direction d intersects a facet with corners a, b, c
+    if d ~ (d.(b x c)) a + (d.(c x a)) b + (d.(a x b)) c has no negative weight; the normalised weights are the
+    barycentric coordinates of the intersection. The new vertices lie on the shape; the facets between them cut its
+    edges, so that a convex body loses a little volume. Raise BoresightError, which names the ``source``, if a facet
+    does not face away from the origin, so that the shape is not star-shaped.
     """
     corners = np.asarray(mesh.corners_m, dtype=np.float64)
     # For corners a, b, c: b x c, c x a, a x b, whose products with d are the weights of a, b, c.
@@ -116,20 +110,11 @@ def with_height_error(mesh: TriangleMesh, spec: HeightErrorSpec) -> TriangleMesh
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
 class Body:
-    """A body's mesh with its source and digest.
+    """A body's mesh, closed and outward, m, body frame, with its source and digest.
 
-    Parameters
-    ----------
-    mesh
-        The surface in metres, body frame, closed and outward.
-    name
-        The shape's file name, or the name of the embedded body.
-    source
-        Path of the shape file, or ``embedded``.
-    sha256
-        Digest of everything that determines the mesh: see `body_digest`.
-    notes
-        Repairs of the shape, and features left out of the detail.
+    ``name`` is that of the shape's file or of the embedded body, ``source`` the path of the file or ``embedded``,
+    ``sha256`` the digest of everything that determines the mesh (see `body_digest`). ``notes`` are repairs of the
+    shape, and features left out of the detail.
     """
 
     mesh: TriangleMesh
@@ -145,19 +130,9 @@ _in_use: WeakValueDictionary[tuple[object, ...], Body] = WeakValueDictionary()
 def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None) -> Body:
     """Read or make the shape, check it, and add the detail; a body already in use in this process is shared.
 
-    Parameters
-    ----------
-    spec
-        The body section.
-    search_dirs
-        Folders in which a relative shape file is looked for, before those under BORESIGHT_DATA.
-    cache
-        Where detailed bodies are kept; the user's cache by default.
-
-    Raises
-    ------
-    BoresightError
-        The shape is not found or not valid, or a key of the spec does not apply to it.
+    A relative shape file is looked for in ``search_dirs``, then under BORESIGHT_DATA. Detailed bodies are kept in
+    ``cache``, by default the user's. Raise BoresightError if the shape is not found or not valid, or a key of the spec
+    does not apply to it.
     """
     path, cache, digest = _shape_path(spec, search_dirs), cache or default_cache(), body_digest(spec, search_dirs)
     # The expected diameter and the path are not part of the digest, but decide about errors and names.

@@ -16,12 +16,8 @@ IntArray = NDArray[np.integer]
 class MeshEdges:
     """The undirected edges of a mesh.
 
-    Parameters
-    ----------
-    ends
-        (E, 2) vertex indices, the smaller first.
-    of_face
-        (F, 3) the edge from corner k to corner k + 1 of each face.
+    ``ends`` (E, 2) are vertex indices, the smaller first; ``of_face`` (F, 3) is the edge from corner k to corner k + 1
+    of each face.
     """
 
     ends: IndexArray

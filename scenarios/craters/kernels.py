@@ -195,20 +195,11 @@ def add_crater(
     shape: FloatArray,
     plane: FloatArray,
 ) -> None:
-    """Add one crater to the existing relief: see `scenarios.craters.relief`.
+    """Add one crater to the existing relief, ``heights`` (N,) along ``up``, in place: see `scenarios.craters.relief`.
 
-    Parameters
-    ----------
-    heights
-        (N,) along ``up``; changed in place.
-    runs
-        (R, 2) ranges of the vertices that may be affected.
-    frame
-        (3, 3) axes of the crater, the last one up.
-    shape
-        (4,) rim, rounding, stretch and scale of `profile_height`.
-    plane
-        (3,) solution of `rim_equations`.
+    ``runs`` (R, 2) are ranges of the vertices that may be affected, ``frame`` (3, 3) the axes of the crater, the last
+    one up, ``shape`` (4,) rim, rounding, stretch and scale of `profile_height`, ``plane`` (3,) the solution of
+    `rim_equations`.
     """
     offset = np.empty(3)
     for k in range(len(runs)):

@@ -20,20 +20,11 @@ _SCATTER = 0.25  # share of the depth range that is random; the rest follows fro
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Craters:
-    """Craters from the oldest to the youngest.
+    """n craters from the oldest to the youngest.
 
-    Parameters
-    ----------
-    centre_m
-        (n, 3) on the smooth surface, body frame.
-    axis_body
-        (n, 3) unit normal of the smooth surface there.
-    radius_m
-        (n,) radius of the crest.
-    degradation
-        (n,) from 0 (fresh) to 1, descending with decreasing age.
-    depth_ratio
-        (n,) depth over diameter, from the crest to the floor.
+    ``centre_m`` (n, 3) are on the smooth surface, body frame, with its unit normals ``axis_body`` (n, 3); ``radius_m``
+    (n,) is that of the crest. ``degradation`` (n,) goes from 0 (fresh) to 1, descending with decreasing age.
+    ``depth_ratio`` (n,) is depth over diameter, from the crest to the floor.
     """
 
     centre_m: FloatArray

@@ -27,16 +27,9 @@ class RayProjection:
     """Projection to a plane in which each ray of a bundle is one point.
 
     A ray can only intersect facets whose projection contains its point. Each point has the depth along the third axis
-    at which the ray begins; there are no intersections before that.
-
-    Parameters
-    ----------
-    axes
-        (3, 3) two axes of the plane and the direction of the parallel rays or of the boresight, as rows, body frame.
-    origin_m
-        (3,) common point of the rays of a pencil; arbitrary for parallel rays.
-    pencil
-        Whether the rays pass through the origin (perspective); otherwise they are parallel.
+    at which the ray begins; there are no intersections before that. ``axes`` (3, 3) are two axes of the plane and the
+    direction of the parallel rays or of the boresight, as rows, body frame. Rays of a ``pencil`` all pass through
+    ``origin_m`` (3,) (perspective); otherwise they are parallel, and it is arbitrary.
     """
 
     axes: FloatArray

@@ -36,23 +36,15 @@ _BISECTIONS = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Crater profiles: height, in diameters, over the distance r from the centre, in radii.
+    """n crater profiles: height, in diameters, over the distance r from the centre, in radii.
 
     A paraboloid b(r) = k - (1 - r^2) and a blanket e(r) = k sqrt(1.5 / (0.5 + r^6)), which falls as r^-3 (McGetchin,
-    Settle and Head 1973, Earth Planet. Sci. Lett. 20, 226), meet in a crest rounded over a width w,
-    s(r) = (b + e) / 2 - sqrt((b - e)^2 / 4 + w^2). A crater that decays by the creep of its regolith (Soderblom 1970,
-    J. Geophys. Res. 75, 2655; Fassett and Thomson 2014, J. Geophys. Res. Planets 119, 2255) gets a lower and rounder
-    rim. Distance and height are scaled so that the crest, where s is greatest, lies at r = 1 and the floor a given
-    depth below it.
-
-    Parameters
-    ----------
-    rim, rounding
-        (n,) k and w.
-    stretch
-        (n,) r at which s is greatest before the scaling.
-    scale
-        (n,) factor on s.
+    Settle and Head 1973, Earth Planet. Sci. Lett. 20, 226), meet in a crest rounded over a width w, s(r) = (b + e) / 2
+    - sqrt((b - e)^2 / 4 + w^2). A crater that decays by the creep of its regolith (Soderblom 1970, J. Geophys. Res. 75,
+    2655; Fassett and Thomson 2014, J. Geophys. Res. Planets 119, 2255) gets a lower and rounder rim. Distance and
+    height are scaled so that the crest, where s is greatest, lies at r = 1 and the floor a given depth below it:
+    ``rim`` is k, ``rounding`` w, ``stretch`` the r at which s is greatest before the scaling, ``scale`` the factor on
+    s, (n,) each.
     """
 
     rim: FloatArray

@@ -19,20 +19,11 @@ _PER_FACET = 2  # a sphere that separates corners of a facet crosses two of its 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rims:
-    """True rims of the craters above a minimum diameter, from the oldest to the youngest.
+    """True rims of n craters above a minimum diameter, from the oldest to the youngest.
 
-    Parameters
-    ----------
-    crater
-        (n,) number of the crater in its population.
-    crest_m
-        (n, 72, 3) points of the crest on the rendered surface, every 5 deg of azimuth.
-    cut
-        (n, 72) whether a younger crater has removed the crest.
-    normal_body
-        (n, 3) outward unit normal of the least-squares plane of the crest.
-    diameter_m, depth_m, degradation
-        (n,).
+    ``crater`` (n,) is the number in the population, ``crest_m`` (n, 72, 3) the crest on the rendered surface, every 5
+    deg of azimuth, ``cut`` (n, 72) whether a younger crater has removed it, ``normal_body`` (n, 3) the outward unit
+    normal of its least-squares plane. The others are (n,).
     """
 
     crater: IndexArray
@@ -53,13 +44,7 @@ class Rims:
 
 
 def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatArray, surface_m: SingleArray) -> Rims:
-    """Trace the crests of all craters of diameter ``least_m`` or more.
-
-    Parameters
-    ----------
-    smooth_m, surface_m
-        (N, 3) vertices without and with the relief.
-    """
+    """Trace the crests of craters of diameter ``least_m`` or more by vertices (N, 3) without and with the relief."""
     chosen = np.flatnonzero(2.0 * craters.radius_m >= least_m)
     frames = crater_frames(craters)[chosen]
     faces = tiling.mesh.faces

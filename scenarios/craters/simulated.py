@@ -15,13 +15,7 @@ NO_CRATER = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneCraters:
-    """Craters as circles in planes tangent to the shape.
-
-    Parameters
-    ----------
-    centre_body_m, normal_body, radius_m
-        (n, 3), (n, 3) outward unit vectors and (n,).
-    """
+    """Craters as circles in planes tangent to the shape: centres (n, 3), outward unit normals (n, 3) and radii (n,)."""
 
     centre_body_m: FloatArray
     normal_body: FloatArray
@@ -33,23 +27,7 @@ class PlaneCraters:
 
 @dataclass(frozen=True, slots=True)
 class DetectionErrors:
-    """Error model of a crater detector.
-
-    Parameters
-    ----------
-    centre_px, centre_radii
-        Standard deviation of a coordinate of the centre: constant part, and part proportional to the radius, in radii.
-    axes_px, axes_ratio
-        Standard deviation of a semi-axis, and of its logarithm.
-    recall
-        Probability that a visible crater is detected.
-    false_share
-        Share of false detections among all detections.
-    least_radius_px
-        Radius below which craters are not detected.
-    height_m
-        Standard deviation of a crater's height above the a priori shape.
-    """
+    """Error model of a crater detector, by the keys of `DetectionErrorSpec`."""
 
     centre_px: float = 0.35
     centre_radii: float = 0.04
@@ -63,15 +41,10 @@ class DetectionErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledDetections:
-    """Detected rims and the true crater of each.
+    """n detected rims and the true crater of each, ``NO_CRATER`` for a detection of none that the truth lists.
 
-    Parameters
-    ----------
-    crater
-        (n,) index of the true crater; ``NO_CRATER`` for a detection of none that the truth lists.
-    unlisted
-        (n,) detections of no listed crater that are smaller than the listed ones: whether there is a crater is not
-        known. None where the truth lists craters of all sizes.
+    ``unlisted`` (n,) are detections of no listed crater that are smaller than the listed ones: whether there is a
+    crater is not known. None where the truth lists craters of all sizes.
     """
 
     ellipses: Ellipses

@@ -59,22 +59,10 @@ def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArra
 class CrateredSurface:
     """A body's surface with craters, as tiles that are subdivided into facets where they are needed.
 
-    Parameters
-    ----------
-    tiling
-        The smooth surface's tiles and their subdivision.
-    vertices_m
-        (N, 3) all vertices of the subdivision with the relief.
-    under_m
-        (V, 3) corners of the tiles moved below the relief: see `lower_envelope`.
-    cones
-        (T, 4) cones of the facets' normals of each tile: see `normal_cones`.
-    craters
-        The population.
-    rims
-        True rims of its larger craters.
-    sha256
-        Digest of everything that the surface depends on.
+    ``tiling`` has the smooth surface's tiles and their subdivision, ``vertices_m`` (N, 3) all its vertices with the
+    relief, ``under_m`` (V, 3) the corners of the tiles moved below the relief (`lower_envelope`), ``cones`` (T, 4)
+    those of each tile's normals (`normal_cones`). ``rims`` are of the larger ``craters`` of the population. ``sha256``
+    is the digest of everything that the surface depends on.
     """
 
     tiling: Tiling
@@ -186,12 +174,10 @@ def shape_digest(spec: ScenarioSpec, search_dirs: Sequence[Path] = ()) -> str:
 
 
 def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArray]:
-    """Refine a body to tiles on Loop's smooth surface through its vertices, see `tile_rounds`.
+    """Refine a body to tiles on Loop's smooth surface through its vertices, see `tile_rounds`; also return its normals.
 
-    Returns
-    -------
-    The tiles, and unit normals (V, 3) of the smooth surface at their corners. The relief is applied along them, so they
-    are smoothed over the depth of the deepest crater to keep the surface from folding.
+    The relief is applied along the unit normals (V, 3), so they are smoothed over the depth of the deepest crater to
+    keep the surface from folding.
     """
     mesh = body.mesh
     edges = find_edges(mesh.faces)

@@ -174,18 +174,9 @@ class Tiling:
     """Subdivision of tiles: each edge into pieces of a maximum length, each tile into as many rows as its longest edge.
 
     Adjacent tiles share the vertices of their common edge, so that there are no cracks. Numbering of the vertices:
-    corners of tiles, then the inner ones of each edge, then those of each tile.
-
-    Parameters
-    ----------
-    mesh
-        The tiles; a closed mesh near a smooth surface.
-    up
-        (V, 3) unit vectors at their corners along which the relief is applied.
-    edges
-        Edges of the tiles.
-    edge_pieces
-        (E,) pieces of each edge.
+    corners of tiles, then the inner ones of each edge, then those of each tile. ``mesh`` has the tiles, closed and near
+    a smooth surface, ``up`` (V, 3) unit vectors at their corners along which the relief is applied, ``edge_pieces``
+    (E,) the pieces of each of the ``edges``.
     """
 
     mesh: TriangleMesh

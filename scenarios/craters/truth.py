@@ -37,25 +37,13 @@ class SurfaceRayTracer(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterTruth:
-    """The n craters of an image with a visible crest point, from the oldest to the youngest.
+    """The n craters of an image with a visible crest point, from the oldest to the youngest; arrays are (n,).
 
-    Parameters
-    ----------
-    crater
-        (n,) number of each in the population.
-    ellipses
-        Least-squares ellipses of their projected crests; points removed by younger craters are excluded if at
-        least half remain.
-    deviation
-        (n,) RMS distance of the crest in the image from its ellipse, in radii of the ellipse.
-    centre_m
-        (n, 3) means of the crest points, body frame.
-    diameter_m, depth_m, degradation
-        (n,).
-    visible, in_frame, lit, cut
-        (n,) shares of the crest: not occluded, within the image, in sunlight, removed by younger craters.
-    emission_deg, incidence_deg
-        (n,) angles of the camera and the Sun from the normal of the crest's plane.
+    ``crater`` is the number in the population. ``ellipses`` are least-squares fits of the projected crests, without the
+    points that younger craters removed if at least half remain; ``deviation`` is the RMS distance of the crest from its
+    ellipse, in radii of the ellipse. ``centre_m`` (n, 3) are means of the crest points, body frame. ``visible``,
+    ``in_frame``, ``lit`` and ``cut`` are shares of the crest: not occluded, within the image, in sunlight, removed by
+    younger craters. The angles of the camera and the Sun are from the normal of the crest's plane.
     """
 
     crater: IndexArray

@@ -22,26 +22,15 @@ def data_folder() -> Path:
 
 
 def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
-    """Find a file: as given if absolute, else in ``search_dirs``, then under ``data_folder()``.
+    """Find a file: as given if absolute, else in ``search_dirs``, then in ``folder`` of the data folder, then in that.
 
-    Raise BoresightError, listing where it was looked for.
-
-    Parameters
-    ----------
-    name
-        The file as the scenario names it.
-    search_dirs
-        Folders to try first.
-    folder
-        Folder under the data folder to try before the data folder itself.
-    key
-        The scenario's key, for the error message.
+    Raise BoresightError, which names the scenario's ``key`` and lists where it was looked for.
     """
     return _find(name, search_dirs, folder, key, Path.is_file)
 
 
 def find_data_folder(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
-    """Find a folder as ``find_data_file`` finds a file; raise BoresightError, listing where it was looked for."""
+    """Find a folder as ``find_data_file`` finds a file."""
     return _find(name, search_dirs, folder, key, Path.is_dir)
 
 

@@ -30,15 +30,7 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
 
 @dataclass(frozen=True, eq=False)
 class UniformRotation:
-    """Uniform rotation of a body about its z axis, which is fixed in inertial space.
-
-    Parameters
-    ----------
-    R_body_inertial
-        (3, 3) attitude at the epoch, time 0.
-    rate_rad_s
-        Angular velocity about body z.
-    """
+    """Uniform rotation of a body about its z axis, fixed in inertial space, from its attitude at the epoch, time 0."""
 
     R_body_inertial: FloatArray
     rate_rad_s: float
@@ -75,18 +67,10 @@ class FlatField(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HarmonicField:
-    """Acceleration about the body's centre of mass, inertial axes.
+    """Acceleration about the body's centre of mass, inertial axes, by its gravity and rotation about that.
 
-    Parameters
-    ----------
-    harmonics
-        Gravity of the body about its centre of mass.
-    rotation
-        Rotation of the body.
-    light_m_s2
-        (3,) acceleration by solar radiation pressure, constant.
-    by_degree
-        Highest degree of the coefficients of which partial derivatives are computed (from 2 on); 0 for none.
+    ``light_m_s2`` (3,) is the constant acceleration by solar radiation pressure. ``by_degree`` is the highest degree of
+    the coefficients of which partial derivatives are computed (from 2 on); 0 for none.
     """
 
     harmonics: Harmonics

@@ -125,15 +125,8 @@ def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: 
 class Harmonics:
     """The potential ``U = GM / r sum_nm (R / r)^n P_nm(sin phi) (C_nm cos m lambda + S_nm sin m lambda)``, body axes.
 
-    Parameters
-    ----------
-    gm_m3_s2
-        Gravity parameter.
-    radius_m
-        The reference radius R.
-    c, s
-        (N + 1, N + 1) fully normalised coefficients (geodesy's: mean square 1 on the sphere) by degree and order; zero
-        above the diagonal. C_00 is 1.
+    ``c`` and ``s`` (N + 1, N + 1) are fully normalised coefficients (geodesy's: mean square 1 on the sphere) by degree
+    and order; zero above the diagonal. C_00 is 1. ``radius_m`` is R.
     """
 
     gm_m3_s2: float

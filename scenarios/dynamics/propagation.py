@@ -34,14 +34,9 @@ def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PiecewiseAcceleration:
-    """Piecewise constant acceleration, inertial axes.
+    """Accelerations (P, 3), inertial axes, each constant between two of the ascending ``edges_s`` (P + 1,).
 
-    Parameters
-    ----------
-    edges_s
-        (P + 1,) ascending interval limits, from 0 to the end of the motion or later.
-    acceleration_m_s2
-        (P, 3).
+    The edges go from 0 to the end of the motion or later.
     """
 
     edges_s: FloatArray
@@ -62,28 +57,12 @@ class PiecewiseAcceleration:
 def propagate(
     acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
 ) -> FloatArray:
-    """Propagate an orbit by Dormand and Prince's method of eighth order (DOP853) with tolerances of 1e-12.
+    """Propagate an orbit to states (T, 6) at ascending times (T,).
 
-    Lengths and speeds are scaled by their initial values, to which the tolerances refer. Raise OrbitLostError if the
-    distance from the origin falls to ``lowest_m`` before the end of the interval with the last time, or the integrator
-    fails.
-
-    Parameters
-    ----------
-    acceleration
-        Acceleration by the modelled forces.
-    lowest_m
-        Distance from the origin that counts as an impact.
-    state
-        (6,) position, m, and velocity, m/s, at time 0, inertial axes.
-    times_s
-        (T,) ascending.
-    pushes
-        Acceleration in addition to the modelled forces.
-
-    Returns
-    -------
-    (T, 6) states.
+    The method is that of Dormand and Prince of eighth order (DOP853). ``state`` (6,) is position, m, and velocity, m/s,
+    at time 0, inertial axes. ``pushes`` are added to the ``acceleration`` by the modelled forces. Lengths and speeds
+    are scaled by their initial values, to which the tolerances of 1e-12 refer. Raise OrbitLostError if the distance
+    from the origin falls to ``lowest_m`` before the end of the interval with the last time, or the integrator fails.
     """
     length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
     # One absolute tolerance holds for positions and velocities only if both are near 1.

@@ -32,18 +32,10 @@ def propagate_states(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitPartials:
-    """States with partial derivatives; those by the accelerations of later intervals are zero.
+    """States (T, 6), m and m/s, with partial derivatives; those by the accelerations of later intervals are zero.
 
-    Parameters
-    ----------
-    states
-        (T, 6) m and m/s.
-    by_state
-        (T, 6, 6) state transition matrix from the epoch.
-    by_parameters
-        (T, 6, p) derivatives by the field's parameters.
-    by_pushes
-        (T, 6, 3 P) derivatives by the piecewise accelerations.
+    ``by_state`` (T, 6, 6) is the state transition matrix from the epoch, ``by_parameters`` (T, 6, p) are derivatives by
+    the field's parameters, ``by_pushes`` (T, 6, 3 P) by the piecewise accelerations.
     """
 
     states: FloatArray

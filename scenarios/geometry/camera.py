@@ -13,20 +13,10 @@ from boresight.scenarios.geometry.lens import Lens
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera, with distortion or without.
+    """A pinhole camera, with distortion or without: focal lengths along columns and rows, and principal point.
 
-    Estimators get images of the ``pinhole`` only: those of a distorting lens are resampled once before.
-
-    Parameters
-    ----------
-    width_px, height_px
-        Size of the image.
-    fx_px, fy_px
-        Focal lengths along the columns and the rows.
-    cx_px, cy_px
-        Principal point in continuous pixels: (width / 2, height / 2) is the middle of the image.
-    distortion
-        Distortion of the lens; None for an ideal one.
+    (width / 2, height / 2) is the middle of the image. Estimators get images of the ``pinhole`` only: those of a
+    distorting lens are resampled once before.
     """
 
     width_px: int

@@ -15,23 +15,11 @@ from boresight.scenarios.geometry.view import View
 
 
 def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) -> FloatArray:
-    """Fit one ellipse to each set of points by direct least squares (Halir and Flusser 1998).
+    """Fit an ellipse to each set of points (m, k, 2) by direct least squares (Halir and Flusser 1998).
 
-    Algebraic distances under 4 a c - b^2 = 1; points are centred and scaled for conditioning.
-
-    Parameters
-    ----------
-    points
-        (m, k, 2).
-    weights
-        (m, k), zero for entries to be ignored.
-    ridge
-        Share of its trace that is added to the scatter matrix of the linear terms, singular for collinear points.
-
-    Returns
-    -------
-    conics
-        (m, 3, 3), NaN where there is no ellipse.
+    Return conics (m, 3, 3), NaN where there is no ellipse. Algebraic distances under 4 a c - b^2 = 1; points are
+    centred and scaled for conditioning. Entries whose ``weights`` (m, k) are 0 are ignored. ``ridge`` times its trace
+    is added to the scatter matrix of the linear terms, which is singular for collinear points.
     """
     # The floors keep sets without weight finite; they have no ellipse.
     total = np.maximum(weights.sum(axis=1), 1e-12)
@@ -97,16 +85,10 @@ def sampson_distances(points: FloatArray, conics: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipses:
-    """Ellipses of one image: equation (2) of Cheng et al. (2003).
+    """n ellipses of one image: equation (2) of Cheng et al. (2003).
 
-    Parameters
-    ----------
-    centre_px
-        (n, 2) column and row.
-    semi_axes_px
-        (n, 2) the longer one first.
-    angle_rad
-        (n,) from the column axis to the longer one, towards the row axis: in [0, pi).
+    ``centre_px`` (n, 2) is column and row; ``semi_axes_px`` (n, 2) has the longer one first, ``angle_rad`` (n,) is its
+    angle from the column axis towards the row axis, in [0, pi).
     """
 
     centre_px: FloatArray
@@ -217,14 +199,10 @@ class Ellipses:
 def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArray, radius_m: FloatArray) -> Ellipses:
     """Project circles of the body frame (plane rims of ideal craters) to ellipses in the image of the pinhole.
 
-    Distortion of the lens is not applied. A point of circle i is H (cos t, sin t, 1) in the image with H = K [r e1, r
-    e2, c] in camera axes, so that its conic is H^-T diag(1, 1, -1) H^-1. Raise BoresightError if a circle has no
-    elliptic image: it is seen edge-on or reaches behind the camera.
-
-    Parameters
-    ----------
-    centre_body_m, normal_body, radius_m
-        (n, 3), (n, 3) unit normals of the rims' planes, and (n,). All circles must lie in front of the camera.
+    Circles have centres (n, 3), unit normals (n, 3) of their planes and radii (n,); distortion of the lens is not
+    applied. A point of circle i is H (cos t, sin t, 1) in the image, H = K [r e1, r e2, c] in camera axes, so that its
+    conic is H^-T diag(1, 1, -1) H^-1. Raise BoresightError if a circle has no elliptic image: it is seen edge-on or
+    reaches behind the camera.
     """
     rotation, translation = view.T_cam_body.rotation, view.T_cam_body.translation_m
     first, second = plane_axes(normal_body)

@@ -21,12 +21,8 @@ class RadialDistortion:
     ``ideal = seen (1 + k1 r**2 + k2 r**4)``, r the length of ``seen``. Both are positions in the image plane at unit
     focal length, x / z and y / z, from the principal point. This is the direction of the instrument kernels of AMICA
     (Ishiguro et al. 2010) and NEAR MSI; their constants in mm**-2 of the focal plane are to be multiplied by the square
-    of the focal length in mm. OpenCV's polynomial has the other direction, from ideal to seen.
-
-    Parameters
-    ----------
-    k1, k2
-        Coefficients; negative where the image is stretched towards its corners (a pincushion).
+    of the focal length in mm. OpenCV's polynomial has the other direction, from ideal to seen. Coefficients are
+    negative where the image is stretched towards its corners (a pincushion).
     """
 
     k1: float

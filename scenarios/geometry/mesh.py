@@ -26,17 +26,11 @@ def sealed(array: NDArray[_T]) -> NDArray[_T]:
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """Triangles over shared vertices.
+    """Triangles over shared vertices (V, 3) in the body frame.
 
-    Parameters
-    ----------
-    vertices_m
-        (V, 3) positions in the body frame.
-    faces
-        (F, 3) vertex indices, counter-clockwise seen from outside: the outward normal is
-        (v1 - v0) x (v2 - v0), equation (1) of Rowell et al. (2015).
-    albedo
-        (V,) factor on the reflectance at each vertex, or None for 1 everywhere.
+    ``faces`` (F, 3) are vertex indices, counter-clockwise seen from outside: the outward normal is (v1 - v0) x (v2 -
+    v0), equation (1) of Rowell et al. (2015). ``albedo`` (V,) is a factor on the reflectance at each vertex, None for 1
+    everywhere.
     """
 
     vertices_m: FloatArray

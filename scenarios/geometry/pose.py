@@ -51,14 +51,10 @@ class FrameMismatchError(BoresightError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """A rigid transform ``x_to = rotation @ x_from + translation_m``.
+    """A rigid transform ``x_to = rotation @ x_from + translation_m`` from ``from_frame`` to ``to_frame``.
 
-    Parameters
-    ----------
-    rotation
-        (3, 3) rotation matrix from ``from_frame`` to ``to_frame``.
-    translation_m
-        (3,) origin of ``from_frame`` in ``to_frame`` coordinates: the T of Rowell et al. (2015), equation (4).
+    The translation (3,) is the origin of ``from_frame`` in ``to_frame`` coordinates: the T of Rowell et al. (2015),
+    equation (4).
     """
 
     rotation: FloatArray

@@ -12,15 +12,7 @@ from boresight.scenarios.arrays import FloatArray, IndexArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinesOfSight:
-    """K lines in one frame.
-
-    Parameters
-    ----------
-    origins_m
-        (K, 3) camera positions.
-    directions
-        (K, 3) unit vectors from the camera towards the point.
-    """
+    """K lines in one frame: camera positions (K, 3), and unit vectors (K, 3) from the camera towards the point."""
 
     origins_m: FloatArray
     directions: FloatArray
@@ -41,28 +33,15 @@ def triangulation_equations(
     prior: tuple[FloatArray, FloatArray],
     weights: Sequence[FloatArray] = (),
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the normal equations of the points that lie nearest their lines of sight.
+    """Return the normal equations, (L, 3, 3) and (L, 3), of the points that lie nearest their lines of sight.
 
     Each point x minimises the sum of ``w |(I - d d^T) (x - c)|^2`` over its lines, which start at c along d, plus its
     prior: ``(sum w (I - d d^T) + A) x = sum w (I - d d^T) c + b``. With one line alone, or with parallel lines, the
-    matrix is singular unless the prior holds the point along them.
+    matrix is singular unless the prior holds the point along them. Where w is the information of a line, 1 / m^2, the
+    inverse of the matrix is the covariance of the point, m^2.
 
-    Parameters
-    ----------
-    lines
-        K lines of sight.
-    point
-        (K,) row of the point of each line.
-    prior
-        Matrices A (L, 3, 3) and right-hand sides b (L, 3): zeros where nothing is known beforehand.
-    weights
-        Factors (K,) of w, multiplied in their order; none for w = 1.
-
-    Returns
-    -------
-    matrix, right
-        (L, 3, 3) and (L, 3). Where w is the information of a line, 1 / m^2, the inverse of the matrix is the
-        covariance of the point, m^2.
+    ``point`` (K,) is the row of the point of each line. ``prior`` are A (L, 3, 3) and b (L, 3), zeros where nothing is
+    known beforehand. ``weights`` are factors (K,) of w, multiplied in their order; none for w = 1.
     """
     # An error along a line of sight costs nothing: d is in the null space of I - d d^T.
     information = lines.projectors()

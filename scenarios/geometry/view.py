@@ -14,18 +14,10 @@ from boresight.scenarios.geometry.pose import Pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceHits:
-    """First intersections of N lines of sight with a body.
+    """First intersections of N lines of sight with a body, body frame.
 
-    Parameters
-    ----------
-    points_body_m
-        (N, 3) points in the body frame; NaN for lines of sight that miss the body.
-    normals_body
-        (N, 3) outward unit normals used for shading, in the body frame; NaN for misses.
-    facets
-        (N,) index of the facet; -1 for misses.
-    lit
-        (N,) whether the point is sunlit; False for misses.
+    Points (N, 3) and the outward unit normals (N, 3) used for shading are NaN for misses, ``facets`` (N,) -1, and
+    ``lit`` (N,), whether the point is sunlit, False.
     """
 
     points_body_m: NDArray[np.float64]
@@ -41,17 +33,7 @@ class SurfaceHits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Camera, pose and direction to the Sun.
-
-    Parameters
-    ----------
-    camera
-        The camera, with any distortion of its lens.
-    T_cam_body
-        Body to camera coordinates, metres.
-    sun_dir_body
-        (3,) unit vector towards the Sun in the body frame; normalised here.
-    """
+    """Camera with any distortion, pose, and unit vector (3,) towards the Sun in the body frame, normalised here."""
 
     camera: Camera
     T_cam_body: Pose

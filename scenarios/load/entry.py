@@ -13,15 +13,7 @@ _LARGEST_EXACT = 2**53  # beyond, not every whole number is a float
 
 @dataclass(frozen=True, slots=True)
 class ConfigEntry:
-    """A value with its location, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
-
-    Parameters
-    ----------
-    value
-        A scalar, a mapping of keys to entries, or a sequence of entries.
-    place
-        Location of the key (or of the list item).
-    """
+    """A value with the location of its key or list item: ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``."""
 
     value: Scalar | Mapping[str, ConfigEntry] | tuple[ConfigEntry, ...]
     place: str

@@ -88,24 +88,11 @@ def load_scenario(
 ) -> LoadedScenario:
     """Read a scenario: defaults < what it extends < the file < ``base`` < ``levels`` < ``overrides``.
 
-    Lengths that are left out and follow from the camera or the body are filled in. Raise BoresightError with one line
-    for each fault: file, line, key, value and what is allowed.
-
-    Parameters
-    ----------
-    name_or_path
-        A name of the catalogue or the path of a YAML file.
-    overrides
-        Texts ``key.key=value``, as on the command line, or parsed entries.
-    base
-        Overrides by a campaign of its scenarios; keys may be dotted.
-    levels
-        Overrides of the levels of a campaign's grid; keys may be dotted.
-    near
-        Base folder of a relative path.
-    embedded
-        Take built-in bodies, in truth and on board, in place of the shape files that they stand for, but for real
-        images.
+    It is a name of the catalogue or the path of a YAML file, relative to ``near``. ``base`` are overrides by a
+    campaign, ``levels`` those of its grid; their keys may be dotted. ``overrides`` are texts ``key.key=value``, as on
+    the command line, or parsed entries. With ``embedded`` built-in bodies, in truth and on board, take the place of the
+    shape files that they stand for, but for real images. Lengths that are left out and follow from the camera or the
+    body are filled in. Raise BoresightError with one line for each fault: file, line, key, value and what is allowed.
     """
     path = find(name_or_path, CATALOG, near)
     file = _read_chain(path, CATALOG, ScenarioSpec)
@@ -171,14 +158,8 @@ def validated(
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:
     """Return whether a file is a scenario or a campaign, by its keys.
 
-    Raise BoresightError if the file cannot be read; if it does not exist, the message suggests a similar name.
-
-    Parameters
-    ----------
-    path
-        The file.
-    known
-        Further names for the suggestion in the error, besides the scenarios of the catalogue.
+    Raise BoresightError if the file cannot be read; if it does not exist, the message suggests a similar name, of the
+    scenarios of the catalogue and those ``known`` besides.
     """
     if not exists(path):
         near = difflib.get_close_matches(path.name, [*known, *scenario_names()], n=1)

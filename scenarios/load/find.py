@@ -25,21 +25,10 @@ def name_of(path: Path) -> str:
 
 
 def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
-    """Find a file by its name in the catalogue, otherwise by its path.
+    """Find a file by its name in the catalogue, otherwise by its path: ``quickstart``, or ``my/scene.yaml``.
 
-    Raise BoresightError if there is none; the message suggests similar names.
-
-    Parameters
-    ----------
-    name_or_path
-        ``quickstart``, or ``my/scene.yaml``.
-    catalog
-        Folder of the files that come with boresight.
-    near
-        Base folder of relative paths, in which names without a suffix are looked up too; the working directory if
-        None.
-    what
-        Kind of file, for error messages.
+    Relative paths, and names without a suffix, are looked up in ``near`` too, by default the working directory. Raise
+    BoresightError if there is none; the message names the kind of file, ``what``, and suggests similar names.
     """
     for folder in (catalog, near):
         found = None if folder is None else _named_in(folder, name_or_path)

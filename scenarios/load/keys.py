@@ -33,22 +33,11 @@ _PLAIN = {float: "number", int: "whole number", bool: "true or false", str: "tex
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of a file.
+    """A key of a file in words, named as a file writes it, without its section.
 
-    Parameters
-    ----------
-    name
-        As a file writes it, without its section; ``NAME`` in place of a name that the user chooses.
-    type
-        In words, with the range of a number.
-    unit
-        '' if it has none.
-    default
-        As YAML writes it; None if the key is required.
-    meaning
-        A phrase or sentence, without its full stop.
-    sections
-        Models of the section that it holds; empty for a plain value, several for alternatives.
+    ``type`` has the range of a number, ``unit`` is '' without one, ``default`` is as YAML writes it and None for a
+    required key, ``meaning`` has no full stop. ``sections`` are models of the section that it holds: none for a plain
+    value, several for alternatives.
     """
 
     name: str

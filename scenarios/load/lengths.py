@@ -27,16 +27,8 @@ _ADDED_TO_SHAPE = ("detail", "height_error", "even_facets")
 def lengths_left_out(models: Models, given: Mapping[str, Any], scale: Scale, default: SpecModel | None = None) -> Plain:
     """Return the lengths and numbers that a plain mapping leaves out, in its own form: sections within sections.
 
-    Parameters
-    ----------
-    models
-        Candidate models of the mapping; its ``kind`` or its keys select one.
-    given
-        Values of a file or of a campaign.
-    scale
-        The scale of the scenario.
-    default
-        The section where nothing is given, if its keys differ from the defaults of its model.
+    The ``kind`` or the keys of the mapping select one of the models. ``default`` is the section where nothing is given,
+    if its keys differ from the defaults of its model.
     """
     model = meant_model(models, given)
     found: Plain = {}

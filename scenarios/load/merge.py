@@ -20,15 +20,8 @@ Plain = dict[str, Any]
 def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
     """Merge the sections of a plain mapping over the defaults of its model's fields, at every depth.
 
-    ``craters: {roughness: {rms_m: 8}}`` keeps the other keys of the default roughness of craters, which may
-    differ from the defaults of the roughness model itself.
-
-    Parameters
-    ----------
-    models
-        Candidate models of the mapping; its ``kind`` or its keys select one.
-    given
-        Values of a file, ``--set`` or a campaign.
+    ``craters: {roughness: {rms_m: 8}}`` keeps the other keys of the default roughness of craters, which may differ from
+    the defaults of the roughness model itself. The ``kind`` or the keys of the mapping select one of the models.
     """
     model = meant_model(models, given)
     if model is None:
@@ -149,19 +142,12 @@ def field_models(models: Models, key: str) -> Models:
 
 
 def merge(base: ConfigEntry, over: ConfigEntry, models: Models) -> ConfigEntry:
-    """Merge ``over`` into ``base``.
+    """Merge ``over`` into ``base``, two entries for the same key; ``models`` are those that the schema allows there.
 
     Mappings are merged key by key; lists and scalars are replaced. Two rules remove keys that no longer apply:
 
     - a section with another ``kind``, or another form of a distribution, replaces the whole section;
     - a key of a group of alternatives (``focal_px`` for ``fov_deg``) removes the others of its group.
-
-    Parameters
-    ----------
-    base, over
-        Two entries for the same key.
-    models
-        The models that this key allows; empty if the schema does not define any.
     """
     if base.section is None or over.section is None or _is_other_form(base, over, models):
         return over

@@ -48,20 +48,8 @@ _NAN = frozenset({".nan", ".NaN", ".NAN"})
 def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEntry:
     """Parse one YAML document; results are cached and immutable.
 
-    Parameters
-    ----------
-    text
-        The document.
-    source
-        Name of the file, for locations and errors.
-    place
-        One location for all values, instead of ``source:line``.
-
-    Raises
-    ------
-    BoresightError
-        On a syntax error, a duplicate key, a tag, a second document or an excess of values (an alias bomb);
-        one line that names the file and the line.
+    Locations are ``source:line``, or ``place`` for all values. Raise BoresightError on a syntax error, a duplicate key,
+    a tag, a second document or an excess of values (an alias bomb); one line that names the file and the line.
     """
     try:
         return _Builder(text, source, place).document()

@@ -21,16 +21,9 @@ from boresight.scenarios.geometry import Camera
 class Pictures:
     """Picture-sequence file: times, attitudes and landmark sightings of images.
 
-    Parameters
-    ----------
-    times_s
-        (I,) of the exposures, ascending.
-    R_cam_inertial
-        (I, 3, 3) attitude by the star tracker and the camera's nominal mounting.
-    image, landmark
-        (K,) of each sighting: row of ``times_s``, and number of the landmark, unique in an image.
-    uv_px
-        (K, 2) measured column and row.
+    ``times_s`` (I,) of the exposures ascend; ``R_cam_inertial`` (I, 3, 3) is the attitude by the star tracker and the
+    camera's nominal mounting. Each of K sightings has its ``image``, a row of the times, the number of its
+    ``landmark``, unique in an image, and the measured column and row ``uv_px`` (K, 2).
     """
 
     times_s: FloatArray
@@ -62,16 +55,9 @@ class Pictures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkFile:
-    """Landmark-location file: each number once, with its a priori position.
+    """Landmark-location file: each of L distinct numbers with its a priori position (L, 3).
 
-    Parameters
-    ----------
-    numbers
-        (L,) distinct.
-    positions_body_m
-        (L, 3).
-    sigma_m
-        (L,) standard deviation of each coordinate; infinite for no constraint.
+    ``sigma_m`` (L,) is the standard deviation of each coordinate; infinite for no constraint.
     """
 
     numbers: IndexArray
@@ -96,20 +82,11 @@ class LandmarkFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Radiometry:
-    """Range and Doppler along a fixed direction; either may be NaN (missing).
+    """N range and Doppler records along a fixed direction, times ascending; either may be NaN (missing).
 
-    Parameters
-    ----------
-    earth_dir
-        (3,) unit vector from the body to the Earth, inertial axes.
-    times_s
-        (N,) ascending.
-    range_m
-        (N,) distance from the station minus that of the body's centre, with a common bias.
-    range_rate_m_s
-        (N,) time derivative of that distance, without bias.
-    range_sigma_m, range_rate_sigma_m_s, range_bias_sigma_m
-        Standard deviations of the noise and of the bias.
+    ``earth_dir`` (3,) is the unit vector from the body to the Earth, inertial axes. ``range_m`` is the distance from
+    the station minus that of the body's centre, with a common bias; ``range_rate_m_s`` its time derivative, without.
+    The sigmas are standard deviations of the noise and of the bias.
     """
 
     earth_dir: FloatArray
@@ -137,31 +114,12 @@ class Radiometry:
 class Knowledge:
     """A priori knowledge and its standard deviations, which are of one coordinate.
 
-    Parameters
-    ----------
-    camera
-        A priori pinhole camera.
-    field
-        A priori force model.
-    state
-        (6,) position, m, and velocity, m/s, at the epoch, inertial axes.
-    position_sigma_m, velocity_sigma_m_s
-        Errors of the state.
-    noise_px
-        Noise of a sighting's coordinate.
-    attitude_sigma_rad
-        Error of each image's attitude about each camera axis.
-    misalignment_sigma_rad
-        Misalignment of the camera, constant for all images.
-    focal_sigma
-        Relative error of the focal length; 0 if exact.
-    gm_sigma, light_sigma
-        Relative errors of GM and of the solar radiation pressure.
-    coefficient_sigma
-        Error of each estimated normalised gravity coefficient.
-    noise_m_s2, noise_time_s
-        Unmodelled acceleration: standard deviation of a coordinate (0 if there is none), and correlation time (decay of
-        the autocorrelation to 1 / e).
+    ``state`` (6,) is position, m, and velocity, m/s, at the epoch, inertial axes; ``noise_px`` is of a sighting. Errors
+    of the attitude are about each camera axis: ``attitude_sigma_rad`` of each image, ``misalignment_sigma_rad`` of the
+    camera in all images. Those of the focal length, GM and solar radiation pressure (``light_sigma``) are relative, 0
+    if exact. ``coefficient_sigma`` is of each estimated normalised gravity coefficient. The unmodelled acceleration has
+    the standard deviation ``noise_m_s2``, 0 if there is none, and the correlation time ``noise_time_s``, in which its
+    autocorrelation decays to 1 / e.
     """
 
     camera: Camera
@@ -188,16 +146,10 @@ class Knowledge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitData:
-    """All input of an orbit determination.
+    """All input of an orbit determination; ``radiometry`` is None without such data.
 
-    Parameters
-    ----------
-    knowledge, pictures, landmarks
-        See their classes; every number in ``pictures`` occurs in ``landmarks``.
-    radiometry
-        None without radiometric data.
-    wanted_s
-        (E,) requested times of the orbit, ascending from 0; times after the last image are predictions.
+    Every number in ``pictures`` occurs in ``landmarks``. ``wanted_s`` (E,) are the requested times of the orbit,
+    ascending from 0; times after the last image are predictions.
     """
 
     knowledge: Knowledge

@@ -88,20 +88,10 @@ def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) 
 class OrbitTruth:
     """True values of a trial, for scoring only.
 
-    Parameters
-    ----------
-    states
-        (E, 6) at the times of `OrbitData.wanted_s`, inertial axes; the first is the epoch.
-    image_states
-        (I, 6) at the images.
-    crater
-        (K,) true crater of each sighting.
-    wrong
-        (K,) whether a sighting has the number of another crater, except for merged numbers.
-    points_body_m
-        (n, 3) of all craters.
-    gm_m3_s2, light_m_s2
-        True gravity parameter, and (3,) true acceleration by sunlight.
+    ``states`` (E, 6) are at the times of `OrbitData.wanted_s`, inertial axes, the first at the epoch; ``image_states``
+    (I, 6) at the images. Each of K sightings has its true ``crater``, and is ``wrong`` if it has the number of another
+    one, except for merged numbers. ``points_body_m`` (n, 3) are of all craters; ``light_m_s2`` (3,) is the acceleration
+    by sunlight.
     """
 
     states: FloatArray

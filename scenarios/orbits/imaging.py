@@ -18,15 +18,7 @@ from boresight.scenarios.spec.orbit import ImagingSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointingErrors:
-    """Pointing and camera errors of a trial's images.
-
-    Parameters
-    ----------
-    R_true_reported
-        (I, 3, 3) rotation from the reported to the true camera axes.
-    camera
-        The true camera.
-    """
+    """Errors of I images of a trial: rotations (I, 3, 3) from reported to true camera axes, and the true camera."""
 
     R_true_reported: FloatArray
     camera: Camera

@@ -21,12 +21,8 @@ _BISECTIONS = 30  # of the step in which a ray enters
 class StarShape:
     """A surface with one radius in each direction, tabulated over latitude and longitude.
 
-    Parameters
-    ----------
-    radii_m
-        (91, 181) at steps of 2 deg: latitudes from -90 to 90, longitudes from 0 to 360.
-    rms_m
-        RMS deviation of the fit.
+    ``radii_m`` (91, 181) are at steps of 2 deg: latitudes from -90 to 90, longitudes from 0 to 360. ``rms_m`` is the
+    RMS deviation of the fit.
     """
 
     radii_m: FloatArray

@@ -17,18 +17,11 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True, eq=False)
 class Horizons:
-    """Local horizons of surface points: elevation of the surrounding terrain by azimuth.
+    """Local horizons of n surface points with outward unit normals: elevation of the surrounding terrain by azimuth.
 
-    A line to a distant camera or to the Sun is unobstructed if it is above the horizon.
-
-    Parameters
-    ----------
-    points_m, normals
-        (n, 3) points and outward unit normals.
-    first, second
-        (n, 3) tangent unit vectors: azimuth 0 and 90 deg.
-    tangents
-        (n, bins) tangent of the horizon's elevation at the azimuths (k + 1/2) 360 deg / bins.
+    A line to a distant camera or to the Sun is unobstructed if it is above the horizon. ``first`` and ``second`` (n, 3)
+    are tangent unit vectors: azimuth 0 and 90 deg. ``tangents`` (n, bins) are those of the horizon's elevation at the
+    azimuths (k + 1/2) 360 deg / bins.
     """
 
     points_m: FloatArray
@@ -141,15 +134,8 @@ def misidentify(
 ) -> tuple[IndexArray, BoolArray]:
     """Return the reported numbers of detected craters, and which of them are wrong.
 
-    Parameters
-    ----------
-    numbers
-        (n,) correct numbers of the craters in view.
-    chosen
-        (k,) indices of the detected ones.
-    uv_px
-        (n, 2) pixels of all of them; a wrong number is that of another crater in view, weighted by a Gaussian of the
-        distance.
+    ``numbers`` (n,) are the correct ones of the craters in view, ``uv_px`` (n, 2) their pixels, ``chosen`` (k,) the
+    rows of the detected ones. A wrong number is that of another crater in view, weighted by a Gaussian of the distance.
     """
     # One draw for each sighting, whatever the share is.
     wrong = rng.uniform(size=len(chosen)) < spec.wrong_share

@@ -41,12 +41,8 @@ def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
 class TrueOrbit:
     """True states, inertial axes, at the times of images, of the wanted orbit and of radiometric records.
 
-    Parameters
-    ----------
-    times_s, wanted_s, radio_s
-        (I,), (E,) and (N,) seconds after the epoch, ascending; the first wanted one is the epoch.
-    image_states, wanted_states, radio_states
-        (I, 6), (E, 6) and (N, 6) m and m/s.
+    Times (I,), (E,) and (N,) are seconds after the epoch, ascending; the first wanted one is the epoch. States are (I,
+    6), (E, 6) and (N, 6), m and m/s.
     """
 
     times_s: FloatArray

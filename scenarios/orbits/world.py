@@ -23,20 +23,11 @@ _PROMINENCE = 0.5  # standard deviation of the logarithm of a crater's detection
 
 @dataclass(frozen=True, eq=False)
 class Asteroid:
-    """The true body, centred on its centre of mass, with its craters.
+    """The true body, centred on its centre of mass for constant density, with its n craters.
 
-    Parameters
-    ----------
-    mesh
-        Its shape; the origin is the centre of mass for constant density.
-    centre_m
-        (3,) centre of mass in the axes of the shape model.
-    harmonics
-        Gravity for constant density, to the scenario's degree.
-    points_m, normals
-        (n, 3) centres of the craters and outward unit normals there.
-    prominence
-        (n,) relative detection weight of each crater.
+    ``centre_m`` (3,) is the centre of mass in the axes of the shape model, ``harmonics`` the gravity for constant
+    density to the scenario's degree. Craters have centres and outward unit normals (n, 3), and ``prominence`` (n,), the
+    relative weight of detection.
     """
 
     mesh: TriangleMesh

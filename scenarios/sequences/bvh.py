@@ -18,14 +18,9 @@ _PAIRS_AT_ONCE = 1 << 18  # of a ray and a box, which bounds the memory
 class FacetTree:
     """A bounding volume hierarchy, complete and binary: the children of node i are 2 i + 1 and 2 i + 2.
 
-    All rays are traversed together, level by level, as pairs of a ray and a box that it intersects.
-
-    Parameters
-    ----------
-    facets, corners_m
-        (L, K) facets of each leaf, padded by repetition, and (L, K, 3, 3) their corners.
-    low_m, high_m
-        (2 L - 1, 3) corners of the boxes, those of the leaves last.
+    All rays are traversed together, level by level, as pairs of a ray and a box that it intersects. ``facets`` (L, K)
+    are those of each leaf, padded by repetition, ``corners_m`` (L, K, 3, 3) their corners. ``low_m`` and ``high_m`` (2
+    L - 1, 3) are corners of the boxes, those of the leaves last.
     """
 
     facets: IndexArray
@@ -64,10 +59,7 @@ class FacetTree:
     def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, IndexArray]:
         """Find the first intersections of (n, 3) rays from (n, 3) origins.
 
-        Returns
-        -------
-        tuple
-            (n,) distances in lengths of the ray, infinite for misses, and (n,) facets, -1 for misses.
+        Return (n,) distances in lengths of the ray, infinite for misses, and (n,) facets, -1 for misses.
         """
         # About 256 boxes for each ray, which does not end at a point of the surface.
         share = max(1, _PAIRS_AT_ONCE // 256)

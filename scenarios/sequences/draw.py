@@ -30,18 +30,8 @@ from boresight.scenarios.tracks import TrackSequence
 class SequenceTruth:
     """True values of a sequence, for scoring only.
 
-    Parameters
-    ----------
-    poses
-        T_cam_body of each frame.
-    points_m
-        (T, 3) landmark of each track, body frame.
-    wrong
-        For each frame, (n,) which of its tracks are outliers.
-    trajectory
-        Motion of camera and body in inertial space.
-    gm_m3_s2
-        Gravity parameter.
+    ``poses`` are T_cam_body of each frame, ``points_m`` (T, 3) the landmark of each track, body frame, ``wrong`` for
+    each frame, (n,) which of its tracks are outliers, ``trajectory`` the motion of camera and body in inertial space.
     """
 
     poses: tuple[Pose, ...]

@@ -21,16 +21,8 @@ _MOST_ROUNDS = 1000  # of draws to fill a frame
 class SimulatedTracks:
     """Simulated landmarks and their tracks.
 
-    Parameters
-    ----------
-    points_m
-        (T, 3) true landmark of every track, body frame.
-    normals
-        (T, 3) outward unit normal of the surface there.
-    landmarks
-        (T,) landmark number of every track.
-    seen
-        Track numbers of every frame, ascending.
+    Each of T tracks has its true point and the outward unit normal of the surface there, (T, 3) each in the body frame,
+    and the number of its landmark. ``seen`` are the track numbers of every frame, ascending.
     """
 
     points_m: FloatArray

@@ -34,19 +34,11 @@ _LEAST_PARALLAX = 1e-9  # of the normal matrix of a landmark of unit weight: abo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackTable:
-    """Sightings of a file, in the order of tracks and of frames.
+    """S sightings of a file, in the order of tracks and of frames, and the reference states of the frames' cameras.
 
-    Parameters
-    ----------
-    states
-        Reference states of the camera, one for each frame.
-    tracks, frames
-        (S,) number of the track, from 0 without gaps, and frame of each sighting.
-    rays
-        (S, 2) coordinates x / z and y / z, camera axes.
-    points_m
-        (T, 3) landmark of each track, body frame: the point nearest to all its lines of sight in the least-squares
-        sense, with the reference poses.
+    ``tracks`` (S,) are numbers from 0 without gaps, ``rays`` (S, 2) coordinates x / z and y / z, camera axes.
+    ``points_m`` (T, 3) are the landmarks of the tracks, body frame: the points nearest to all their lines of sight in
+    the least-squares sense, with the reference poses.
     """
 
     states: StatesSpec

@@ -93,17 +93,7 @@ def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
 
 
 def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
-    """Return the body's attitude as a function of time, given its angular velocity at the first frame.
-
-    Parameters
-    ----------
-    motion
-        Kind and inertia.
-    rate_rad_s
-        (3,) angular velocity at the first frame.
-    until_s
-        End of the time span.
-    """
+    """Return the body's attitude as a function of time up to an end, by its angular velocity, (3,), at first."""
     if motion.kind == "none" or not rate_rad_s.any():
         return lambda times_s: np.tile(np.eye(3), (len(times_s), 1, 1))
     if motion.kind == "spin":
@@ -149,22 +139,10 @@ def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
 class CameraTrajectory:
     """True motion of camera and body in a trial.
 
-    Parameters
-    ----------
-    times_s
-        (F,) epochs of the frames, the first at 0.
-    positions_m, velocities_m_s
-        (F, 3) of the camera, inertial axes about the body's centre of mass.
-    R_body_inertial
-        (F, 3, 3) attitude of the body.
-    poses
-        T_cam_body of each frame.
-    suns_body
-        (F, 3) direction of the Sun.
-    radiation_m_s2
-        (3,) acceleration by sunlight, inertial axes.
-    anomaly_deg
-        (F,) anomaly since the first frame; NaN along given states.
+    ``times_s`` (F,) are epochs of the frames, the first at 0. Positions and velocities (F, 3) are in inertial axes
+    about the body's centre of mass, ``R_body_inertial`` (F, 3, 3) is the attitude of the body, ``poses`` are
+    T_cam_body, ``suns_body`` (F, 3) directions to the Sun. ``radiation_m_s2`` (3,) is the acceleration by sunlight,
+    inertial axes. ``anomaly_deg`` (F,) counts from the first frame; NaN along given states.
     """
 
     times_s: FloatArray

@@ -20,14 +20,9 @@ _CENTRED_PX = 1e-6  # of the body's origin from the principal point
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visibility:
-    """Visibility test of points on a surface.
+    """Visibility test of points on a surface, with its occlusion.
 
-    Parameters
-    ----------
-    ground
-        The surface with its occlusion.
-    lit_only
-        Whether points that do not face the Sun are invisible.
+    With ``lit_only`` points that do not face the Sun are invisible.
     """
 
     ground: LandmarkGround

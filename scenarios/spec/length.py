@@ -29,17 +29,8 @@ def length(
 ) -> Any:
     """Describe a field with a length, m, that follows from the scenario where a file leaves it out.
 
-    Parameters
-    ----------
-    default_m
-        The length where there is no scenario: of a model that is made in Python.
-    description
-        What the length is.
-    px, body
-        Where it is left out: so many pixels at the median range of the images, or such a share of the longest side of
-        the body's box; of both the smaller.
-    gt, ge
-        As of `pydantic.Field`.
+    It is then ``px`` pixels at the median range of the images, or ``body`` of the longest side of the body's box; of
+    both the smaller. Without a scenario, in a model that is made in Python, it is ``default_m``.
     """
     rule = {unit: amount for unit, amount in (("px", px), ("body", body)) if amount is not None}
     extra: dict[str, Any] = {LEFT_OUT: rule}
@@ -52,16 +43,8 @@ def length(
 def number(default: int, description: str, *, each_px2: float, ge: int, le: int) -> Any:
     """Describe a field with a number of features in an image that follows from the scenario where a file leaves it out.
 
-    Parameters
-    ----------
-    default
-        The number where there is no scenario, and the least.
-    description
-        What the number is of.
-    each_px2
-        Where it is left out: so many times the default as the body's area in the image has this area, rounded.
-    ge, le
-        As of `pydantic.Field`.
+    It is then so many times the default as the body's area in the image has ``each_px2``, rounded; the default at
+    least, and where there is no scenario.
     """
     left_out = f"{description}; left out: {default} for each {each_px2:g} px^2 of the body, {default} at least"
     rule: dict[str, Any] = {LEFT_OUT: {"each_px2": each_px2, "most": le}}
@@ -78,14 +61,8 @@ def rule_of(field: FieldInfo) -> dict[str, float] | None:
 class Scale:
     """Pixel, body and frame of a scenario, by which values are measured; called when a value needs them.
 
-    Parameters
-    ----------
-    m_per_px
-        Returns the length across the line of sight that a pixel covers at the median range.
-    sides_m
-        Returns the sides of the body's box, m.
-    frame_px2
-        Returns the area of an image, px^2.
+    They return the length across the line of sight that a pixel covers at the median range, the sides of the body's
+    box, m, and the area of an image, px^2.
     """
 
     m_per_px: Callable[[], float | None]

@@ -27,15 +27,7 @@ class SpiceNames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ApparentGeometry:
-    """Apparent pose of a body and direction to the Sun at an epoch.
-
-    Parameters
-    ----------
-    T_cam_body
-        Body to camera coordinates, m; the camera's axes are those of its frame.
-    sun_dir_body
-        (3,) unit vector towards the Sun in the body frame.
-    """
+    """Apparent pose of a body, in the axes of the camera's frame, and unit vector (3,) towards the Sun, at an epoch."""
 
     T_cam_body: Pose
     sun_dir_body: FloatArray
@@ -44,22 +36,13 @@ class ApparentGeometry:
 def apparent_geometry(names: SpiceNames, et: float, aberration: Aberration = "LT+S") -> ApparentGeometry:
     """Compute the pose and the direction to the Sun of an exposure from the loaded kernels.
 
-    With ``LT+S`` the pose is apparent: position and attitude of the body when the light left it (light time), in the
-    direction changed by the spacecraft's motion (stellar aberration). The two nearly cancel where spacecraft and body
-    move together; either alone is an error of v / c, 20 arcsec at 30 km/s. The range is the light path, which differs
-    from the geometric range by up to the same factor of 1e-4.
-    ``NONE`` gives the geometric state, which ISIS uses for AMICA.
+    Its middle is at ``et``, s past J2000 TDB. With ``LT+S`` the pose is apparent: position and attitude of the body
+    when the light left it (light time), in the direction changed by the spacecraft's motion (stellar aberration). The
+    two nearly cancel where spacecraft and body move together; either alone is an error of v / c, 20 arcsec at 30 km/s.
+    The range is the light path, which differs from the geometric range by up to the same factor of 1e-4. ``NONE`` gives
+    the geometric state, which ISIS uses for AMICA.
 
     The direction to the Sun is apparent (LT+S) from the body when the light left it.
-
-    Parameters
-    ----------
-    names
-        Names of spacecraft, camera frame, body and body frame.
-    et
-        Middle of the exposure, s past J2000 TDB.
-    aberration
-        Aberration correction of the body's position.
     """
     # Position of the body from the spacecraft: received light, so that its epoch is et minus the light time.
     position_km, light_s = spiceypy.spkpos(names.target, et, "J2000", aberration, names.spacecraft)

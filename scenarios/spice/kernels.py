@@ -133,13 +133,7 @@ def spice_message(error: Exception) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Constants of an instrument in the kernel pool.
-
-    Parameters
-    ----------
-    kernel_id
-        NAIF identifier of the instrument.
-    """
+    """Constants of an instrument in the kernel pool, by its NAIF identifier."""
 
     kernel_id: int
 

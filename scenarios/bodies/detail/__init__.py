@@ -31,19 +31,10 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     The refined surface is Loop's, fitted so that it passes through the coarse vertices (see `interpolating_control`).
     Each vertex is then displaced along one direction, the coarse surface's normal smoothed over twice the height of the
     relief, by the sum of boulders, craters and roughness. The relief is a height field and has no overhangs. Features
-    smaller than two edges of the refined mesh are left out. Raise BoresightError if both the mesh and the spec have an
-    albedo.
+    smaller than two edges of the refined mesh are left out.
 
-    Parameters
-    ----------
-    mesh
-        The coarse shape, closed and outward.
-    spec
-        Features to add.
-
-    Returns
-    -------
-    The detailed mesh, and one note for each kind of feature of which some are too small for the mesh.
+    Return the detailed mesh, and a note for each kind of feature of which some are too small for it. Raise
+    BoresightError if both the mesh and the spec have an albedo.
     """
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")

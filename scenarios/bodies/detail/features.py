@@ -34,17 +34,9 @@ _LEAST_FACING = 0.2
 class RefinedSurface:
     """The refined smooth surface that features are added to.
 
-    Parameters
-    ----------
-    points_m
-        (V, 3) vertices.
-    up
-        (V, 3) unit vectors along which vertices are displaced.
-    edge_m
-        Mean length of an edge.
-    coarse_m, coarse_faces
-        The surface before refinement: features are placed on it, so that their positions do not depend on the
-        number of facets.
+    ``points_m`` (V, 3) are its vertices, ``up`` (V, 3) the unit vectors along which they are displaced, ``edge_m`` the
+    mean length of an edge. Features are placed on the surface before refinement, ``coarse_m`` and ``coarse_faces``, so
+    that their positions do not depend on the number of facets.
     """
 
     points_m: FloatArray
@@ -78,15 +70,7 @@ class RefinedSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureVertices:
-    """Pairs of a feature and a vertex within its radius of influence.
-
-    Parameters
-    ----------
-    feature, vertex
-        (P,) indices.
-    offset_m
-        (P, 3) from the feature's centre to the vertex.
-    """
+    """Pairs, (P,), of a feature and a vertex within its radius of influence, (P, 3) ``offset_m`` from its centre."""
 
     feature: IndexArray
     vertex: IndexArray
@@ -119,12 +103,7 @@ def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: F
 def boulder_heights(
     spec: BoulderSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
-    """Heights (V,) of boulders on the surface; where two overlap the maximum counts.
-
-    Returns
-    -------
-    The heights, and the number of boulders that are too small for the mesh and were left out.
-    """
+    """Heights (V,) of boulders, the maximum where two overlap; and how many are too small for the mesh and left out."""
     places, diameters_m, kept, rng = _scatter(spec, ground, seed, small)
     blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
     heights = np.zeros(len(ground.points_m))
@@ -137,12 +116,7 @@ def boulder_heights(
 def crater_heights(
     spec: CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
-    """Heights (V,) of bowls with raised rims; where several overlap they add up.
-
-    Returns
-    -------
-    The heights, and the number of craters that are too small for the mesh and were left out.
-    """
+    """Heights (V,) of bowls with raised rims, added up where they overlap; and how many are too small and left out."""
     places, diameters_m, kept, _ = _scatter(spec, ground, seed, small)
     heights = np.zeros(len(ground.points_m))
     for patches in find_feature_vertices(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
@@ -187,18 +161,11 @@ def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Boulders with a rounded polygonal footprint, steep walls and a top of several tilted planes.
+    """N boulders with a rounded polygonal footprint, steep walls and a top of several tilted planes.
 
-    Parameters
-    ----------
-    axes_per_m
-        (N, 2, 3) two tangent unit vectors, divided by the half-widths along them.
-    sides
-        (N, 7, 2) outward normals of the footprint's sides, divided by their distances from the centre.
-    tops
-        (N, 3, 3) planes (constant, two slopes) over the footprint; the minimum of the planes is the top.
-    height_m
-        (N,) height of the block.
+    ``axes_per_m`` (N, 2, 3) are two tangent unit vectors, divided by the half-widths along them; ``sides`` (N, 7, 2)
+    outward normals of the footprint's sides, divided by their distances from the centre; ``tops`` (N, 3, 3) planes
+    (constant, two slopes) over the footprint, of which the minimum is the top.
     """
 
     axes_per_m: FloatArray

@@ -51,15 +51,11 @@ def fractal_field(
     seed: np.random.SeedSequence,
     small: SmallScaleSeed | None = None,
 ) -> tuple[FloatArray, int]:
-    """Sum the octaves of a band at points (N, 3).
+    """Sum the octaves of a band at points (N, 3): a field (N,) of mean 0, and the number of octaves left out.
 
-    Octaves shorter than ``resolution_m`` cannot be resolved by the mesh and are left out; each octave has its own
-    random stream, so that the long ones depend on the number of facets by their normalisation over the points alone.
-    Octaves shorter than ``small.below_m`` are drawn from ``small.seed``.
-
-    Returns
-    -------
-    The field (N,), of mean 0 and of RMS 1 if all octaves are there, and the number of octaves left out.
+    Octaves shorter than ``resolution_m`` cannot be resolved by the mesh and are left out; with all of them the RMS is
+    1. Each octave has its own random stream, so that the long ones depend on the number of facets by their
+    normalisation over the points alone. Octaves shorter than ``small.below_m`` are drawn from ``small.seed``.
     """
     field = np.zeros(len(points_m))
     omitted = 0

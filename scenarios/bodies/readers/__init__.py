@@ -32,19 +32,9 @@ _SNIFFED_BYTES = 4096
 def read_shape(path: Path, file_format: str = "auto", *, west_longitudes: bool = False) -> RawShape:
     """Read a shape file; coordinates keep the unit of the file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    file_format
-        ``obj``, ``ply``, ``pds-plates``, ``pds-grid``, ``icq``, or ``auto`` to detect it.
-    west_longitudes
-        Whether the longitudes of a ``pds-grid`` grow westward.
-
-    Raises
-    ------
-    BoresightError
-        The file is missing or is not a shape of that format; ``west_longitudes`` for a format without longitudes.
+    ``file_format`` is a key of `READERS` or ``auto``, which detects it; with ``west_longitudes`` those of a
+    ``pds-grid`` grow westward. Raise BoresightError if the file is missing or is not a shape of that format, and for
+    ``west_longitudes`` of a format without longitudes.
     """
     source = ShapeFile.open(path)
     name = detect_format(source) if file_format == "auto" else file_format

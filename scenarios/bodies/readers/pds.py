@@ -17,15 +17,9 @@ from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
 def read_grid(source: ShapeFile, west: bool) -> RawShape:
     """Read lines ``latitude longitude radius`` (degrees, planetocentric) in any order.
 
-    The rows must fill a whole grid from pole to pole. The poles, repeated for each longitude, become one
-    vertex each with the mean radius; a longitude that occurs twice (0 and 360) counts once.
-
-    Parameters
-    ----------
-    source
-        The file.
-    west
-        Whether longitudes increase westward, as stated in the product's label.
+    The rows must fill a whole grid from pole to pole. The poles, repeated for each longitude, become one vertex each
+    with the mean radius; a longitude that occurs twice (0 and 360) counts once. The product's label says whether
+    longitudes increase westward, ``west``.
     """
     lines = source.lines()
     table = source.table(lines, source.filled(lines), (0, 1, 2))

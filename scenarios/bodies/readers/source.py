@@ -14,30 +14,14 @@ from boresight.scenarios.limits import LARGEST_NUMBER
 
 
 class RawShape(NamedTuple):
-    """Vertices and faces of a shape file before any check of the mesh.
-
-    Attributes
-    ----------
-    vertices
-        (V, 3) positions in the unit of the file, body frame.
-    faces
-        (F, 3) vertex indices from 0.
-    """
+    """Vertices (V, 3), body frame in the unit of the file, and faces (F, 3), from 0, before any check of the mesh."""
 
     vertices: FloatArray
     faces: IndexArray
 
 
 class ShapeFile:
-    """The content of a shape file, and errors that name it.
-
-    Parameters
-    ----------
-    path
-        Path of the file; named in every error.
-    data
-        Its bytes.
-    """
+    """The content of a shape file, and errors that name its path."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
