@@ -14,10 +14,9 @@ from boresight.renderers.detector import Detector
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.bodies import body_digest
 from boresight.scenarios.craters import shape_digest
-from boresight.scenarios.designs import GridVariation
 from boresight.scenarios.load import ConfigEntry, LoadedScenario, canonical_json, digest
 from boresight.scenarios.onboard import onboard_spec
-from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.campaign import CampaignSpec, GridVariation
 
 DRAFT_VERSION = 4
 """Version of `campaign.draft`: raise it when the same fraction keeps something else."""

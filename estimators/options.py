@@ -8,9 +8,9 @@ from typing import ClassVar, Generic, Self, TypeVar, cast
 from pydantic import ValidationError
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.load.entry import ConfigEntry, entry_of
 from boresight.scenarios.load.explain import explain
 from boresight.scenarios.load.merge import on_defaults
+from boresight.scenarios.load.yaml_text import ConfigEntry, entry_of
 from boresight.scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)

@@ -18,7 +18,6 @@ from boresight.campaign.cli.terminal import console
 from boresight.campaign.machine import cores
 from boresight.campaign.runs.read import CATALOG, CampaignFiles, campaign_names, is_campaign, read_campaign
 from boresight.campaign.trial.kind import kind_names
-from boresight.scenarios.designs import grid_cells
 from boresight.scenarios.errors import BoresightError, printable
 from boresight.scenarios.load import (
     LoadedCampaign,
@@ -30,7 +29,8 @@ from boresight.scenarios.load import (
     load_scenario,
     scenario_names,
 )
-from boresight.scenarios.load.entry import shortened
+from boresight.scenarios.load.yaml_text import shortened
+from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _GROUPS = (

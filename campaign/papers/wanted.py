@@ -13,7 +13,7 @@ from boresight.campaign.runs.requirements import needs
 from boresight.scenarios.data.datasets import DataSet, datasets, datasets_providing
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
-from boresight.scenarios.load.find import SUFFIXES
+from boresight.scenarios.load.files import SUFFIXES
 
 ALL = "all"
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from boresight.scenarios.designs import GridCell, GridVariation, grid_cells
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import (
     ConfigEntry,
@@ -18,7 +17,7 @@ from boresight.scenarios.load import (
     names_in,
     scenario_names,
 )
-from boresight.scenarios.spec.campaign import CampaignSpec
+from boresight.scenarios.spec.campaign import CampaignSpec, GridCell, GridVariation, grid_cells
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 

@@ -29,8 +29,7 @@ from boresight.scenarios.draw import (
     is_lit_and_facing,
     near_limb_or_terminator,
 )
-from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import propagate_partials
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate_partials
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.orbits.data import Knowledge

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.estimators.orbit.parameters import ParameterLayout
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
-from boresight.scenarios.dynamics.variational import OrbitPartials, propagate_partials
+from boresight.scenarios.dynamics.propagation import OrbitPartials, propagate_partials
 from boresight.scenarios.orbits.data import OrbitData, Radiometry
 
 _NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers

@@ -14,8 +14,7 @@ from scipy.linalg import toeplitz
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics.field import HarmonicField
-from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import OrbitPartials
+from boresight.scenarios.dynamics.propagation import OrbitPartials, PiecewiseAcceleration
 from boresight.scenarios.orbits.data import Knowledge, OrbitData
 from boresight.scenarios.spec.base import SpecModel
 

@@ -10,8 +10,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from boresight.estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
 from boresight.estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.dynamics.propagation import OrbitLostError
-from boresight.scenarios.dynamics.variational import OrbitPartials
+from boresight.scenarios.dynamics.propagation import OrbitLostError, OrbitPartials
 
 # Information of a landmark before its sightings, 1 / (20 km)^2: with parallel rays alone the matrix stays regular.
 _POINT_DAMPING = 1.0 / 20_000.0**2

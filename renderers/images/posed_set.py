@@ -31,7 +31,7 @@ from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
 from boresight.scenarios.limits import LARGEST_NUMBER
-from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.scenario import ImageSetSpec
 
 QUATERNION_TOLERANCE = 1e-3
 _EXCESS = "\n"  # key of surplus cells: no column can be called so

@@ -16,7 +16,7 @@ from boresight.renderers.spice.instruments import INSTRUMENTS, Instrument
 from boresight.scenarios.data import find_data_folder
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, View
-from boresight.scenarios.spec.images import ImageSetSpec, SpiceSpec
+from boresight.scenarios.spec.scenario import ImageSetSpec, SpiceSpec
 from boresight.scenarios.spice.geometry import ApparentGeometry, SpiceNames, apparent_geometry
 from boresight.scenarios.spice.kernels import SPICE_ERRORS, find_kernels, loaded_kernels, spice_message
 

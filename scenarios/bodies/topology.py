@@ -1,4 +1,4 @@
-"""Vertices, edges and normals of triangle meshes, as whole-array operations."""
+"""Vertices, edges and normals of triangle meshes, as whole-array operations, and Loop subdivision (Loop 1987)."""
 
 from __future__ import annotations
 
@@ -80,3 +80,96 @@ def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, Flo
     second = np.cross(up, first)
     cosine, sine = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
     return cosine * first + sine * second, cosine * second - sine * first
+
+
+_FIT_ROUNDS = 8  # of progressive interpolation
+
+
+def rounds_for(n_faces: int, wanted: int) -> int:
+    """Return the number of 1-to-4 subdivisions that give at least ``wanted`` faces."""
+    rounds = 0
+    while n_faces * 4**rounds < wanted:
+        rounds += 1
+    return rounds
+
+
+def refine(vertices: FloatArray, faces: IntArray, rounds: int) -> tuple[FloatArray, IntArray]:
+    """Subdivide a closed mesh ``rounds`` times; each face becomes four.
+
+    ``vertices`` (V, k) may hold further quantities after the position; all are refined alike. The original
+    vertices come first in the result.
+    """
+    for _ in range(rounds):
+        edges = find_edges(faces)
+        vertices = np.concatenate([_moved(vertices, edges), _edge_points(vertices, faces, edges)])
+        faces = _split(faces, edges, len(vertices) - len(edges.ends))
+    return vertices, faces
+
+
+def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Control points (V, 3) whose Loop surface passes through the given vertices.
+
+    Loop's surface lies inside its control points, so that a body would lose volume. Adding the difference between the
+    vertices and the limit surface converges to interpolation (Chen et al. 2008, "Progressive interpolation using
+    Loop subdivision surfaces").
+    """
+    edges = find_edges(faces)
+    control = vertices
+    for _ in range(_FIT_ROUNDS):
+        control = control + (vertices - limit(control, edges))
+    return control
+
+
+def smoothed(values: FloatArray, edges: MeshEdges, rounds: int) -> FloatArray:
+    """Replace each vertex's values (V, k) by the mean over itself and its neighbours, ``rounds`` times."""
+    valence = _valence(edges, len(values))[:, None]
+    for _ in range(rounds):
+        values = (values + _neighbour_sum(values, edges)) / (1.0 + valence)
+    return values
+
+
+def _valence(edges: MeshEdges, n_vertices: int) -> FloatArray:
+    return np.bincount(edges.ends.ravel(), minlength=n_vertices).astype(np.float64)
+
+
+def _neighbour_sum(values: FloatArray, edges: MeshEdges) -> FloatArray:
+    here, there = edges.ends.T
+    # Each edge counts in both directions.
+    here, there = np.concatenate([here, there]), np.concatenate([there, here])
+    return np.stack([np.bincount(here, column[there], len(values)) for column in values.T], axis=1)
+
+
+def _beta(valence: FloatArray) -> FloatArray:
+    """Weight of each neighbour in a vertex's new position."""
+    return (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / valence)) ** 2) / valence  # Loop 1987
+
+
+def _moved(values: FloatArray, edges: MeshEdges) -> FloatArray:
+    valence = _valence(edges, len(values))[:, None]
+    beta = _beta(valence)
+    return (1.0 - valence * beta) * values + beta * _neighbour_sum(values, edges)
+
+
+def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
+    """Return the limits of vertex values (V, k) after infinitely many subdivisions."""
+    valence = _valence(edges, len(values))[:, None]
+    # Limit of Loop's matrix powers: 1 / (3 / (8 beta) + n) for each of n neighbours.
+    weight = 1.0 / (0.375 / _beta(valence) + valence)
+    return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)
+
+
+def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
+    """Return the new vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
+    # Corner k - 1 is opposite to the edge from corner k to corner k + 1.
+    opposite = np.roll(faces, 1, axis=1).ravel()
+    edge = edges.of_face.ravel()
+    wings = np.stack([np.bincount(edge, column[opposite], len(edges.ends)) for column in values.T], axis=1)
+    return 0.375 * (values[edges.ends[:, 0]] + values[edges.ends[:, 1]]) + 0.125 * wings
+
+
+def _split(faces: IntArray, edges: MeshEdges, n_old: int) -> IntArray:
+    a, b, c = faces.astype(np.int64).T
+    ab, bc, ca = edges.of_face.T + n_old
+    # Three triangles at the corners and one in the middle, each with the winding of its parent.
+    children = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
+    return children.reshape(-1, 3)

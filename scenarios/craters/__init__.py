@@ -1,7 +1,6 @@
 """Cratered surfaces with a known population: relief on a smooth body, and the true craters of an image."""
 
-from boresight.scenarios.craters.population import Craters, draw_craters
-from boresight.scenarios.craters.rims import Rims
+from boresight.scenarios.craters.relief import Craters, draw_craters
 from boresight.scenarios.craters.surface import (
     CrateredSurface,
     build_surfaces,
@@ -10,7 +9,7 @@ from boresight.scenarios.craters.surface import (
     surface_digest,
 )
 from boresight.scenarios.craters.tiles import Tiling, check_size
-from boresight.scenarios.craters.truth import CraterTruth, crater_truth
+from boresight.scenarios.craters.truth import CraterTruth, Rims, crater_truth
 
 __all__ = [
     "CraterTruth",

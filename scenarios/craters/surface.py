@@ -14,15 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray, SingleArray
-from boresight.scenarios.bodies.detail.subdivide import interpolating_control, limit, refine, smoothed
 from boresight.scenarios.bodies.load import Body, body_digest, load_body
-from boresight.scenarios.bodies.topology import find_edges, unit, vertex_normals
+from boresight.scenarios.bodies.topology import (
+    find_edges,
+    interpolating_control,
+    limit,
+    refine,
+    smoothed,
+    unit,
+    vertex_normals,
+)
 from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.craters.kernels import least_heights
-from boresight.scenarios.craters.population import Craters, draw_craters
-from boresight.scenarios.craters.relief import add_roughness, crater_relief
-from boresight.scenarios.craters.rims import Rims, find_rims
+from boresight.scenarios.craters.relief import Craters, add_roughness, crater_relief, draw_craters
 from boresight.scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
+from boresight.scenarios.craters.truth import Rims, find_rims
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.limits import installed_memory_bytes
 from boresight.scenarios.spec.body import BodySpec

@@ -9,9 +9,8 @@ from urllib.parse import quote
 
 from pydantic import Field, model_validator
 
-from boresight.scenarios.load.entry import ConfigEntry
-from boresight.scenarios.load.files import validated
-from boresight.scenarios.load.find import read
+from boresight.scenarios.load.files import read, validated
+from boresight.scenarios.load.yaml_text import ConfigEntry
 from boresight.scenarios.spec.base import SpecModel
 
 REGISTRY = Path(__file__).parent / "datasets.yaml"

@@ -1,4 +1,4 @@
-"""Orbit propagation with adaptive steps, for the truth."""
+"""Orbit propagation: with adaptive steps for the truth, with variational equations in fixed steps for filters."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+from scipy.integrate import DOP853, solve_ivp
 
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.dynamics import inner, kernel
+from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.sequence import ForcesSpec
 
@@ -102,3 +104,200 @@ def propagate(
         if not (piece > p).any():
             break
     return found
+
+
+LONGEST_STEP_S = 1800.0
+"""Longest step: a tenth of Eros's rotation period; the rotating harmonics change fastest at 200 km."""
+
+
+def propagate_states(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> FloatArray:
+    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate`.
+
+    Raise OrbitLostError if the orbit comes nearer the origin than the field's reference radius.
+    """
+    return propagate(field.acceleration, field.harmonics.radius_m, state, times_s, pushes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrbitPartials:
+    """States (T, 6), m and m/s, with partial derivatives; those by the accelerations of later intervals are zero.
+
+    ``by_state`` (T, 6, 6) is the state transition matrix from the epoch, ``by_parameters`` (T, 6, p) are derivatives by
+    the field's parameters, ``by_pushes`` (T, 6, 3 P) by the piecewise accelerations.
+    """
+
+    states: FloatArray
+    by_state: FloatArray
+    by_parameters: FloatArray
+    by_pushes: FloatArray
+
+
+def propagate_partials(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> OrbitPartials:
+    """Propagate an orbit with its partial derivatives by DOP853 in fixed steps that end at each requested time.
+
+    Derivatives by a piecewise acceleration are integrated over its interval. After its end they are the state
+    transition matrix times the equivalent change of the state at the epoch, ``Phi^-1 Gamma`` at the end. Raise
+    OrbitLostError if the orbit comes nearer the origin than the field's reference radius, or diverges.
+    """
+    flat, p = field.flat, field.parameters
+    stages = DOP853.n_stages
+    # The stages of the solution alone: fixed steps need neither its error estimate nor dense output.
+    tableau = (
+        np.ascontiguousarray(DOP853.A[:stages, :stages]),
+        np.array(DOP853.B),
+        np.array(DOP853.C[:stages]),
+    )
+    seen, ended = _integrate(
+        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.acceleration_m_s2, LONGEST_STEP_S, *tableau
+    )
+    if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
+        raise OrbitLostError("the orbit leads into the body or beyond all bounds")
+    return OrbitPartials(
+        seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s)
+    )
+
+
+def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleration, times_s: FloatArray) -> FloatArray:
+    """(T, 6, 3 P) derivatives by each acceleration, from those at the end of its interval."""
+    pieces = len(pushes.acceleration_m_s2)
+    # Velocities in units of speed over distance, which makes the matrix well-conditioned.
+    scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
+    transition = ended[:, :, 1:7] * scale[:, None] / scale
+    at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]
+    found = np.zeros((len(seen), 6, pieces, 3))
+    piece = pushes.piece(times_s)
+    for p in range(pieces):
+        later = piece > p
+        if p < len(at_epoch):
+            # Phi(t, 0) Phi(t_p, 0)^-1 Gamma(t_p) for times after the end t_p of the interval.
+            found[later, :, p] = seen[later, :, 1:7] @ at_epoch[p]
+        now = piece == p
+        found[now, :, p] = seen[now, :, -3:]
+    return found.reshape(len(seen), 6, 3 * pieces)
+
+
+@kernel
+def _integrate(
+    field: FlatField,
+    state: FloatArray,
+    times: FloatArray,
+    edges: FloatArray,
+    pushes: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Integrate; return (T, 6, n) at the times and (P', 6, n) at the interval ends before the last time."""
+    # State, derivatives by the initial state, by GM and solar pressure, by the coefficients, and by the push.
+    columns = 1 + 6 + 2 + field.parts.shape[1] + 3
+    y = np.zeros((6, columns))
+    for i in range(6):
+        # The state transition matrix starts as the identity, all other derivatives as 0.
+        y[i, 0], y[i, 1 + i] = state[i], 1.0
+    seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
+    slopes = np.empty((len(b), 6, columns))
+    work = np.empty((2, max(field.pull.shape[2], field.tide.shape[2], field.parts.shape[3])))
+    now, row = 0.0, 0
+    for p in range(len(pushes)):
+        last = p == len(pushes) - 1
+        wanted = True
+        while wanted:
+            # Each of the times, then the end. As in `PiecewiseAcceleration.piece`, a limit belongs to the interval that
+            # it ends.
+            wanted = row < len(times) and (times[row] <= edges[p + 1] or last)
+            end = times[row] if wanted else edges[p + 1]
+            _integrate_interval(field, y, now, end, pushes[p], longest, a, b, c, slopes, work)
+            now = end
+            if wanted:
+                _copy(seen[row], y)
+                row += 1
+        _copy(ended[p], y)
+        # The next push is another parameter, which has not acted yet.
+        y[:, columns - 3 :] = 0.0
+        if row == len(times):
+            return seen, ended[: p + 1]
+    return seen, ended
+
+
+@inner
+def _integrate_interval(
+    field: FlatField,
+    y: FloatArray,
+    begin: float,
+    end: float,
+    push: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    slopes: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Integrate from one time to another in equal steps, in place; NaN after an impact."""
+    if end <= begin:
+        return
+    # Equal steps that end at the requested time: no interpolation, and the same steps in each call.
+    steps = int(np.ceil((end - begin) / longest))
+    h = (end - begin) / steps
+    at = np.empty_like(y)
+    for step in range(steps):
+        t = begin + step * h
+        for i in range(len(b)):
+            _copy(at, y)
+            for j in range(i):
+                if a[i, j] != 0.0:
+                    _add(at, slopes[j], h * a[i, j])
+            # Inside the reference radius the harmonics need not converge.
+            if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
+                y[:] = np.nan
+                return
+        for i in range(len(b)):
+            _add(y, slopes[i], h * b[i])
+
+
+@inner
+def _copy(out: FloatArray, values: FloatArray) -> None:
+    """Write an array; Numba compiles an assignment of arrays ten times as slowly."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = values[i, j]
+
+
+@inner
+def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
+    """Add a multiple of an array in place."""
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            total[i, j] += factor * added[i, j]
+
+
+@inner
+def _time_derivative(
+    field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray
+) -> bool:
+    """Write the time derivative of state and partials to ``out``; return False inside the reference radius."""
+    if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
+        return False
+    columns, count = y.shape[1], 2 + field.parts.shape[1]
+    tide, by, position = np.empty((3, 3)), np.empty((3, count)), np.empty(3)
+    for i in range(3):
+        position[i] = y[i, 0]
+    differentiate(field, time, position, work, tide, by)
+    for i in range(3):
+        for k in range(columns):
+            # r' = v, for the state and for all derivatives.
+            out[i, k] = y[3 + i, k]
+        # by[:, 0] is the derivative by the ratio of GM: gravity itself.
+        out[3 + i, 0] = by[i, 0] + field.light_m_s2[i] + push[i]
+        for k in range(1, columns):
+            # Variational equations: (dv/dp)' = (da/dr)(dr/dp) + da/dp.
+            out[3 + i, k] = tide[i, 0] * y[0, k] + tide[i, 1] * y[1, k] + tide[i, 2] * y[2, k]
+        for k in range(count):
+            out[3 + i, 7 + k] += by[i, k]
+        out[3 + i, columns - 3 + i] += 1.0
+    return True

@@ -10,12 +10,11 @@ Conventions:
 - Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
 """
 
-from boresight.scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
+from boresight.scenarios.geometry.camera import Camera, SurfaceHits, View, pixel_from_opencv, pixel_to_opencv
 from boresight.scenarios.geometry.ellipse import Ellipses, project_circles
 from boresight.scenarios.geometry.lens import OpenCVDistortion, RadialDistortion
 from boresight.scenarios.geometry.mesh import TriangleMesh
 from boresight.scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, orbit_axes, plane_axes
-from boresight.scenarios.geometry.view import SurfaceHits, View
 
 __all__ = [
     "Camera",

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry.camera import View
 from boresight.scenarios.geometry.pose import plane_axes
-from boresight.scenarios.geometry.view import View
 
 
 def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) -> FloatArray:

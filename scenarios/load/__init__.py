@@ -3,20 +3,19 @@
 Precedence: defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every error is one line with its location.
 """
 
-from boresight.scenarios.load.entry import ConfigEntry
 from boresight.scenarios.load.files import (
     LoadedCampaign,
     LoadedScenario,
     file_kind,
     load_campaign,
     load_scenario,
+    names_in,
     scenario_names,
     validated,
 )
-from boresight.scenarios.load.find import names_in
+from boresight.scenarios.load.keys import json_schema
 from boresight.scenarios.load.merge import parse_override
-from boresight.scenarios.load.schema import json_schema
-from boresight.scenarios.load.yaml_text import dump_yaml
+from boresight.scenarios.load.yaml_text import ConfigEntry, dump_yaml
 from boresight.scenarios.spec.base import canonical_json, digest
 
 __all__ = [

@@ -12,8 +12,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from boresight.scenarios.errors import printable
-from boresight.scenarios.load.entry import ConfigEntry, describe
 from boresight.scenarios.load.merge import Models, field_models
+from boresight.scenarios.load.yaml_text import ConfigEntry, describe
 from boresight.scenarios.spec.base import SpecModel
 
 _TAG = "<tag>"

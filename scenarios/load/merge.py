@@ -8,8 +8,7 @@ from itertools import pairwise
 from typing import Any, Literal, get_args, get_origin
 
 from boresight.scenarios.errors import BoresightError, printable
-from boresight.scenarios.load.entry import ConfigEntry, entry_of, nested
-from boresight.scenarios.load.yaml_text import parse_yaml
+from boresight.scenarios.load.yaml_text import ConfigEntry, entry_of, nested, parse_yaml
 from boresight.scenarios.spec.base import SpecModel
 
 Models = tuple[type[SpecModel], ...]

@@ -11,13 +11,11 @@ from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics
-from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import propagate_states
+from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from boresight.scenarios.orbits.imaging import PointingErrors
 from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
-from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
+from boresight.scenarios.orbits.true_orbit import DAY_S, PointingErrors, TrueOrbit, propagate_truth
 from boresight.scenarios.orbits.world import OrbitWorld
 
 

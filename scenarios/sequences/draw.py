@@ -13,15 +13,20 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.sequences.ground import LandmarkGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
-from boresight.scenarios.sequences.track_errors import accumulated_errors_px, noise
-from boresight.scenarios.sequences.track_simulation import SimulatedTracks, recognise_landmarks, simulate_tracks
+from boresight.scenarios.sequences.track_simulation import (
+    SimulatedTracks,
+    Visibility,
+    accumulated_errors_px,
+    noise,
+    recognise_landmarks,
+    simulate_tracks,
+)
 from boresight.scenarios.sequences.trajectory import (
     CameraTrajectory,
     camera_trajectory,
     draw_unmodelled_m_s2,
     nominal_trajectory,
 )
-from boresight.scenarios.sequences.visibility import Visibility
 from boresight.scenarios.spec.sequence import SequenceSpec, TrackErrorsSpec, VisionSpec
 from boresight.scenarios.tracks import TrackSequence
 

@@ -20,9 +20,8 @@ from boresight.scenarios.sequences.draw import SequenceTruth
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
 from boresight.scenarios.sequences.trajectory import nominal_trajectory
-from boresight.scenarios.spec.sequence import SequenceSpec
+from boresight.scenarios.spec.sequence import SequenceSpec, TrackTableSpec
 from boresight.scenarios.spec.tables import Table, columns_of, read_table
-from boresight.scenarios.spec.tracks import TrackTableSpec
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec, StatesSpec, states_of
 from boresight.scenarios.tracks import TrackSequence
 

@@ -26,8 +26,7 @@ from boresight.reports.kinds.crater_matching import RECALL, WRONG, matching_grid
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import value_of
 from boresight.scenarios.bodies.embedded import icosphere
-from boresight.scenarios.craters.pairs import CraterPair, CraterView
-from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections
+from boresight.scenarios.craters.simulated import NO_CRATER, CraterPair, CraterView, LabelledDetections
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, View, look_at
 from boresight.scenarios.geometry.ellipse import fit_conics

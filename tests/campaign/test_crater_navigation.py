@@ -16,12 +16,11 @@ from boresight.estimators.craters.navigation.rounds import CraterNavigation, Nav
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.reports.schema.tables import TABLES
-from boresight.scenarios.craters.pairs import draw_plane_craters
-from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.craters.simulated import NO_CRATER, draw_plane_craters
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose, TriangleMesh
 from boresight.scenarios.observation import Frame
-from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.orbits.true_orbit import imaging_of
 from boresight.scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([7.0, -4.0, 11.0])

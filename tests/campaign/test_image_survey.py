@@ -13,11 +13,10 @@ from orbit_worlds import orbit_world
 from boresight.campaign.kinds.crater_navigation.images import DrawnSights
 from boresight.campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
 from boresight.reports.schema.tables import TABLES
-from boresight.scenarios.craters.pairs import draw_plane_craters
-from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.craters.simulated import NO_CRATER, draw_plane_craters
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
-from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.orbits.true_orbit import imaging_of
 from boresight.scenarios.sequences.ground import MeshGround
 
 CAMERA = Camera.from_fov(100, 100, np.radians(10.0))

@@ -19,8 +19,7 @@ from boresight.campaign.trial.kind import InspectedTrial
 from boresight.estimators.craters.contract import CraterMatches
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate
 from boresight.reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
-from boresight.scenarios.craters.pairs import CraterPair, CraterView
-from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections
+from boresight.scenarios.craters.simulated import NO_CRATER, CraterPair, CraterView, LabelledDetections
 from boresight.scenarios.geometry import Ellipses
 from boresight.scenarios.orbits.draw import draw_orbit
 

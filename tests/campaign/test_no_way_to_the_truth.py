@@ -35,8 +35,7 @@ from boresight.estimators.registry import estimator_class
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.craters import CraterTruth
-from boresight.scenarios.craters.pairs import CraterPair, CraterView
-from boresight.scenarios.craters.simulated import LabelledDetections
+from boresight.scenarios.craters.simulated import CraterPair, CraterView, LabelledDetections
 from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.orbits.draw import OrbitTruth

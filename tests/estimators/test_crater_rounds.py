@@ -28,8 +28,7 @@ from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
 from boresight.scenarios.dynamics.field import UniformRotation
-from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import propagate_states
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate_states
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose
 from boresight.scenarios.orbits.draw import draw_knowledge

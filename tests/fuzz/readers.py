@@ -39,10 +39,10 @@ from boresight.renderers.spice.instruments import INSTRUMENTS
 from boresight.reports.published import parse as parse_published
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry
-from boresight.scenarios.designs import grid_cells
 from boresight.scenarios.load import canonical_json, digest, file_kind, load_campaign, load_scenario
 from boresight.scenarios.load.yaml_text import parse_yaml
 from boresight.scenarios.spec.body import BodySpec
+from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spice.kernels import loaded_kernels
 
 SEEDS = Path(__file__).with_name("seeds")

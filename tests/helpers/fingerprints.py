@@ -27,7 +27,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View, look_at
 from boresight.scenarios.load import LoadedScenario, load_scenario
 from boresight.scenarios.orbits.draw import draw_orbit
-from boresight.scenarios.orbits.imaging import imaging_of
+from boresight.scenarios.orbits.true_orbit import imaging_of
 from boresight.scenarios.sequences import draw_real_sequence, draw_sequence
 
 

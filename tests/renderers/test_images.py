@@ -19,7 +19,7 @@ from boresight.renderers.images import PosedImageSet, read_image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import load_scenario
-from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.scenario import ImageSetSpec
 
 CAMERA = Camera.from_fov(24, 16, 0.1)
 NAVCAM, SHAPE = "images/rosetta_navcam_67p", "shapes/67p-16k.obj"

@@ -9,7 +9,7 @@ import numpy as np
 
 from boresight.renderers.images import PosedImageSet
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.scenario import ImageSetSpec
 
 CAMERA = Camera.from_fov(20, 16, 0.3)
 HEAD = "file,time_s,ref_qw,ref_qx,ref_qy,ref_qz,ref_tx_m,ref_ty_m,ref_tz_m,sun_body_x,sun_body_y,sun_body_z\n"

@@ -24,7 +24,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, RadialDistortion, TriangleMesh, View
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.brdf import LambertSpec
-from boresight.scenarios.spec.images import ImageSetSpec
+from boresight.scenarios.spec.scenario import ImageSetSpec
 from boresight.scenarios.spice.geometry import SpiceNames, apparent_geometry
 from boresight.scenarios.spice.kernels import loaded_kernels
 

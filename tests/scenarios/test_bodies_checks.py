@@ -9,8 +9,7 @@ from mission_data import needs_data
 from scipy.spatial import ConvexHull
 
 from boresight.scenarios.bodies import body_digest, load_body
-from boresight.scenarios.bodies.checks import checked_mesh, winding_number
-from boresight.scenarios.bodies.load import evenly_meshed
+from boresight.scenarios.bodies.load import checked_mesh, evenly_meshed, winding_number
 from boresight.scenarios.bodies.readers import RawShape
 from boresight.scenarios.bodies.topology import find_edges, is_closed, vertex_normals
 from boresight.scenarios.cache import Cache

@@ -23,10 +23,9 @@ from boresight.scenarios.bodies.topology import is_closed
 from boresight.scenarios.craters import Craters, Tiling, build_surfaces, cratered_surface, draw_craters, surface
 from boresight.scenarios.craters.kernels import add_octave, profile_height
 from boresight.scenarios.craters.relief import REACH, Profiles, crater_relief
-from boresight.scenarios.craters.rims import find_rims
 from boresight.scenarios.craters.surface import lower_envelope, smooth_tiles
 from boresight.scenarios.craters.tiles import check_size, expected_size
-from boresight.scenarios.craters.truth import CraterTruth
+from boresight.scenarios.craters.truth import CraterTruth, find_rims
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, TriangleMesh
 from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances

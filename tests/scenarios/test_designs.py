@@ -5,10 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from boresight.scenarios.designs import grid_cells, two_level_runs
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
-from boresight.scenarios.spec.campaign import GridSpec
+from boresight.scenarios.spec.campaign import GridSpec, grid_cells, two_level_runs
 
 AXES = {
     "truth": {"levels": {"dull": {"brdf.albedo": 0.1}, "bright": {"brdf.albedo": 0.4}}},

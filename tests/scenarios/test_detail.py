@@ -7,11 +7,9 @@ from scipy.spatial import cKDTree
 from scipy.stats import kstest
 
 from boresight.scenarios.bodies import EMBEDDED
-from boresight.scenarios.bodies.detail import add_detail
-from boresight.scenarios.bodies.detail.features import RefinedSurface, find_feature_vertices, power_law_diameters
-from boresight.scenarios.bodies.detail.noise import Band, fractal_field
-from boresight.scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
-from boresight.scenarios.bodies.topology import vertex_normals
+from boresight.scenarios.bodies.detail import RefinedSurface, add_detail, find_feature_vertices, power_law_diameters
+from boresight.scenarios.bodies.noise import Band, fractal_field
+from boresight.scenarios.bodies.topology import interpolating_control, refine, rounds_for, vertex_normals
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 from boresight.scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, RedrawnSpec, RoughnessSpec

@@ -12,9 +12,9 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.draw import Stream, draw_view, generator, state_of_trial
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import canonical_json, digest, load_scenario
-from boresight.scenarios.spec.flights import DescentSpec, FlybySpec, HoverSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.tables import columns_of, read_table
+from boresight.scenarios.spec.trajectory import DescentSpec, FlybySpec, HoverSpec
 
 PLACE, SPEED = ("x_m", "y_m", "z_m"), ("vx_m_s", "vy_m_s", "vz_m_s")
 

@@ -16,11 +16,9 @@ from boresight import estimators
 from boresight.estimators.options import parse_options
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_scenario, yaml_text
-from boresight.scenarios.load.entry import describe, entry_of
-from boresight.scenarios.load.files import CATALOG
-from boresight.scenarios.load.find import names_in
+from boresight.scenarios.load.files import CATALOG, names_in
 from boresight.scenarios.load.merge import on_defaults
-from boresight.scenarios.load.yaml_text import MAX_VALUES, dump_yaml, parse_yaml, resolve_scalar
+from boresight.scenarios.load.yaml_text import MAX_VALUES, describe, dump_yaml, entry_of, parse_yaml, resolve_scalar
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.scenario import ScenarioSpec
 

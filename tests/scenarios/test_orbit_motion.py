@@ -6,8 +6,12 @@ from scipy.optimize import brentq
 
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics
-from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import propagate_partials, propagate_states
+from boresight.scenarios.dynamics.propagation import (
+    OrbitLostError,
+    PiecewiseAcceleration,
+    propagate_partials,
+    propagate_states,
+)
 
 GM, DAY = 4.463e5, 86_400.0
 REST = UniformRotation(np.eye(3), 0.0)

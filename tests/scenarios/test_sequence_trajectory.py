@@ -15,8 +15,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, look_at
 from boresight.scenarios.load import canonical_json, digest, load_scenario
 from boresight.scenarios.sequences import MeshGround, SphereGround, draw_sequence, nominal_trajectory
-from boresight.scenarios.sequences.track_simulation import simulate_tracks
-from boresight.scenarios.sequences.visibility import Visibility
+from boresight.scenarios.sequences.track_simulation import Visibility, simulate_tracks
 from boresight.scenarios.spec.scenario import ScenarioSpec
 from boresight.scenarios.spec.sequence import SequenceSpec
 from boresight.scenarios.spec.tables import columns_of

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View
 from boresight.scenarios.load import load_scenario
 from boresight.scenarios.sequences import FrameTracks, MeshGround, SphereGround, draw_sequence, measured_ranges
+from boresight.scenarios.sequences.track_simulation import Visibility, sphere_share
 from boresight.scenarios.sequences.trajectory import (
     R_PAPER_CAMERA,
     circular_poses,
@@ -19,7 +20,6 @@ from boresight.scenarios.sequences.trajectory import (
     frame_times_s,
     inertial_from_body,
 )
-from boresight.scenarios.sequences.visibility import Visibility, sphere_share
 from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceOrbitSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))

@@ -7,12 +7,12 @@ import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, population
 from scipy.spatial.transform import Rotation
 
-from boresight.scenarios.craters.pairs import observed_frame
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
     detect_simulated,
     in_view,
+    observed_frame,
     sample_plane_craters,
 )
 from boresight.scenarios.geometry import Pose, View, look_at

@@ -12,8 +12,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.load import canonical_json, load_scenario
 from boresight.scenarios.sequences import SphereGround, draw_sequence
-from boresight.scenarios.sequences.track_errors import accumulated_errors_px, noise
-from boresight.scenarios.sequences.track_simulation import SimulatedTracks
+from boresight.scenarios.sequences.track_simulation import SimulatedTracks, accumulated_errors_px, noise
 from boresight.scenarios.spec.sequence import TrackErrorsSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))

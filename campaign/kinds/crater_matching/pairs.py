@@ -17,15 +17,17 @@ from boresight.estimators.craters.registry import crater_detector_class
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters import CraterTruth
-from boresight.scenarios.craters.pairs import (
+from boresight.scenarios.craters.simulated import (
+    NO_CRATER,
     CraterPair,
     CraterView,
+    LabelledDetections,
+    PlaneCraters,
     draw_pair,
     draw_plane_craters,
     draw_views,
     observed_frame,
 )
-from boresight.scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, View

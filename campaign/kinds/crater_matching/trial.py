@@ -29,8 +29,7 @@ from boresight.estimators.craters.contract import CraterDetections, CraterImage,
 from boresight.estimators.craters.matching.context import epipolar_offsets
 from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from boresight.scenarios.bodies import load_body
-from boresight.scenarios.craters.pairs import CraterPair, CraterView
-from boresight.scenarios.craters.simulated import NO_CRATER
+from boresight.scenarios.craters.simulated import NO_CRATER, CraterPair, CraterView
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario

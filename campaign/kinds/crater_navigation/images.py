@@ -21,11 +21,12 @@ from boresight.estimators.craters.planning import PlannedImage, plan_arc, read_p
 from boresight.scenarios.arrays import Image, IndexArray
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.bodies import load_body
-from boresight.scenarios.craters.pairs import LIMITS_DEG, draw_plane_craters
 from boresight.scenarios.craters.simulated import (
+    LIMITS_DEG,
     DetectionErrors,
     PlaneCraters,
     detect_simulated,
+    draw_plane_craters,
     in_view,
     raise_craters,
 )
@@ -36,8 +37,14 @@ from boresight.scenarios.geometry import Ellipses, Pose, TriangleMesh, View
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.orbits.draw import draw_knowledge, draw_radiometry
-from boresight.scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
-from boresight.scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
+from boresight.scenarios.orbits.true_orbit import (
+    TrueOrbit,
+    control_errors,
+    epochs_s,
+    propagate_truth,
+    sun_dir_inertial,
+    true_views,
+)
 from boresight.scenarios.orbits.world import OrbitWorld
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import ImagingSpec

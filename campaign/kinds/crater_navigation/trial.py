@@ -54,7 +54,7 @@ from boresight.scenarios.dynamics.propagation import OrbitLostError
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.orbits.draw import OrbitTruth
-from boresight.scenarios.orbits.imaging import epochs_s, imaging_of
+from boresight.scenarios.orbits.true_orbit import epochs_s, imaging_of
 from boresight.scenarios.orbits.world import OrbitWorld
 
 

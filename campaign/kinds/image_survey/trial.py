@@ -28,8 +28,7 @@ from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
 from boresight.scenarios.load import LoadedScenario
-from boresight.scenarios.orbits.imaging import imaging_of
-from boresight.scenarios.orbits.true_orbit import DAY_S
+from boresight.scenarios.orbits.true_orbit import DAY_S, imaging_of
 from boresight.scenarios.orbits.world import OrbitWorld
 
 FEW = 7

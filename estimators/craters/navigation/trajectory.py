@@ -11,8 +11,7 @@ from boresight.estimators.craters.contract import CraterImage
 from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
 from boresight.estimators.orbit.contract import Orbit
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration
-from boresight.scenarios.dynamics.variational import propagate_partials
+from boresight.scenarios.dynamics.propagation import PiecewiseAcceleration, propagate_partials
 from boresight.scenarios.geometry import Pose, cross_matrix
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.orbits.data import Knowledge
