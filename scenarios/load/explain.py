@@ -73,48 +73,41 @@ def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel
     field: FieldInfo | None = None
     for step in loc:
         if len(models) > 1:
-            models = tuple(candidate for candidate in models if step == _TAG or _has_tag(candidate, str(step)))[:1]
+            tags = [(one, one.model_fields.get("kind")) for one in models]
+            admitted = [one for one, kind in tags if step in (get_args(kind.annotation) if kind else one.model_fields)]
+            models = models[:1] if step == _TAG else tuple(admitted[:1])
             continue
         if isinstance(step, str) and not models and not isinstance(entry.value, Mapping):
             continue  # the tag of a plain value: a number or a pair
         keys.append(f"[{step}]" if isinstance(step, int) else f".{step}")
-        entry = _child(entry, step)
+        # The entry stays where the file does not contain the child.
+        if isinstance(entry.value, Mapping):
+            entry = entry.value.get(str(step), entry)
+        elif isinstance(entry.value, tuple) and isinstance(step, int) and step < len(entry.value):
+            entry = entry.value[step]
         if isinstance(step, str):
-            parent, field = models, _field(models, step)
+            parent = models
+            field = next((model.model_fields[step] for model in models if step in model.model_fields), None)
             models = field_models(models, step)
     return _ErrorLocation("".join(keys).lstrip("."), entry, parent, field)
 
 
-def _has_tag(model: type[SpecModel], tag: str) -> bool:
-    kind = model.model_fields.get("kind")
-    return tag in get_args(kind.annotation) if kind is not None else tag in model.model_fields
-
-
-def _field(models: Models, key: str) -> FieldInfo | None:
-    return next((model.model_fields[key] for model in models if key in model.model_fields), None)
-
-
-def _child(entry: ConfigEntry, step: int | str) -> ConfigEntry:
-    """Return the child entry, or the entry itself if the file does not contain the child."""
-    if isinstance(entry.value, Mapping):
-        return entry.value.get(str(step), entry)
-    if isinstance(entry.value, tuple) and isinstance(step, int) and step < len(entry.value):
-        return entry.value[step]
-    return entry
-
-
 def _what(detail: ErrorDetails, spot: _ErrorLocation) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
-    if kind == "missing":
-        return _missing(detail["loc"], spot)
-    if kind == "union_tag_not_found":
-        return "this key is missing"
+    if kind == "missing" and isinstance(detail["loc"][-1], int):
+        return "this value of the list is missing"
+    if kind in {"missing", "union_tag_not_found"}:
+        described = spot.field.description if spot.field is not None and kind == "missing" else None
+        return f"this key is missing ({described})" if described else "this key is missing"
     if kind == "extra_forbidden":
-        return _unknown(spot)
+        known = [field.alias or key for model in spot.parent for key, field in model.model_fields.items()]
+        near = difflib.get_close_matches(spot.key.rsplit(".", 1)[-1], known, n=1)
+        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; known here are {', '.join(known)}"
     if kind == "value_error":
         return str(context["error"])
     if kind in {"too_short", "too_long"}:
-        return _wrong_length(kind, context)
+        most = f"least {context['min_length']}" if kind == "too_short" else f"most {context['max_length']}"
+        return f"has {context['actual_length']} values, not at {most}"
     return f"{describe(spot.entry)} {_fault(kind, context, spot.field, detail['msg'])}"
 
 
@@ -134,24 +127,6 @@ def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, messa
     if not set(bounds) & set(context):
         bounds = {name: value for name, value in context.items() if name in _BOUNDS}
     return f"is not {interval(bounds)}" if bounds else f"is wrong: {message[:1].lower()}{message[1:]}"
-
-
-def _missing(loc: tuple[int | str, ...], spot: _ErrorLocation) -> str:
-    if isinstance(loc[-1], int):
-        return "this value of the list is missing"
-    described = f" ({spot.field.description})" if spot.field is not None and spot.field.description else ""
-    return f"this key is missing{described}"
-
-
-def _unknown(spot: _ErrorLocation) -> str:
-    known = [field.alias or key for model in spot.parent for key, field in model.model_fields.items()]
-    near = difflib.get_close_matches(spot.key.rsplit(".", 1)[-1], known, n=1)
-    return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; known here are {', '.join(known)}"
-
-
-def _wrong_length(kind: str, context: Mapping[str, Any]) -> str:
-    bound = context["min_length"] if kind == "too_short" else context["max_length"]
-    return f"has {context['actual_length']} values, not at {'least' if kind == 'too_short' else 'most'} {bound}"
 
 
 def bounds_of(field: FieldInfo | None) -> dict[str, float]:

@@ -31,34 +31,26 @@ def names_in(catalog: Path) -> list[str]:
     return sorted(_by_name(catalog))
 
 
-def name_of(path: Path) -> str:
-    """Return the default name of a file: ``my-scene`` for ``my_scene.yaml``."""
-    return _named(path.name)[0]
-
-
 def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
     """Find a file by its name in the catalogue, otherwise by its path: ``quickstart``, or ``my/scene.yaml``.
 
     Relative paths, and names without a suffix, are looked up in ``near`` too, by default the working directory. Raise
     BoresightError if there is none; the message names the kind of file, ``what``, and suggests similar names.
     """
-    for folder in (catalog, near):
-        found = None if folder is None else _named_in(folder, name_or_path)
-        if found is not None:
-            return found
+    for folder in [catalog] if near is None else [catalog, near]:
+        usual = folder / f"{name_or_path.replace('-', '_')}{SUFFIXES[0]}"
+        # Most are found without listing the folder.
+        if usual.parent == folder and exists(usual):
+            return usual
+        if file := _by_name(folder).get(name_or_path.replace("_", "-")):
+            return folder / file
     path = (near or Path()) / name_or_path
     if not exists(path):
-        raise BoresightError(_not_found(name_or_path, path, names_in(catalog), what))
+        known, beside = names_in(catalog), [one.name for one in sorted(path.parent.glob("*")) if one.suffix in SUFFIXES]
+        close = difflib.get_close_matches(path.stem, known, n=1) or difflib.get_close_matches(path.name, beside, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"give a path, or one of {', '.join(known)}"
+        raise BoresightError(f"{shortened(name_or_path)}: no such {what}; {hint}")
     return path
-
-
-def _named_in(folder: Path, name: str) -> Path | None:
-    """Return the file of a name in a folder; most are found without listing it."""
-    usual = folder / f"{name.replace('-', '_')}{SUFFIXES[0]}"
-    if usual.parent == folder and exists(usual):
-        return usual
-    file = _by_name(folder).get(name.replace("_", "-"))
-    return None if file is None else folder / file
 
 
 def exists(path: Path) -> bool:
@@ -112,13 +104,6 @@ def _by_name(folder: Path) -> dict[str, str]:
     return {name: file for file in names for name, suffix in [_named(file)] if suffix in SUFFIXES}
 
 
-def _not_found(name_or_path: str, path: Path, known: list[str], what: str) -> str:
-    beside = [item.name for item in sorted(path.parent.glob("*")) if item.suffix in SUFFIXES]
-    near = difflib.get_close_matches(path.stem, known, n=1) or difflib.get_close_matches(path.name, beside, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"give a path, or one of {', '.join(known)}"
-    return f"{shortened(name_or_path)}: no such {what}; {hint}"
-
-
 _MAX_GENERATIONS = 20
 CATALOG = Path(__file__).parents[1] / "catalog"
 Spec = TypeVar("Spec", bound=SpecModel)
@@ -161,14 +146,6 @@ class LoadedCampaign:
         return entry.value[item].place if item is not None and isinstance(entry.value, tuple) else entry.place
 
 
-@dataclass(frozen=True, slots=True)
-class _File:
-    """A file merged over those that it extends; ``folders`` are its own folder, then those of its parents."""
-
-    root: ConfigEntry
-    folders: tuple[Path, ...]
-
-
 def scenario_names() -> list[str]:
     """Return the names of the scenarios that come with boresight."""
     return names_in(CATALOG)
@@ -192,29 +169,24 @@ def load_scenario(
     body are filled in. Raise BoresightError with one line for each fault: file, line, key, value and what is allowed.
     """
     path = find(name_or_path, CATALOG, near)
-    file = _read_chain(path, CATALOG, ScenarioSpec)
+    root, folders = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [
         settings(one if isinstance(one, ConfigEntry) else entry_of(one, "grid"), (ScenarioSpec,)) for one in levels
     ]
     layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
-    root = _without_nulls(apply(file.root, layers, (ScenarioSpec,)))
+    section = apply(root, layers, (ScenarioSpec,)).section or {}
+    # ``section: null`` restores the default of an inherited section.
+    root = ConfigEntry({key: entry for key, entry in section.items() if entry.value is not None}, root.place)
     embedded = embedded and "images" not in (root.section or {})
     plain = cast("dict[str, Any]", root.plain())
-    lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, file.folders, embedded))
-    spec = validated(ScenarioSpec, root, file.folders, lengths=lengths, embedded=embedded)
+    lengths = lengths_left_out((ScenarioSpec,), plain, scale_as_written(plain, folders, embedded))
+    spec = validated(ScenarioSpec, root, folders, lengths=lengths, embedded=embedded)
     if embedded:
         believed = spec.onboard.body
         onboard = spec.onboard if believed is None else spec.onboard.model_copy(update={"body": believed.embedded()})
         spec = spec.model_copy(update={"body": spec.body.embedded(), "onboard": onboard})
-    return LoadedScenario(spec, path, file.folders)
-
-
-def _without_nulls(root: ConfigEntry) -> ConfigEntry:
-    """Remove keys with null, so that ``section: null`` restores the default of an inherited section."""
-    section = root.section or {}
-    kept = {key: entry for key, entry in section.items() if entry.value is not None}
-    return ConfigEntry(kept, root.place)
+    return LoadedScenario(spec, path, folders)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
@@ -223,8 +195,8 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     Raise BoresightError as ``load_scenario`` does.
     """
     path = find(name_or_path, catalog, what="campaign")
-    file = _read_chain(path, catalog, CampaignSpec)
-    root = apply(file.root, [parse_override(text) for text in overrides], (CampaignSpec,))
+    file, _ = _read_chain(path, catalog, CampaignSpec)
+    root = apply(file, [parse_override(text) for text in overrides], (CampaignSpec,))
     return LoadedCampaign(validated(CampaignSpec, root), path, root)
 
 
@@ -267,8 +239,10 @@ def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "cam
     return "campaign" if len(keys & of_campaign - of_scenario) > len(keys & of_scenario - of_campaign) else "scenario"
 
 
-def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tuple[Path, ...] = ()) -> _File:
-    """Read a file and merge it over those that it extends; later parents override earlier ones."""
+def _read_chain(
+    path: Path, catalog: Path, model: type[SpecModel], children: tuple[Path, ...] = ()
+) -> tuple[ConfigEntry, tuple[Path, ...]]:
+    """Read a file and merge it over those that it extends, later ones over earlier ones; also return their folders."""
     resolved = path.resolve()
     own = read(path)
     shown = own.place.rpartition(":")[0]
@@ -276,7 +250,7 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
     extends = section.pop("extends", None)
     # A name is not inherited; that of the file itself is its default.
     if not children:
-        section.setdefault("name", ConfigEntry(name_of(path), shown))
+        section.setdefault("name", ConfigEntry(_named(path.name)[0], shown))
     if len(children) > _MAX_GENERATIONS:
         raise BoresightError(f"{shown}: extends: a chain of more than {_MAX_GENERATIONS} files")
     layers, folders = list[ConfigEntry](), [resolved.parent]
@@ -284,13 +258,13 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
         parent_path = find(parent, catalog, path.parent)
         if parent_path.resolve() in (*children, resolved):
             raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
-        file = _read_chain(parent_path, catalog, model, (*children, resolved))
+        root, further = _read_chain(parent_path, catalog, model, (*children, resolved))
         # Name and description belong to a file alone.
-        inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
+        inherited = {key: entry for key, entry in (root.section or {}).items() if key not in model.own}
         layers.append(ConfigEntry(inherited, own.place))
-        folders += file.folders
+        folders += further
     root = apply(ConfigEntry({}, shown), [*layers, ConfigEntry(section, own.place)], (model,))
-    return _File(root, tuple(dict.fromkeys(folders)))
+    return root, tuple(dict.fromkeys(folders))
 
 
 def _parents(extends: ConfigEntry | None) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, cast, get_args, get_origin
 
 from boresight.scenarios.errors import BoresightError, printable
 from boresight.scenarios.load.yaml_text import ConfigEntry, entry_of, nested, parse_yaml
@@ -27,12 +27,12 @@ def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
         return dict(given)
     result = dict(given)
     for key, value in given.items():
-        field = model.model_fields.get(key) if isinstance(value, Mapping) else None
-        if field is None:
-            continue
-        if isinstance(field.default, SpecModel):
-            value = _laid_on(field.default, value)
-        result[key] = on_defaults(field_models((model,), key), value)
+        if isinstance(value, Mapping) and key in model.model_fields:
+            allowed, default = field_models((model,), key), model.model_fields[key].default
+            # A default with none of the given keys is of another form.
+            if isinstance(default, SpecModel) and (not value or value.keys() & type(default).model_fields.keys()):
+                value = cast("Plain", merge(entry_of(_own(default), ""), entry_of(value, ""), allowed).plain())
+            result[key] = on_defaults(allowed, value)
     return result
 
 
@@ -40,32 +40,17 @@ def meant_model(models: Models, given: Mapping[str, Any]) -> type[SpecModel] | N
     """Return the model of a mapping; None if none or several fit."""
     fitting = [model for model in models if not given or set(given) & set(model.model_fields)]
     if "kind" in given:
-        fitting = [model for model in fitting if _admits(model, given["kind"])]
+        kinds = [(model, model.model_fields.get("kind")) for model in fitting]
+        fitting = [model for model, kind in kinds if kind and repr(given["kind"]) in repr(kind.annotation)]
     return fitting[0] if len(fitting) == 1 else None
 
 
-def _admits(model: type[SpecModel], kind: object) -> bool:
-    field = model.model_fields.get("kind")
-    return field is not None and repr(kind) in repr(field.annotation)
-
-
-def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Complete a section by the keys of its default; another kind or form replaces the whole default."""
-    fields, kind = type(default).model_fields, getattr(default, "kind", None)
-    if (given and not set(given) & set(fields)) or given.get("kind", kind) != kind:
-        return given
-    chosen = {key for key, value in given.items() if value is not None}
-    # A given key of a group of alternatives takes the place of the default one.
-    displaced = {key for group in default.alternatives if set(group) & chosen for key in group}
-    # What differs from the defaults of the model itself is all that this default adds.
-    given_by_default = default.model_fields_set | ({"kind"} & fields.keys())
-    own = {key for key in given_by_default if key == "kind" or getattr(default, key) != fields[key].get_default()}
-    deeper = {
-        key: _laid_on(getattr(default, key), value)
-        for key, value in given.items()
-        if isinstance(value, Mapping) and isinstance(getattr(default, key, None), SpecModel)
-    }
-    return {**default.model_dump(mode="json", include=own - displaced), **given, **deeper}
+def _own(default: SpecModel) -> Plain:
+    """Return what a default section adds to the defaults of its model."""
+    fields = type(default).model_fields
+    given = default.model_fields_set | ({"kind"} & fields.keys())
+    own = {key for key in given if key == "kind" or getattr(default, key) != fields[key].get_default()}
+    return default.model_dump(mode="json", include=own)
 
 
 def parse_override(text: str, place: str = "") -> ConfigEntry:
@@ -150,7 +135,9 @@ def merge(base: ConfigEntry, over: ConfigEntry, models: Models) -> ConfigEntry:
     """
     if base.section is None or over.section is None or _is_other_form(base, over, models):
         return over
-    displaced = _displaced(over, models)
+    chosen = {key for key, entry in over.section.items() if entry.value is not None}
+    groups = [set(group) for model in models for group in model.alternatives]
+    displaced = {key for group in groups if group & chosen for key in group - chosen}
     merged = {key: entry for key, entry in base.section.items() if key not in displaced}
     for key, entry in over.section.items():
         merged[key] = merge(merged[key], entry, field_models(models, key)) if key in merged else entry
@@ -166,9 +153,3 @@ def _is_other_form(base: ConfigEntry, over: ConfigEntry, models: Models) -> bool
         return "kind" in new and new["kind"].value != old_kind
     # Two forms of a distribution have no key in common.
     return len(models) > 1 and bool(new) and not set(old) & set(new)
-
-
-def _displaced(over: ConfigEntry, models: Models) -> set[str]:
-    chosen = {key for key, entry in (over.section or {}).items() if entry.value is not None}
-    groups = [set(group) for model in models for group in model.alternatives]
-    return {key for group in groups if group & chosen for key in group - chosen}

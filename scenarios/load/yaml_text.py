@@ -211,20 +211,19 @@ class _Builder:
         if isinstance(event, MappingStartEvent):
             value = self._mapping()
         elif isinstance(event, SequenceStartEvent):
-            value = self._sequence()
+            value = []
+            while not isinstance(item := next(self._events), SequenceEndEvent):
+                value.append(self._build(item, self._at(item)))
+            value = tuple(value)
+        elif any("\ud800" <= char <= "\udfff" for char in event.value):
+            raise self._error(event, "half of a surrogate pair is no character: write the character itself")
         else:
-            value = self._scalar(event)
+            value = resolve_scalar(event.value) if event.implicit[0] and not event.style else event.value
         self._depth -= 1
         entry = ConfigEntry(value, place)
         if event.anchor:
             self._anchors[str(event.anchor)] = (entry, self._values - before)
         return entry
-
-    def _scalar(self, event: Any) -> Scalar:
-        text: str = event.value
-        if any("\ud800" <= char <= "\udfff" for char in text):
-            raise self._error(event, "half of a surrogate pair is no character: write the character itself")
-        return resolve_scalar(text) if event.implicit[0] and not event.style else text
 
     def _mapping(self) -> dict[str, ConfigEntry]:
         section: dict[str, ConfigEntry] = {}
@@ -237,12 +236,6 @@ class _Builder:
                 raise self._error(event, f"{key}: duplicate key, first given at {section[key].place}")
             section[key] = self._build(next(self._events), place)
         return section
-
-    def _sequence(self) -> tuple[ConfigEntry, ...]:
-        items: list[ConfigEntry] = []
-        while not isinstance(event := next(self._events), SequenceEndEvent):
-            items.append(self._build(event, self._at(event)))
-        return tuple(items)
 
     def _alias(self, event: Any, place: str) -> ConfigEntry:
         if event.anchor not in self._anchors:

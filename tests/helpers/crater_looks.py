@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.craters import pairs
+from boresight.scenarios.craters import simulated
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
@@ -47,7 +47,7 @@ class Look:
 
 def turned(direction: FloatArray, angle_deg: float, azimuth_rad: float) -> FloatArray:
     """Turn a unit vector by an angle, towards an azimuth."""
-    return pairs.turn_direction(direction, np.radians(angle_deg), azimuth_rad)
+    return simulated.turn_direction(direction, np.radians(angle_deg), azimuth_rad)
 
 
 def look(
