@@ -281,6 +281,15 @@ def draw_direction(latitudes_rad: tuple[float, float], rng: np.random.Generator)
     return np.array([radius * np.cos(longitude_rad), radius * np.sin(longitude_rad), z])
 
 
+def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
+    """Rotate a unit vector (3,) by an angle towards an azimuth about it."""
+    # The coordinate axis farthest from the direction gives a well-conditioned product.
+    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    first /= np.linalg.norm(first)
+    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
+    return np.asarray(np.cos(angle_rad) * direction + np.sin(angle_rad) * across)
+
+
 def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
     """Draw a phase angle, rad: if it is uniform, in its cosine (the solid angle) or in itself; else by its law."""
     if not isinstance(lighting.phase_deg, Uniform):

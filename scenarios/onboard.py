@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.draw import draw_direction
+from boresight.scenarios.draw import draw_direction, turn_direction
 from boresight.scenarios.geometry import Camera, Pose
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.camera import CameraSpec
@@ -69,13 +69,7 @@ def onboard_sun_dir(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.rando
     angle_rad, azimuth_rad = _angle_rad(onboard.sun_error_deg, rng), rng.uniform(0.0, 2.0 * np.pi)
     if angle_rad == 0.0:
         return sun_dir_cam
-    helper = np.eye(3)[int(np.argmin(np.abs(sun_dir_cam)))]
-    first = np.cross(sun_dir_cam, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(sun_dir_cam, first)
-    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * second
-    turned: FloatArray = np.cos(angle_rad) * sun_dir_cam + np.sin(angle_rad) * across
-    return turned
+    return turn_direction(sun_dir_cam, angle_rad, azimuth_rad)
 
 
 def onboard_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:

@@ -247,7 +247,9 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     ground, faces, coarse_albedo = _refined(mesh, spec)
     # One stream for each kind of feature: adding a kind leaves the others as they are.
     boulders, craters, roughness, albedo = np.random.SeedSequence(spec.seed).spawn(4)
-    small_boulders, small_craters, small_roughness = _redrawn(spec)
+    seeds = [] if spec.redrawn is None else np.random.SeedSequence(spec.redrawn.seed).spawn(4)
+    small = [SmallScaleSeed(spec.redrawn.below_m, seed) for seed in seeds] if spec.redrawn is not None else [None] * 3
+    small_boulders, small_craters, small_roughness = small[:3]
     heights = np.zeros(len(ground.points_m))
     omitted = {}
     if spec.craters is not None:
@@ -272,15 +274,6 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
         if count
     )
     return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
-
-
-def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
-    """Return the separate seeds of small boulders, craters and roughness; None where there is none."""
-    if spec.redrawn is None:
-        return [None, None, None]
-    return [
-        SmallScaleSeed(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]
-    ]
 
 
 def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:

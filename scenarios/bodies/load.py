@@ -22,7 +22,7 @@ from boresight.scenarios.cache import Cache, default_cache
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.spec.body import BodySpec, FurtherHeightErrorSpec, HeightErrorSpec
+from boresight.scenarios.spec.body import BodySpec, DetailSpec, FurtherHeightErrorSpec, HeightErrorSpec
 
 _FLAT = 1e-9  # of the mean area: facets below it are reported as flat
 METRES = {"m": 1.0, "km": 1000.0}
@@ -246,22 +246,18 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     key = (digest, path, spec.expected_diameter_m, cache)
     body = _in_use.get(key)
     if body is None:
-        mesh, notes = _mesh(spec, path, search_dirs, cache)
+        mesh, notes = _coarse(spec, path)
+        if spec.detail is not None:
+            # Cached without the height error, which is added afterwards: several errors share one detailed body. The
+            # coarse shape is checked in either case.
+            without = body_digest(spec.model_copy(update={"height_error": None}), search_dirs)
+            mesh, more = _detailed(mesh, spec.detail, without, cache)
+            notes = (*notes, *more)
+        if spec.height_error is not None:
+            mesh = with_height_error(mesh, spec.height_error)
         name, source = (spec.shape, "embedded") if path is None else (path.name, str(path))
         _in_use[key] = body = Body(mesh, name, source, digest, notes)
     return body
-
-
-def _mesh(
-    spec: BodySpec, path: Path | None, search_dirs: Sequence[Path], cache: Cache
-) -> tuple[TriangleMesh, tuple[str, ...]]:
-    if spec.detail is None:
-        mesh, notes = _coarse(spec, path)
-    else:
-        # Detailed bodies are cached without the height error, which is added afterwards: several errors share one.
-        true_heights = spec.model_copy(update={"height_error": None})
-        mesh, notes = _detailed(spec, path, body_digest(true_heights, search_dirs), cache)
-    return (mesh if spec.height_error is None else with_height_error(mesh, spec.height_error)), notes
 
 
 def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
@@ -306,27 +302,22 @@ def _bytes(path: Path) -> bytes:
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    mesh, notes = _original(spec, path)
-    # Keys that are not given are left out: digests of bodies without them stay as they are.
+    """Return the shape of the file or the built-in one, resampled, before the detail."""
+    notes: tuple[str, ...] = ()
+    if path is None:
+        mesh = EMBEDDED[spec.shape]()
+    else:
+        shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")
+        mesh, notes = checked_mesh(shape, path, spec.unit, spec.expected_diameter_m)
     if spec.even_facets is not None:
         mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
     return mesh, notes
 
 
-def _original(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Return the shape of the file or the built-in one, before resampling and detail."""
-    if path is None:
-        return EMBEDDED[spec.shape](), ()
-    shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")
-    return checked_mesh(shape, path, spec.unit, spec.expected_diameter_m)
-
-
-def _detailed(spec: BodySpec, path: Path | None, digest: str, cache: Cache) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Take the detailed mesh from the cache, or make it; the coarse shape is checked in either case."""
-    detail = spec.detail
-    if detail is None:
-        return _coarse(spec, path)
-    coarse, notes = _coarse(spec, path)
+def _detailed(
+    coarse: TriangleMesh, detail: DetailSpec, digest: str, cache: Cache
+) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Take the detailed mesh from the cache, or make it."""
 
     def build(folder: Path) -> None:
         mesh, detail_notes = add_detail(coarse, detail)
@@ -343,4 +334,4 @@ def _detailed(spec: BodySpec, path: Path | None, digest: str, cache: Cache) -> t
         np.load(folder / "faces.npy", mmap_mode="r"),
         np.load(albedo_file, mmap_mode="r") if albedo_file.is_file() else None,
     )
-    return mesh, (*notes, *json.loads((folder / "notes.json").read_text()))
+    return mesh, tuple(json.loads((folder / "notes.json").read_text()))

@@ -53,15 +53,9 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     corner = vertices[faces[:, 0]]
     # Twice the facet's area as a vector: the sum is weighted by area by itself.
     area = np.cross(vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner)
-    return unit(sum_at_vertices(faces, area, len(vertices)))
-
-
-def sum_at_vertices(faces: IntArray, per_face: FloatArray, n_vertices: int) -> FloatArray:
-    """Add a quantity (F, k) of each face to its three vertices: (V, k)."""
     corners = np.ascontiguousarray(faces.T).ravel()
     # bincount adds in the order of the faces: the same sums on every machine.
-    columns = [np.bincount(corners, np.tile(column, 3), n_vertices) for column in per_face.T]
-    return np.stack(columns, axis=1)
+    return unit(np.stack([np.bincount(corners, np.tile(column, 3), len(vertices)) for column in area.T], axis=1))
 
 
 def unit(vectors: FloatArray) -> FloatArray:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
-from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
+from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance, turn_direction
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, View, look_at, project_circles
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround, faces_camera
-from boresight.scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
+from boresight.scenarios.spec.craters import CraterPairsSpec, DetectionErrorSpec, PlaneCratersSpec
 from boresight.scenarios.spec.world import PoseErrorSpec
 
 NO_CRATER = -1
@@ -29,20 +29,6 @@ class PlaneCraters:
 
     def __len__(self) -> int:
         return len(self.radius_m)
-
-
-@dataclass(frozen=True, slots=True)
-class DetectionErrors:
-    """Error model of a crater detector, by the keys of `DetectionErrorSpec`."""
-
-    centre_px: float = 0.35
-    centre_radii: float = 0.04
-    axes_px: float = 0.0
-    axes_ratio: float = 0.05
-    recall: float = 0.8
-    false_share: float = 0.05
-    least_radius_px: float = 6.0
-    height_m: float = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +86,7 @@ def in_view(
 
 
 def detect_simulated(
-    craters: PlaneCraters, visible: IndexArray, view: View, errors: DetectionErrors, rng: np.random.Generator
+    craters: PlaneCraters, visible: IndexArray, view: View, errors: DetectionErrorSpec, rng: np.random.Generator
 ) -> LabelledDetections:
     """Simulate detections of the visible craters with errors, and false ones of similar size anywhere in the frame."""
     rims = project_circles(
@@ -117,7 +103,7 @@ def detect_simulated(
     return LabelledDetections(both[order], np.concatenate([crater, np.full(count, NO_CRATER)])[order])
 
 
-def _disturbed(rims: Ellipses, errors: DetectionErrors, rng: np.random.Generator) -> Ellipses:
+def _disturbed(rims: Ellipses, errors: DetectionErrorSpec, rng: np.random.Generator) -> Ellipses:
     sigma = np.hypot(errors.centre_px, errors.centre_radii * rims.radius_px)
     centre = rims.centre_px + sigma[:, None] * rng.normal(size=(len(rims), 2))
     axes = rims.semi_axes_px * np.exp(errors.axes_ratio * rng.normal(size=(len(rims), 2)))
@@ -178,24 +164,14 @@ def draw_pair(
     """
     views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
-    errors = DetectionErrors(**spec.errors.model_dump())
-    real = raise_craters(craters, errors.height_m, noise)  # the same height errors in both views
+    real = raise_craters(craters, spec.errors.height_m, noise)  # the same height errors in both views
     looks = []
     for number, view in enumerate(views):
         visible = in_view(craters, ground, view, LIMITS_DEG)
-        found = detect_simulated(real, visible, view, errors, noise)
+        found = detect_simulated(real, visible, view, spec.errors, noise)
         black = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
         looks.append(CraterView(view, found, observed_frame(view, black, pose_error, priors, float(number))))
     return CraterPair(looks[0], looks[1], *angles)
-
-
-def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
-    """Rotate a unit vector (3,) by an angle towards an azimuth about it."""
-    # The coordinate axis farthest from the direction gives a well-conditioned product.
-    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
-    first /= np.linalg.norm(first)
-    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
-    return np.asarray(np.cos(angle_rad) * direction + np.sin(angle_rad) * across)
 
 
 def draw_views(

@@ -63,8 +63,11 @@ def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatA
         # A tile that intersects the rim has corners on both sides of it or within the bulge of a curved tile.
         across = (far.min(axis=1) < tiling.bulge_m) & (far.max(axis=1) > -tiling.bulge_m)
         tiles = tiles[across & (facing[tiles] @ frame[2] > 0.0)]
-        ring = _ring(tiles, tiling, smooth_m, surface_m, craters.centre_m[crater], float(craters.radius_m[crater]))
-        curve = _by_azimuth(ring, craters.centre_m[crater], frame)
+        # Smooth and surface points, (K, 6), where edges of facets cross the crater's radius.
+        facets, centre_m = tiling.facets(tiles), craters.centre_m[crater]
+        ring = np.empty((_PER_FACET * len(facets), 6))
+        count = edge_crossings(ring, facets, smooth_m, surface_m, centre_m, float(craters.radius_m[crater]))
+        curve = _by_azimuth(ring[:count], centre_m, frame)
         whole.append(curve is not None)
         if curve is not None:
             smooth_rims.append(curve[:, :3])
@@ -80,21 +83,6 @@ def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatA
         2.0 * craters.radius_m[kept] * craters.depth_ratio[kept],
         craters.degradation[kept],
     )
-
-
-def _ring(
-    tiles: IndexArray,
-    tiling: Tiling,
-    smooth_m: FloatArray,
-    surface_m: SingleArray,
-    centre_m: FloatArray,
-    radius_m: float,
-) -> FloatArray:
-    """(K, 6) smooth and surface points where facet edges cross the crater's radius."""
-    facets = tiling.facets(tiles)
-    found = np.empty((_PER_FACET * len(facets), 6))
-    count = edge_crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
-    return found[:count]
 
 
 def _by_azimuth(ring: FloatArray, centre_m: FloatArray, frame: FloatArray) -> FloatArray | None:
@@ -217,7 +205,11 @@ def crater_truth(rims: Rims, view: View, sight: SurfaceRayTracer) -> CraterTruth
     A crest is the curve at the crater's radius on the rendered surface; a point of it is visible if the line of sight
     to it intersects the surface there first.
     """
-    rows, uv = _in_frame_at_all(rims, view)
+    # Rims that face the camera with a point in the frame.
+    rows = np.flatnonzero(_cosines(rims.normal_body, rims.centre_m, view)[1] > _FACING)
+    uv = view.camera.project(view.T_cam_body.transform(rims.crest_m[rows]))
+    within = view.camera.contains(uv).any(axis=1) & np.isfinite(uv).all(axis=(1, 2))
+    rows, uv = rows[within], uv[within]
     crest_m, n, k = rims.crest_m[rows], len(rows), rims.crest_m.shape[1]
     radius_m = 0.5 * rims.diameter_m[rows]
     met_m = sight.first_points(view, uv.reshape(-1, 2))
@@ -256,15 +248,6 @@ def crater_truth(rims: Rims, view: View, sight: SurfaceRayTracer) -> CraterTruth
         emission_deg=np.degrees(np.arccos(cosine_e))[kept],
         incidence_deg=np.degrees(np.arccos(cosine_i))[kept],
     )
-
-
-def _in_frame_at_all(rims: Rims, view: View) -> tuple[IndexArray, FloatArray]:
-    """Rows of the rims that face the camera with a point in the frame, and their pixels (n, K, 2)."""
-    _, cosine_e = _cosines(rims.normal_body, rims.centre_m, view)
-    rows = np.flatnonzero(cosine_e > _FACING)
-    uv = view.camera.project(view.T_cam_body.transform(rims.crest_m[rows]))
-    within = view.camera.contains(uv).any(axis=1) & np.isfinite(uv).all(axis=(1, 2))
-    return rows[within], uv[within]
 
 
 def _cosines(normal: FloatArray, centre_m: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:

@@ -67,7 +67,7 @@ class FlatField(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HarmonicField:
-    """Acceleration about the body's centre of mass, inertial axes, by its gravity and rotation about that.
+    """Acceleration about the body's centre of mass, inertial axes, by its gravity about that and its rotation.
 
     ``light_m_s2`` (3,) is the constant acceleration by solar radiation pressure. ``by_degree`` is the highest degree of
     the coefficients of which partial derivatives are computed (from 2 on); 0 for none.
@@ -111,7 +111,8 @@ class HarmonicField:
         potential = self.harmonics.flat
         pull = [derivative(potential, axis) for axis in range(3)]
         # The gradient serves the variational equations alone, for which a lower degree suffices.
-        coarse = self.harmonics.truncated(_TIDE_DEGREE).flat
+        whole, few = self.harmonics, _TIDE_DEGREE + 1
+        coarse = Harmonics(whole.gm_m3_s2, whole.radius_m, whole.c[:few, :few], whole.s[:few, :few]).flat
         return FlatField(
             self.harmonics.gm_m3_s2 / self.harmonics.radius_m**2,
             self.harmonics.radius_m,

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import TriangleMesh
-
-
-class Gravity(Protocol):
-    """Gravity of a body at rest in the axes of the argument."""
-
-    def acceleration(self, position_m: FloatArray) -> FloatArray:
-        """(3,) m/s2 at a position (3,) m."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +44,11 @@ class Polyhedron:
         distances = np.sqrt(np.einsum("fki,fki->fk", corners, corners))
         # (n_f . r_f) omega_f: r_f may be any corner, as all have the same distance from the facet's plane.
         flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * _solid_angles(corners, distances)
-        # (m_fe . r_e) L_e of the three edges; both facets of an edge have the same L_e.
-        edges = np.einsum("fki,fki->fk", self._edge_normals, corners) * self._logs(distances)
+        # (m_fe . r_e) L_e of the three edges, L_e = ln((a + b + e) / (a + b - e)) the potential of a wire along an edge
+        # of length e with distances a and b of its ends; both facets of an edge have the same L_e.
+        both = distances + np.roll(distances, -1, axis=1)
+        logs = np.log((both + self._lengths_m) / (both - self._lengths_m))
+        edges = np.einsum("fki,fki->fk", self._edge_normals, corners) * logs
         return np.asarray((flux - edges.sum(axis=1)) @ self.mesh.normals * self._g_sigma, dtype=np.float64)
 
     def laplacian(self, position_m: FloatArray) -> float:
@@ -85,12 +79,6 @@ class Polyhedron:
             across, self._lengths_m[..., None], out=np.zeros_like(across), where=self._lengths_m[..., None] > 0.0
         )
         return out
-
-    def _logs(self, distances_m: FloatArray) -> FloatArray:
-        """(F, 3): L_e, the potential of a wire along each edge."""
-        # L_e = ln((a + b + e) / (a + b - e)), with distances a and b of the ends and length e of the edge.
-        both = distances_m + np.roll(distances_m, -1, axis=1)
-        return np.asarray(np.log((both + self._lengths_m) / (both - self._lengths_m)), dtype=np.float64)
 
 
 def _solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:

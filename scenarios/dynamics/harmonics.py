@@ -152,11 +152,6 @@ class Harmonics:
         """The highest degree N."""
         return len(self.c) - 1
 
-    def truncated(self, degree: int) -> Harmonics:
-        """Return the harmonics up to a degree."""
-        n = min(degree, self.degree) + 1
-        return Harmonics(self.gm_m3_s2, self.radius_m, self.c[:n, :n], self.s[:n, :n])
-
     @cached_property
     def flat(self) -> tuple[FloatArray, FloatArray]:
         """Return (terms,) coefficients of the unnormalised functions, cosines and sines, ordered by `term_index`."""

@@ -13,6 +13,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.dynamics import inner, kernel
 from boresight.scenarios.dynamics.field import FlatField, HarmonicField, differentiate
 from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.spec.orbit import SunEarthSpec
 from boresight.scenarios.spec.sequence import ForcesSpec
 
 Acceleration = Callable[[float, FloatArray], FloatArray]
@@ -28,7 +29,7 @@ class OrbitLostError(BoresightError):
     """An orbit impacts on the body or diverges."""
 
 
-def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
+def radiation_pressure(forces: ForcesSpec | SunEarthSpec, sun_dir: FloatArray) -> FloatArray:
     """(3,) acceleration by solar radiation pressure, m/s2, away from the Sun: cannonball model without shadow."""
     size = SUNLIGHT_N_M2 * forces.reflectivity * forces.area_to_mass_m2_kg / forces.sun_distance_au**2
     return np.asarray(-size * sun_dir, dtype=np.float64)

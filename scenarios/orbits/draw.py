@@ -12,7 +12,6 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
-from boresight.scenarios.geometry import Camera
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
 from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
 from boresight.scenarios.orbits.true_orbit import DAY_S, PointingErrors, TrueOrbit, propagate_truth
@@ -106,9 +105,8 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     arc, images = world.spec.arc.days * DAY_S, world.spec.sightings.images
     times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, arc, images))
     flown = propagate_truth(world, times, seed, trial)
-    pointing = _Pointing.of(world, flown, seed, trial)
     knowledge = draw_knowledge(world, flown.wanted_states[0], seed, trial)
-    pictures, crater, wrong = _pictures(world, flown, pointing, seed, trial)
+    pictures, crater, wrong = _pictures(world, flown, seed, trial)
     landmarks = _landmarks(world, knowledge, pictures)
     data = OrbitData(knowledge, pictures, landmarks, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
     truth = OrbitTruth(
@@ -123,34 +121,6 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     return truth, data
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pointing:
-    """Reported and true attitudes of the images, the true camera, and the visible craters of each image."""
-
-    reported: FloatArray
-    true: FloatArray
-    camera: Camera
-    rows: tuple[IndexArray, ...]
-
-    @classmethod
-    def of(cls, world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> _Pointing:
-        """Point each image at a random lit and visible crater, or at the origin if there is none."""
-        rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
-        errors = PointingErrors.draw(world, images, rng)
-        # Drawn for all images at once: how many craters are in view must not shift the stream.
-        aims = rng.uniform(size=images)
-        turns = world.rotation.at(flown.times_s)
-        sun = np.array(world.spec.light.sun_dir) / np.linalg.norm(world.spec.light.sun_dir)
-        horizons, reported, rows = world.asteroid.horizons, np.empty((images, 3, 3)), []
-        for i, state in enumerate(flown.image_states):
-            seen = lit_and_seen(horizons, turns[i] @ state[:3], turns[i] @ sun, world.spec.sightings)
-            target = turns[i].T @ horizons.points_m[seen[int(aims[i] * len(seen))]] if len(seen) else np.zeros(3)
-            reported[i] = _pointed_at(state, target)
-            rows.append(seen)
-        # The camera is pointed by the reported attitude; the true one differs by the errors.
-        return cls(reported, errors.R_true_reported @ reported, errors.camera, tuple(rows))
-
-
 def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
     """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
     forward = target_m - state[:3]
@@ -161,18 +131,28 @@ def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _pictures(
-    world: OrbitWorld, flown: TrueOrbit, pointing: _Pointing, seed: int, trial: int
-) -> tuple[Pictures, IndexArray, BoolArray]:
-    """Simulate the numbered sightings; also return the true crater of each, and which numbers are wrong."""
+def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tuple[Pictures, IndexArray, BoolArray]:
+    """Simulate the numbered sightings; also return the true crater of each, and which numbers are wrong.
+
+    Each image is pointed at a random lit and visible crater, or at the origin if there is none.
+    """
+    rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
+    errors = PointingErrors.draw(world, images, rng)
+    # Drawn for all images at once: how many craters are in view must not shift the stream.
+    aims = rng.uniform(size=images)
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
-    numbers = merged_numbers(asteroid.horizons.points_m, spec.merged_share, rng)
+    horizons, attitudes = asteroid.horizons, np.empty((images, 3, 3))
+    numbers = merged_numbers(horizons.points_m, spec.merged_share, rng)
     turns = world.rotation.at(flown.times_s)
     parts: list[tuple[IndexArray, IndexArray, FloatArray, IndexArray, BoolArray]] = []
-    for i, rows in enumerate(pointing.rows):
+    for i, state in enumerate(flown.image_states):
+        rows = lit_and_seen(horizons, turns[i] @ state[:3], turns[i] @ world.sun_dir, spec)
+        target = turns[i].T @ horizons.points_m[rows[int(aims[i] * len(rows))]] if len(rows) else np.zeros(3)
+        # The camera is pointed by the reported attitude; the true one differs by the errors.
+        attitudes[i] = _pointed_at(state, target)
         # Rows times R_body_inertial are its transpose times columns: body to inertial axes.
-        inertial = asteroid.horizons.points_m[rows] @ turns[i] - flown.image_states[i, :3]
-        uv = pointing.camera.project(inertial @ pointing.true[i].T)
+        inertial = horizons.points_m[rows] @ turns[i] - state[:3]
+        uv = errors.camera.project(inertial @ (errors.R_true_reported[i] @ attitudes[i]).T)
         inside = world.camera.contains(uv, spec.margin_px)
         rows, uv = rows[inside], uv[inside]
         chosen = draw_found_craters(rows, asteroid.prominence, spec, rng)
@@ -183,7 +163,7 @@ def _pictures(
         once = np.sort(first)
         parts.append((np.full(len(once), i), reported[once], seen[once], rows[chosen][once], wrong[once]))
     image, landmark, uv, crater, wrong = (np.concatenate(part) for part in zip(*parts, strict=True))
-    pictures = Pictures(flown.times_s, pointing.reported, image, landmark, uv)
+    pictures = Pictures(flown.times_s, attitudes, image, landmark, uv)
     return pictures, crater, wrong
 
 

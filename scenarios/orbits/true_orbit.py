@@ -140,12 +140,6 @@ def epochs_s(world: OrbitWorld) -> FloatArray:
     return (np.arange(count) + 0.5) / count * world.spec.arc.days * DAY_S
 
 
-def sun_dir_inertial(world: OrbitWorld) -> FloatArray:
-    """(3,) unit vector towards the Sun."""
-    sun = np.array(world.spec.light.sun_dir)
-    return np.asarray(sun / np.linalg.norm(sun))
-
-
 def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> FloatArray:
     """(I, 3) rotation vectors, rad, camera axes, from the planned to the reported pointing."""
     rng = generator(seed, Stream.ORBIT_CONTROL, trial)
@@ -157,7 +151,7 @@ def true_views(
 ) -> tuple[View, ...]:
     """Return the true views of images with reported attitudes (I, 3, 3), in the axes of the shape model."""
     errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
-    sun, turns = sun_dir_inertial(world), world.rotation.at(flown.times_s)
+    sun, turns = world.sun_dir, world.rotation.at(flown.times_s)
     attitudes = errors.R_true_reported @ R_cam_inertial
     views = []
     for state, turn, attitude in zip(flown.image_states, turns, attitudes, strict=True):

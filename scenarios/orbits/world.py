@@ -12,12 +12,12 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics, normalisation, solid_harmonics
-from boresight.scenarios.dynamics.propagation import SUNLIGHT_N_M2
+from boresight.scenarios.dynamics.propagation import radiation_pressure
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh
 from boresight.scenarios.orbits.sightings import Horizons
 from boresight.scenarios.sequences.ground import MeshGround
-from boresight.scenarios.spec.orbit import OrbitSpec, SunEarthSpec
+from boresight.scenarios.spec.orbit import OrbitSpec
 
 _STEP_DEG = 2.0  # of the table of radii
 _MARCHES = 256  # points on a ray through the enclosing sphere
@@ -69,8 +69,21 @@ class StarShape:
         return np.asarray(np.linalg.norm(points, axis=2) - self.radius(points))
 
     def mesh(self) -> TriangleMesh:
-        """Return a closed mesh through the table."""
-        return _lattice_mesh(self.radii_m)
+        """Return a closed mesh through the table; its first and last rows become one vertex each."""
+        radii, (latitudes, longitudes) = self.radii_m, _lattice()
+        rows, columns = len(latitudes), len(longitudes) - 1
+        unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])
+        # The last longitude repeats the first and is left out.
+        ring = (unit * radii[1:-1, :-1, None]).reshape(-1, 3)
+        poles = np.array([[0.0, 0.0, -radii[0, 0]], [0.0, 0.0, radii[-1, 0]]])
+        here = np.arange(columns)
+        there, last = (here + 1) % columns, (rows - 3) * columns
+        south, north = np.full(columns, len(ring)), np.full(columns, len(ring) + 1)
+        faces = [np.column_stack([there, here, south]), np.column_stack([last + here, last + there, north])]
+        for row in range(rows - 3):
+            a, b = row * columns + here, row * columns + there
+            faces += [np.column_stack([a, b, b + columns]), np.column_stack([a, b + columns, a + columns])]
+        return TriangleMesh(np.vstack([ring, poles]), np.concatenate(faces).astype(np.int32))
 
 
 def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
@@ -124,24 +137,6 @@ def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
     found = np.zeros(vertices)
     np.add.at(found, mesh.faces, np.maximum(angles, 0.0)[:, None] / 3.0)
     return found
-
-
-def _lattice_mesh(radii: FloatArray) -> TriangleMesh:
-    """Make a closed mesh of the table; the first and last rows become one vertex each."""
-    latitudes, longitudes = _lattice()
-    rows, columns = len(latitudes), len(longitudes) - 1
-    unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])
-    # The last longitude repeats the first and is left out.
-    ring = (unit * radii[1:-1, :-1, None]).reshape(-1, 3)
-    poles = np.array([[0.0, 0.0, -radii[0, 0]], [0.0, 0.0, radii[-1, 0]]])
-    here = np.arange(columns)
-    there, last = (here + 1) % columns, (rows - 3) * columns
-    south, north = np.full(columns, len(ring)), np.full(columns, len(ring) + 1)
-    faces = [np.column_stack([there, here, south]), np.column_stack([last + here, last + there, north])]
-    for row in range(rows - 3):
-        a, b = row * columns + here, row * columns + there
-        faces += [np.column_stack([a, b, b + columns]), np.column_stack([a, b + columns, a + columns])]
-    return TriangleMesh(np.vstack([ring, poles]), np.concatenate(faces).astype(np.int32))
 
 
 _PROMINENCE = 0.5  # standard deviation of the logarithm of a crater's detection weight
@@ -215,7 +210,13 @@ class OrbitWorld:
     @property
     def light_m_s2(self) -> FloatArray:
         """(3,) nominal acceleration by solar radiation pressure, m/s2, inertial axes."""
-        return solar_pressure(self.spec.light)
+        return radiation_pressure(self.spec.light, self.sun_dir)
+
+    @property
+    def sun_dir(self) -> FloatArray:
+        """(3,) unit vector towards the Sun, inertial axes."""
+        sun = np.array(self.spec.light.sun_dir)
+        return np.asarray(sun / np.linalg.norm(sun))
 
     @property
     def coefficient_sigma(self) -> float:
@@ -247,10 +248,3 @@ def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
     c, s = found.c.copy(), found.s.copy()
     c[1], s[1] = 0.0, 0.0
     return Harmonics(found.gm_m3_s2, found.radius_m, c, s)
-
-
-def solar_pressure(light: SunEarthSpec) -> FloatArray:
-    """(3,) acceleration by solar radiation pressure, m/s2, away from the Sun (cannonball model)."""
-    sun = np.array(light.sun_dir) / np.linalg.norm(light.sun_dir)
-    size = SUNLIGHT_N_M2 * light.reflectivity * light.area_to_mass_m2_kg / light.sun_distance_au**2
-    return np.asarray(-size * sun, dtype=np.float64)

@@ -59,7 +59,10 @@ def draw_sequence(
     Landmarks, noise, motion errors and wrong matches have separate streams, so that a change of one leaves the
     draws of the others unchanged.
     """
-    trajectory = _path(spec, ground, seed, trial)
+    # A trajectory without random acceleration is computed once for all trials.
+    trajectory = _undisturbed(spec, ground)
+    if spec.orbit.forces.noise_m_s2:
+        trajectory = camera_trajectory(spec, ground, draw_unmodelled_m_s2(spec.orbit, seed, trial))
     visibility = Visibility(ground, spec.vision.lit_only)
     field_rng = generator(seed, Stream.TRACK_FIELD, trial)
     simulated = simulate_tracks(
@@ -79,13 +82,6 @@ def draw_sequence(
         spec.gm_m3_s2,
     )
     return truth, onboard_sequence(spec, camera, trajectory, [sighting for sighting, _ in seen], (seed, trial))
-
-
-def _path(spec: SequenceSpec, ground: LandmarkGround, seed: int, trial: int) -> CameraTrajectory:
-    """Return the trajectory; one without random acceleration is computed once for all trials."""
-    if spec.orbit.forces.noise_m_s2:
-        return camera_trajectory(spec, ground, draw_unmodelled_m_s2(spec.orbit, seed, trial))
-    return _undisturbed(spec, ground)
 
 
 @lru_cache(maxsize=8)

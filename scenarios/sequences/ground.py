@@ -55,7 +55,11 @@ class FacetTree:
         # About 64 boxes for each ray.
         share = max(1, _PAIRS_AT_ONCE // 64)
         for start in range(0, len(rays), share):
-            hidden[start : start + share] = self._hidden(rays[start : start + share], origin_m)
+            some = rays[start : start + share]
+            ray, leaf = self._leaves(some, np.broadcast_to(origin_m, some.shape), 1.0)
+            for k in range(self.corners_m.shape[1]):
+                along = _crossing(self.corners_m[leaf, k], origin_m, some[ray])
+                hidden[start + ray[(along > 0.0) & (along < 1.0 - _SLACK)]] = True
         return hidden
 
     def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -67,26 +71,14 @@ class FacetTree:
         share = max(1, _PAIRS_AT_ONCE // 256)
         nearest, facets = np.full(len(rays_m), np.inf), np.full(len(rays_m), -1, dtype=np.int64)
         for start in range(0, len(rays_m), share):
-            part = slice(start, start + share)
-            nearest[part], facets[part] = self._first_met(rays_m[part], origins_m[part])
-        return nearest, facets
-
-    def _hidden(self, rays: FloatArray, origin: FloatArray) -> BoolArray:
-        ray, leaf = self._leaves(rays, np.broadcast_to(origin, rays.shape), 1.0)
-        hidden = np.zeros(len(rays), dtype=bool)
-        for k in range(self.corners_m.shape[1]):
-            along = _crossing(self.corners_m[leaf, k], origin, rays[ray])
-            hidden[ray[(along > 0.0) & (along < 1.0 - _SLACK)]] = True
-        return hidden
-
-    def _first_met(self, rays: FloatArray, origins: FloatArray) -> tuple[FloatArray, IndexArray]:
-        ray, leaf = self._leaves(rays, origins, np.inf)
-        nearest, facets = np.full(len(rays), np.inf), np.full(len(rays), -1, dtype=np.int64)
-        for k in range(self.corners_m.shape[1]):
-            along = _crossing(self.corners_m[leaf, k], origins[ray], rays[ray])
-            before = np.flatnonzero((along > 0.0) & (along < nearest[ray]))
-            before = before[np.argsort(-along[before], kind="stable")]  # the nearest is written last
-            nearest[ray[before]], facets[ray[before]] = along[before], self.facets[leaf[before], k]
+            rays, origins = rays_m[start : start + share], origins_m[start : start + share]
+            ray, leaf = self._leaves(rays, origins, np.inf)
+            for k in range(self.corners_m.shape[1]):
+                along = _crossing(self.corners_m[leaf, k], origins[ray], rays[ray])
+                before = np.flatnonzero((along > 0.0) & (along < nearest[start + ray]))
+                before = before[np.argsort(-along[before], kind="stable")]  # the nearest is written last
+                nearest[start + ray[before]] = along[before]
+                facets[start + ray[before]] = self.facets[leaf[before], k]
         return nearest, facets
 
     def _leaves(self, rays: FloatArray, origins: FloatArray, end: float) -> tuple[IndexArray, IndexArray]:

@@ -55,7 +55,13 @@ def onboard_sequence(
     rng, star_tracker = generator(seed, Stream.KNOWLEDGE, trial), np.radians(knowledge.attitude_sigma_deg)
     position = attitudes[0] @ (trajectory.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
     ranges = [measured_ranges(sightings, trajectory.poses[0], camera, knowledge, rng)]
-    ranges += _later_ranges(sightings, trajectory, camera, knowledge, generator(seed, Stream.RANGES, trial))
+    later, every = generator(seed, Stream.RANGES, trial), knowledge.range_every
+    ranges += [
+        measured_ranges(sightings[i:], trajectory.poses[i], camera, knowledge, later)
+        if every and i % every == 0
+        else ()
+        for i in range(1, len(sightings))
+    ]
     misalignment = np.radians(knowledge.misalignment_sigma_deg)
     # Noise for each frame, and one misalignment for all.
     turns = star_tracker * rng.normal(size=(len(trajectory.poses), 3)) + misalignment * rng.normal(size=3)
@@ -149,21 +155,6 @@ def predicted_moves(
         # R_new c_new - R_old c_old = R_new (c_new - c_old) + (R_new - R_old) c_old in body axes.
         moves.append((new @ moved + (new - old) @ before, np.eye(3) * sigma_m**2))
     return moves
-
-
-def _later_ranges(
-    sightings: Sequence[FrameTracks],
-    trajectory: CameraTrajectory,
-    camera: Camera,
-    knowledge: SequenceKnowledgeSpec,
-    rng: np.random.Generator,
-) -> list[tuple[TrackRange, ...]]:
-    """Simulate ranges in the frames after the first, every ``range_every``-th one."""
-    every = knowledge.range_every
-    return [
-        measured_ranges(sightings[i:], trajectory.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
-        for i in range(1, len(sightings))
-    ]
 
 
 def measured_ranges(

@@ -95,11 +95,8 @@ def _arcs_in_image(slope: FloatArray, view: View) -> list[tuple[FloatArray, Floa
     camera = view.camera
     right, left = (x / (camera.fx_px * slope) for x in (camera.width_px - camera.cx_px, camera.cx_px))
     down, up = (y / (camera.fy_px * slope) for y in (camera.height_px - camera.cy_px, camera.cy_px))
-    arcs = []
-    for start, sign, across, along in ((0.0, 1, right, down), (np.pi, -1, left, down), (np.pi, 1, left, up)):
-        arcs.append(_quadrant(start, sign, across, along))
-    arcs.append(_quadrant(2.0 * np.pi, -1, right, up))
-    return arcs
+    quadrants = (0.0, 1, right, down), (np.pi, -1, left, down), (np.pi, 1, left, up), (2.0 * np.pi, -1, right, up)
+    return [_quadrant(*quadrant) for quadrant in quadrants]
 
 
 def _quadrant(start: float, sign: int, across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:

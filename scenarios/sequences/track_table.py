@@ -16,6 +16,7 @@ from boresight.scenarios.data import find_data_file
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import Camera
+from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from boresight.scenarios.sequences.draw import SequenceTruth
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
@@ -60,7 +61,12 @@ class TrackTable:
         Raise BoresightError if one is missing or wrong.
         """
         found = _opened(spec.table, spec.poses, camera, tuple(folders), track_files_digest(spec, folders))
-        _check_frames(spec, len(found.states))
+        first, frames, there = spec.first_frame or 0, spec.frames or 2, len(found.states)
+        if first + frames > there:
+            raise BoresightError(
+                f"sequence.tracks: {frames} frames from frame {first} on are more than the {there} of {spec.poses}:"
+                " lower frames or first_frame"
+            )
         return found
 
 
@@ -135,40 +141,21 @@ def _sightings(table: Table, camera: Camera, n_frames: int) -> tuple[IndexArray,
 
 
 def _triangulated(tracks: IndexArray, frames: IndexArray, rays: FloatArray, states: StatesSpec) -> FloatArray:
-    """(T, 3) points nearest to the lines of sight of each track: sum (I - d d^T) (x - c) = 0."""
+    """(T, 3) points nearest to the lines of sight of each track, see `triangulation_equations`."""
     from scipy.spatial.transform import Rotation
 
     to_cam = Rotation.from_quat(np.array(states.attitude), scalar_first=True).as_matrix()
     sight = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     sight = np.einsum("sji,sj->si", to_cam[frames], sight / np.linalg.norm(sight, axis=1, keepdims=True))
-    across = np.eye(3) - sight[:, :, None] * sight[:, None]
-    places = np.array(states.position_m)[frames]
-    normal, right = np.zeros((tracks[-1] + 1, 3, 3)), np.zeros((tracks[-1] + 1, 3))
-    np.add.at(normal, tracks, across)
-    np.add.at(right, tracks, np.einsum("sij,sj->si", across, places))
+    lines = LinesOfSight(np.array(states.position_m)[frames], sight)
+    nothing = np.zeros((tracks[-1] + 1, 3, 3)), np.zeros((tracks[-1] + 1, 3))
+    normal, right = triangulation_equations(lines, tracks, nothing)
     flat = np.linalg.eigvalsh(normal)[:, 0] < _LEAST_PARALLAX
     if flat.any():
         raise ValueError(
             f"{flat.sum()} tracks have no parallax, the first in frame {frames[tracks == flat.argmax()][0]}"
         )
     return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
-
-
-def _along(spec: SequenceSpec, states: StatesSpec, first: int, last: int) -> SequenceSpec:
-    """Return a sequence section with the reference states of some frames as its trajectory."""
-    columns = {key: value[first:last] for key, value in states if value is not None}
-    flown = SequenceTrajectorySpec(table="poses", read_states=states.model_copy(update=columns))
-    return spec.model_copy(update={"trajectory": flown})
-
-
-def _check_frames(spec: TrackTableSpec, there: int) -> None:
-    """Raise BoresightError if trials ask for more frames than there are poses."""
-    first, frames = spec.first_frame or 0, spec.frames or 2
-    if first + frames > there:
-        raise BoresightError(
-            f"sequence.tracks: {frames} frames from frame {first} on are more than the {there} of {spec.poses}: lower"
-            " frames or first_frame"
-        )
 
 
 def draw_real_sequence(
@@ -184,7 +171,10 @@ def draw_real_sequence(
     (seed, trial), chosen = address, spec.tracks
     rng = generator(seed, Stream.TRACK_FIELD, trial)
     first, last = _window(chosen, len(table.states), rng)
-    here = _along(spec, table.states, first, last)
+    # The reference states of these frames are the trajectory.
+    columns = {key: value[first:last] for key, value in table.states if value is not None}
+    flown = SequenceTrajectorySpec(table="poses", read_states=table.states.model_copy(update=columns))
+    here = spec.model_copy(update={"trajectory": flown})
     path = nominal_trajectory(here, ground)
     rank = rng.permutation(len(table.points_m))
     sightings, wrong, points = [], [], list[FloatArray]()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.draw import Stream, generator
-from boresight.scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
+from boresight.scenarios.dynamics.gravity import PointMass, Polyhedron
 from boresight.scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View, look_at, orbit_axes
@@ -24,10 +24,6 @@ AttitudeFunction = Callable[[FloatArray], FloatArray]
 
 _HOUR_S = 3600.0
 _TOLERANCE = 1e-12
-
-R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
-horizontal. The paper does not give their signs; x down the columns of the image makes y point left."""
 
 
 def anomalies_deg(orbit: SequenceOrbitSpec) -> FloatArray:
@@ -79,11 +75,6 @@ def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> Flo
     return np.asarray(np.einsum("...ji,...j->...i", R_body_inertial, points_m), dtype=np.float64)
 
 
-def first_camera_from_inertial(points_m: FloatArray, first_camera_m: FloatArray) -> FloatArray:
-    """Shift points (..., 3) of ACRF to R_0, whose origin is the first camera position (3,) in ACRF, m."""
-    return np.asarray(points_m - first_camera_m, dtype=np.float64)
-
-
 def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
     """(3,) rad/s at the first frame, where body and inertial axes agree; zero for a body at rest."""
     if motion.kind == "none":
@@ -109,7 +100,12 @@ def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> At
     def change(_: float, state: FloatArray) -> FloatArray:
         rate, quat = state[:3], state[3:]
         turned = np.cross(inertia * rate, rate) / inertia  # I w' = (I w) x w
-        return np.concatenate([turned, _quat_rate(quat, rate)])
+        # q' = q (w, 0) / 2 for q from body to inertial axes and w in body axes; the product of the quaternions
+        # (vector, scalar) and (w, 0) is (scalar w + vector x w, -vector . w).
+        vector, scalar = quat[:3], quat[3]
+        return np.concatenate(
+            [turned, 0.5 * np.concatenate([scalar * rate + np.cross(vector, rate), [-vector @ rate]])]
+        )
 
     # With time in units of 1 / rate all quantities are near 1, to which the tolerances refer.
     start = np.concatenate([rate_rad_s / unit, [0.0, 0.0, 0.0, 1.0]])
@@ -126,13 +122,6 @@ def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> At
         return np.swapaxes(Rotation.from_quat(quat_xyzw).as_matrix(), 1, 2)
 
     return attitude
-
-
-def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
-    """Differentiate by time: q' = q (w, 0) / 2 for q from body to inertial axes and w in body axes."""
-    vector, scalar = quat_xyzw[:3], quat_xyzw[3]
-    # Product of the quaternions (vector, scalar) and (w, 0): (scalar w + vector x w, -vector . w).
-    return 0.5 * np.concatenate([scalar * rate + np.cross(vector, rate), [-vector @ rate]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +164,7 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
     poses, velocities = circular_poses(orbit), circular_velocities_m_s(orbit)
     positions = np.array([pose.camera_position_m for pose in poses])
     if orbit.model == "propagated":
-        pulled = _acceleration(_gravity(orbit, ground), attitude, radiation)
+        pulled = _acceleration(orbit, ground, attitude, radiation)
         start = np.concatenate([positions[0], velocities[0]])
         states = propagate(pulled, ground.reach_m, start, times, PiecewiseAcceleration(times, unmodelled_m_s2))
         positions, velocities = states[:, :3], states[:, 3:]
@@ -231,23 +220,21 @@ def draw_unmodelled_m_s2(orbit: SequenceOrbitSpec, seed: int, trial: int) -> Flo
     return orbit.forces.noise_m_s2 * rng.normal(size=(orbit.frames - 1, 3))
 
 
-def _gravity(orbit: SequenceOrbitSpec, ground: LandmarkGround) -> Gravity:
+def _acceleration(
+    orbit: SequenceOrbitSpec, ground: LandmarkGround, attitude: AttitudeFunction, radiation_m_s2: FloatArray
+) -> Acceleration:
+    """Equation (6) of Delpech et al. (2015) without its noise."""
     if orbit.forces.gravity == "point-mass":
-        return PointMass(orbit.gm_m3_s2)
+        point = PointMass(orbit.gm_m3_s2)
+        return lambda _, position_m: point.acceleration(position_m) + radiation_m_s2
     if not isinstance(ground, MeshGround):
         raise BoresightError("sequence.orbit.forces.gravity: polyhedral needs a body with a mesh: use point-mass")
-    return Polyhedron(ground.mesh, orbit.gm_m3_s2)
-
-
-def _acceleration(gravity: Gravity, attitude: AttitudeFunction, radiation_m_s2: FloatArray) -> Acceleration:
-    """Equation (6) of Delpech et al. (2015) without its noise."""
+    body = Polyhedron(ground.mesh, orbit.gm_m3_s2)
 
     def acceleration(time_s: float, position_m: FloatArray) -> FloatArray:
-        if isinstance(gravity, PointMass):
-            return gravity.acceleration(position_m) + radiation_m_s2
-        # A mesh pulls in its own axes, which rotate; a point has none.
+        # A mesh pulls in its own axes, which rotate.
         turn = attitude(np.array([time_s]))[0]
-        return np.asarray(turn.T @ gravity.acceleration(turn @ position_m) + radiation_m_s2)
+        return np.asarray(turn.T @ body.acceleration(turn @ position_m) + radiation_m_s2)
 
     return acceleration
 

@@ -43,14 +43,9 @@ PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
 """Any JSON value with finite numbers, for keys whose type the schema leaves open."""
 
 
-def is_none(value: object) -> bool:
-    """Return whether a key is not given; with ``exclude_if`` it then does not change the digest."""
-    return value is None
-
-
 def optional(description: str, **bounds: Any) -> Any:
     """Describe a field that is None, and no part of the digest, where it is left out."""
-    return Field(None, exclude_if=is_none, description=description, **bounds)
+    return Field(None, exclude_if=lambda value: value is None, description=description, **bounds)
 
 
 Model = TypeVar("Model", bound=BaseModel)

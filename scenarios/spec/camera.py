@@ -161,8 +161,12 @@ class CameraSpec(SpecModel):
 
     @rule
     def _distortion_does_not_fold(self) -> None:
-        lens = self.camera().distortion
-        if lens is not None and not lens.invertible_within(self._corner_radius()):
+        camera = self.camera()
+        # The farthest corner from the principal point, at unit focal length.
+        across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
+        down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
+        lens = camera.distortion
+        if lens is not None and not lens.invertible_within(float(np.hypot(across, down))):
             raise ValueError(
                 f"{lens} folds the image over within the field; check the sign and the unit: coefficients belong to"
                 " x / z, not to mm or pixels"
@@ -181,13 +185,6 @@ class CameraSpec(SpecModel):
         cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
         lens = None if self.distortion is None else self.distortion.lens()
         return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
-
-    def _corner_radius(self) -> float:
-        """Return the distance of the farthest corner from the principal point at unit focal length."""
-        camera = self.camera()
-        across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
-        down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
-        return float(np.hypot(across, down))
 
 
 class DetectorSpec(DrawnModel):

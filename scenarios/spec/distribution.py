@@ -9,7 +9,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from statistics import NormalDist
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Annotated, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
@@ -163,11 +163,9 @@ class _Gaussian(Law):
     def draw(self, rng: np.random.Generator) -> float:
         mean, sigma = self._normal
         if self.within is None or sigma == 0.0:
-            value = float(rng.normal(mean, sigma))
-        else:
-            low, high = map(_STANDARD.cdf, self._limits)
-            return self._at(rng.uniform(low, high))
-        return self._clipped(self._unscaled(value))
+            return self._clipped(self._unscaled(float(rng.normal(mean, sigma))))
+        low, high = map(_STANDARD.cdf, self._limits)
+        return self._at(rng.uniform(low, high))
 
     def quantile(self, share: float) -> float:
         low, high = map(_STANDARD.cdf, self._limits)
@@ -183,6 +181,9 @@ class _Gaussian(Law):
     def _clipped(self, value: float) -> float:
         least, most = self.support
         return min(max(value, least), most)
+
+    def _within_text(self, unit: str) -> str:
+        return f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
 
 
 class Normal(_Gaussian):
@@ -220,9 +221,7 @@ class Normal(_Gaussian):
 
     def text(self, unit: str) -> str:
         mean, sigma = self._normal
-        about = f" about {mean:g} {unit}" if mean else ""
-        cut = f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
-        return f"{sigma:g} {unit}, 1 sigma{about}{cut}"
+        return f"{sigma:g} {unit}, 1 sigma" + (f" about {mean:g} {unit}" if mean else "") + self._within_text(unit)
 
 
 class LogNormal(_Gaussian):
@@ -264,8 +263,7 @@ class LogNormal(_Gaussian):
     def text(self, unit: str) -> str:
         """Return median, factor of one sigma and bounds with the unit."""
         median, sigma = self.log_normal
-        cut = f" within {self.within[0]:g} to {self.within[1]:g} {unit}" if self.within else ""
-        return f"{median:g} {unit} times or over {math.exp(sigma):.3g}, 1 sigma{cut}"
+        return f"{median:g} {unit} times or over {math.exp(sigma):.3g}, 1 sigma" + self._within_text(unit)
 
 
 class LogUniform(Law):
@@ -381,11 +379,6 @@ def either(pattern: str) -> Discriminator:
     return Discriminator(_law, custom_error_type="no_law", custom_error_message=f"is no distribution: write {pattern}")
 
 
-def _constant(value: Any) -> Any:
-    # A tuple: what is read is checked strictly, and only JSON may have a list here.
-    return {"uniform": (value, value)} if _law(value) == "number" else value
-
-
 _SCALAR = (
     "a number, uniform: [low, high], normal: sigma or [mean, sigma], log_uniform: [low, high],"
     " log_normal: [median, sigma of ln] or choice: [a, b, ...]"
@@ -399,8 +392,12 @@ _Laws = (
     | Annotated[Choice, Tag("choice")]
 )
 
+# A tuple: what is read is checked strictly, and only JSON may have a list here.
+_AsUniform = BeforeValidator(
+    lambda value: {"uniform": (value, value)} if _law(value) == "number" else value, json_schema_input_type=float
+)
 Scalar = Annotated[
-    Annotated[Uniform, BeforeValidator(_constant, json_schema_input_type=float), Tag("number")] | _Laws,
+    Annotated[Uniform, _AsUniform, Tag("number")] | _Laws,
     either(_SCALAR),
 ]
 

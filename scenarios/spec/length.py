@@ -92,10 +92,6 @@ class Scale:
 
         Four digits are kept, so that a number can be read, and does not depend on the machine.
         """
-        ones_m = {unit: self.m_per_px() if unit == "px" else self._body_m() for unit in rule}
+        ones_m = {unit: self.m_per_px() if unit == "px" else max(self.sides_m() or (), default=None) for unit in rule}
         known_m = [rule[unit] * one_m for unit, one_m in ones_m.items() if one_m is not None]
         return float(f"{min(known_m):.4g}") if known_m else None
-
-    def _body_m(self) -> float | None:
-        sides_m = self.sides_m()
-        return None if sides_m is None else max(sides_m)

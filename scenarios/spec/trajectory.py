@@ -265,9 +265,11 @@ class FlownSpec(SpecModel):
         if self.descent is not None:
             if surface_m is None:
                 raise ValueError("its heights are above the body of a scenario: read it from a file")
-            return states_of(
-                self.descent.states(lambda time_s, up: surface_m(self._in_body(time_s, up))), self.rotation
-            )
+
+            def below_m(time_s: float, up: FloatArray) -> float:
+                return surface_m(up if self.rotation is None else self.rotation.matrices(np.array([time_s]))[0] @ up)
+
+            return states_of(self.descent.states(below_m), self.rotation)
         flight = self.flyby or self.hover
         return states_of(read_table(str(self.table), folders) if flight is None else flight.states(), self.rotation)
 
@@ -277,11 +279,6 @@ class FlownSpec(SpecModel):
         if self.read_states is None:
             raise ValueError("a trajectory is read when its scenario is")
         return self.read_states
-
-    def _in_body(self, time_s: float, direction: FloatArray) -> FloatArray:
-        """Return a direction (3,) of the axes of the states at an epoch in body axes."""
-        to_body = np.eye(3) if self.rotation is None else self.rotation.matrices(np.array([time_s]))[0]
-        return np.asarray(to_body @ direction)
 
 
 class TrajectorySpec(FlownSpec):
@@ -365,11 +362,18 @@ def states_of(table: Table, rotation: RotationSpec | None = None) -> StatesSpec:
     sun = columns_of(table, _SUN) if any(name in table for name in _SUN) else None
     if not np.linalg.norm(position, axis=1).all():
         raise ValueError("a position is the body's origin")
+    if quaternions is not None:
+        from scipy.spatial.transform import Rotation
+
+        # From body to camera axes, of those from the table's axes.
+        of_table = Rotation.from_quat(_unit(quaternions, "the quaternion"), scalar_first=True)
+        from_body = of_table * Rotation.from_matrix(to_body).inv()
+        quaternions = np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
     return StatesSpec(
         time_s=tuple(times.tolist()),
         position_m=rows_of(_turned(to_body, position)),
         velocity_m_s=None if velocity is None else rows_of(_turned(to_body, velocity)),
-        attitude=None if quaternions is None else rows_of(_from_body(quaternions, to_body)),
+        attitude=None if quaternions is None else rows_of(quaternions),
         sun_dir=None if sun is None else rows_of(_turned(to_body, _unit(sun, "the direction to the Sun"))),
     )
 
@@ -395,15 +399,6 @@ def _unit(vectors: FloatArray, what: str) -> FloatArray:
 def _turned(to_body: FloatArray, vectors: FloatArray) -> FloatArray:
     turned = np.einsum("nij,nj->ni", np.broadcast_to(to_body, (len(vectors), 3, 3)), vectors)
     return np.asarray(turned, dtype=np.float64)
-
-
-def _from_body(quaternions: FloatArray, to_body: FloatArray) -> FloatArray:
-    """Return quaternions from body to camera axes of those from the table's axes, (n, 4), w first."""
-    from scipy.spatial.transform import Rotation
-
-    of_table = Rotation.from_quat(_unit(quaternions, "the quaternion"), scalar_first=True)
-    from_body = of_table * Rotation.from_matrix(to_body).inv()
-    return np.asarray(from_body.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
 
 def rows_of(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -42,12 +42,12 @@ from boresight.estimators.craters.matching.transfer import (
 )
 from boresight.estimators.craters.registry import crater_matcher_class, crater_matcher_names
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.craters.simulated import DetectionErrors
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose, look_at
 from boresight.scenarios.geometry.camera import pixel_to_opencv
+from boresight.scenarios.spec.craters import DetectionErrorSpec
 
-EXACT = DetectionErrors(
+EXACT = DetectionErrorSpec(
     centre_px=0.0,
     centre_radii=0.0,
     axes_ratio=1e-9,

@@ -18,12 +18,12 @@ from boresight.estimators.craters.database.landmarks import Landmarks
 from boresight.estimators.craters.database.pictures import SequencePicture
 from boresight.estimators.craters.matching.association import CraterAssociationOptions
 from boresight.estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
-from boresight.scenarios.craters.simulated import DetectionErrors
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose, View, look_at, project_circles
 from boresight.scenarios.observation import Frame, Observation
+from boresight.scenarios.spec.craters import DetectionErrorSpec
 
-ERRORS = DetectionErrors(height_m=0.0)
+ERRORS = DetectionErrorSpec(height_m=0.0)
 
 
 class Found:

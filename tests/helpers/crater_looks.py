@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.craters import simulated
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
-    DetectionErrors,
     PlaneCraters,
     detect_simulated,
     in_view,
     raise_craters,
     sample_plane_craters,
 )
+from boresight.scenarios.draw import turn_direction
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
+from boresight.scenarios.spec.craters import DetectionErrorSpec
 
 CAMERA = Camera.from_fov(537, 412, np.radians(2.93))
 RANGE_M = 200e3
@@ -47,7 +47,7 @@ class Look:
 
 def turned(direction: FloatArray, angle_deg: float, azimuth_rad: float) -> FloatArray:
     """Turn a unit vector by an angle, towards an azimuth."""
-    return simulated.turn_direction(direction, np.radians(angle_deg), azimuth_rad)
+    return turn_direction(direction, np.radians(angle_deg), azimuth_rad)
 
 
 def look(
@@ -57,13 +57,13 @@ def look(
     target_m: FloatArray,
     directions: tuple[FloatArray, FloatArray],
     rng: np.random.Generator,
-    errors: DetectionErrors | None = None,
+    errors: DetectionErrorSpec | None = None,
     position_sigma_m: float = 200.0,
     pixels: NDArray[np.float32] | None = None,
 ) -> Look:
     """Look at a target from a direction, with the Sun in another; the prior is off by a shift of the camera."""
     towards_camera, towards_sun = directions
-    errors = errors or DetectionErrors()
+    errors = errors or DetectionErrorSpec()
     position = target_m + RANGE_M * towards_camera
     attitude = look_at(position - target_m, rng.uniform(0.0, 2.0 * np.pi)).rotation
     view = View(CAMERA, Pose(attitude, -attitude @ position), towards_sun)
@@ -83,7 +83,7 @@ def pair(
     seed: int,
     view_deg: float,
     sun_deg: float,
-    errors: DetectionErrors | None = None,
+    errors: DetectionErrorSpec | None = None,
     position_sigma_m: float = 200.0,
 ) -> tuple[Look, Look]:
     """Look twice at one place."""

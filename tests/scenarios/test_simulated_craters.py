@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
-    DetectionErrors,
     detect_simulated,
     in_view,
     observed_frame,
     sample_plane_craters,
 )
 from boresight.scenarios.geometry import Pose, View, look_at
+from boresight.scenarios.spec.craters import DetectionErrorSpec
 from boresight.scenarios.spec.vectors import Normal3
 from boresight.scenarios.spec.world import PoseErrorSpec
 
@@ -66,10 +66,10 @@ def test_detections_have_the_given_errors_misses_and_false_detections(ground) ->
     rng = np.random.default_rng(3)
     craters, view = population(ground, 4, 4000), _view()
     visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
-    exact = DetectionErrors(
+    exact = DetectionErrorSpec(
         centre_px=0.0, centre_radii=0.0, axes_ratio=1e-12, recall=1.0 - 1e-12, false_share=0.0, height_m=0.0
     )
-    errors = DetectionErrors(centre_px=0.5, centre_radii=0.0, recall=0.7, false_share=0.2, height_m=0.0)
+    errors = DetectionErrorSpec(centre_px=0.5, centre_radii=0.0, recall=0.7, false_share=0.2, height_m=0.0)
     truth = detect_simulated(craters, visible, view, exact, rng)
     assert len(truth.crater) > 60
     place = {int(crater): k for k, crater in enumerate(truth.crater)}
@@ -111,10 +111,10 @@ def test_errors_grow_with_the_radius_and_do_not_prefer_the_long_axis(ground) -> 
     craters, view = population(ground, 4, 4000), _view()
     visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
     sure = {"recall": 1.0 - 1e-12, "false_share": 0.0, "height_m": 0.0}
-    exact = DetectionErrors(centre_px=0.0, centre_radii=0.0, axes_ratio=1e-12, **sure)
+    exact = DetectionErrorSpec(centre_px=0.0, centre_radii=0.0, axes_ratio=1e-12, **sure)
     truth = detect_simulated(craters, visible, view, exact, rng)
     place = {int(crater): k for k, crater in enumerate(truth.crater)}
-    errors = DetectionErrors(centre_px=0.3, centre_radii=0.05, axes_ratio=0.3, **sure)
+    errors = DetectionErrorSpec(centre_px=0.3, centre_radii=0.05, axes_ratio=0.3, **sure)
     scaled, long, short = [], [], []
     for _ in range(30):
         found = detect_simulated(craters, visible, view, errors, rng)

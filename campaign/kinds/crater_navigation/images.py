@@ -23,7 +23,6 @@ from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters.simulated import (
     LIMITS_DEG,
-    DetectionErrors,
     PlaneCraters,
     detect_simulated,
     draw_plane_craters,
@@ -42,7 +41,6 @@ from boresight.scenarios.orbits.true_orbit import (
     control_errors,
     epochs_s,
     propagate_truth,
-    sun_dir_inertial,
     true_views,
 )
 from boresight.scenarios.orbits.world import OrbitWorld
@@ -80,7 +78,7 @@ class DrawnSights:
 
         Heights are the same in all images.
         """
-        errors = DetectionErrors(**self.spec.errors.model_dump())
+        errors = self.spec.errors
         real = raise_craters(self.craters, errors.height_m, generator(address.seed, Stream.LANDMARKS, address.trial))
         rng = address.stream(Stream.ORBIT_DETECTIONS, self.spec.epochs)
         found = detect_simulated(real, in_view(self.craters, self.ground, view, LIMITS_DEG), view, errors, rng)
@@ -179,7 +177,7 @@ class NavigationTrial:
         """
         start = propagate_truth(world, np.zeros(0), seed, trial)
         knowledge, shape = draw_knowledge(world, start.wanted_states[0], seed, trial), apriori_shape(world)
-        sun, times = sun_dir_inertial(world), epochs_s(world)
+        sun, times = world.sun_dir, epochs_s(world)
 
         def write(path: Path) -> None:
             planned = plan_arc(knowledge, sun, times, shape.ground, shape.centre_of_mass_m)
