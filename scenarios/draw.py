@@ -55,24 +55,23 @@ def draw_aimed_view(
     surface = surface or shape
     if not viewpoint.targets:
         return draw_lit_view(viewpoint, lighting, camera, rng, state, surface)
-    view = _lit_view(viewpoint, lighting, camera, rng, state, surface)
+    exact = viewpoint.model_copy(update={"off_pointing_deg": None})
+    view = draw_lit_view(exact, lighting, camera, rng, state, surface)
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
     emission, incidence = emission_incidence_deg(places, shape.normals, position, view.sun_dir_body)
     lit = is_lit_and_facing(emission, incidence)
     chosen = lit & near_limb_or_terminator(kind, emission, incidence)
-    area = np.linalg.norm(shape.area_vectors_m2, axis=1)
+    target = np.zeros(3)
+    if lit.any():
+        from_nadir = places @ position / np.linalg.norm(places, axis=1)
+        target = places[int(np.where(lit, from_nadir, -np.inf).argmax())]
     if chosen.any():
-        # Facets that are not chosen have no area, so that no number falls on them.
-        total = np.cumsum(np.where(chosen, area, 0.0))
-        target = places[int(np.searchsorted(total, rng.uniform(0.0, total[-1]), side="right"))]
-    elif lit.any():
-        target = places[_nearest_to_nadir(places, position, lit)]
-    else:
-        target = np.zeros(3)
-    if kind == "nadir" and lit.any():
-        target = places[_nearest_to_nadir(places, position, lit)]
+        # Facets that are not chosen have no area, so that no number falls on them. Drawn for each kind.
+        total = np.cumsum(np.where(chosen, np.linalg.norm(shape.area_vectors_m2, axis=1), 0.0))
+        row = int(np.searchsorted(total, rng.uniform(0.0, total[-1]), side="right"))
+        target = target if kind == "nadir" else places[row]
     # look_at points at the origin: the rotation is that of a camera at the same offset from it.
     turned = look_at(position - target, turn_rad)
     aimed = View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
@@ -100,12 +99,6 @@ def near_limb_or_terminator(kind: str, emission_deg: FloatArray, incidence_deg: 
         return (emission_deg > _LIMB_EMISSION_DEG[0]) & (emission_deg < _LIMB_EMISSION_DEG[1])
     low, high = _TERMINATOR_INCIDENCE_DEG
     return (incidence_deg > low) & (incidence_deg < high) & (emission_deg < _LIMB_EMISSION_DEG[0])
-
-
-def _nearest_to_nadir(places_m: FloatArray, position_m: FloatArray, lit: BoolArray) -> int:
-    """Return the index of the lit point whose direction from the origin is nearest to the camera's."""
-    cosine = places_m @ position_m / np.linalg.norm(places_m, axis=1)
-    return int(np.where(lit, cosine, -np.inf).argmax())
 
 
 class Stream(IntEnum):
@@ -222,28 +215,6 @@ def draw_lit_view(
     attitude and the Sun if its table has them; only what it has not is drawn. Off-pointing turns the camera in its
     place. An altitude is above ``surface``.
     """
-    return _off_pointed(_lit_view(viewpoint, lighting, camera, rng, state, surface), viewpoint, rng)
-
-
-def _off_pointed(view: View, viewpoint: ViewpointSpec, rng: np.random.Generator) -> View:
-    """Turn the camera in its place so that its boresight misses what it pointed at."""
-    if viewpoint.off_pointing_deg is None:
-        return view
-    angle_rad, azimuth_rad = np.radians(viewpoint.off_pointing_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi)
-    across = angle_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
-    turned = view.T_cam_body.perturbed(across, np.zeros(3)).rotation
-    return View(view.camera, Pose(turned, -turned @ view.T_cam_body.camera_position_m), view.sun_dir_body)
-
-
-def _lit_view(
-    viewpoint: ViewpointSpec,
-    lighting: LightingSpec,
-    camera: Camera,
-    rng: np.random.Generator,
-    state: int,
-    surface: Surface | None,
-) -> View:
-    """Draw a view that points at the body's origin, or as the state of a trajectory has it."""
     if viewpoint.states is None:
         south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
         camera_dir_body = draw_direction((south_rad, north_rad), rng)
@@ -262,13 +233,24 @@ def _lit_view(
     if viewpoint.states is not None and viewpoint.states.attitude is not None:
         turned = Pose.from_quat_wxyz(np.array(viewpoint.states.attitude[state]), np.zeros(3)).rotation
         T_cam_body = Pose(turned, -turned @ position_m)
-    if viewpoint.states is not None and viewpoint.states.sun_dir is not None:
-        return View(camera, T_cam_body, np.array(viewpoint.states.sun_dir[state]))
     # In camera axes the body's origin is at +z, so that the camera lies towards -z from it.
     across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards_camera_cam = np.array([0.0, 0.0, -1.0])
     sun_dir_cam = np.cos(phase_rad) * towards_camera_cam + np.sin(phase_rad) * across_cam
-    return View(camera, T_cam_body, T_cam_body.inverse().rotate(sun_dir_cam))
+    sun_dir_body = T_cam_body.inverse().rotate(sun_dir_cam)
+    if viewpoint.states is not None and viewpoint.states.sun_dir is not None:
+        sun_dir_body = np.array(viewpoint.states.sun_dir[state])
+    return _off_pointed(View(camera, T_cam_body, sun_dir_body), viewpoint, rng)
+
+
+def _off_pointed(view: View, viewpoint: ViewpointSpec, rng: np.random.Generator) -> View:
+    """Turn the camera in its place so that its boresight misses what it pointed at."""
+    if viewpoint.off_pointing_deg is None:
+        return view
+    angle_rad, azimuth_rad = np.radians(viewpoint.off_pointing_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi)
+    across = angle_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
+    turned = view.T_cam_body.perturbed(across, np.zeros(3)).rotation
+    return View(view.camera, Pose(turned, -turned @ view.T_cam_body.camera_position_m), view.sun_dir_body)
 
 
 def draw_direction(latitudes_rad: tuple[float, float], rng: np.random.Generator) -> FloatArray:

@@ -60,16 +60,6 @@ class Known:
     remarks: tuple[str, ...] = ()
     aligned: tuple[str, ...] = ()
 
-    @property
-    def exactly(self) -> tuple[str, ...]:
-        """Names of what is known exactly."""
-        return tuple(item.name for item in self.items if item.standing == "exactly")
-
-    @property
-    def not_exactly(self) -> tuple[str, ...]:
-        """Names of what is not."""
-        return tuple(item.name for item in self.items if item.standing == "not")
-
     def line(self, short: bool = False) -> str:
         """Return the record as one line; the short one is without details and remarks."""
         said = {

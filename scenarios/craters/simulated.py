@@ -44,13 +44,12 @@ class LabelledDetections:
     unlisted: BoolArray | None = None
 
 
-def sample_plane_craters(
-    ground: MeshGround, count: int, radii_m: tuple[float, float], slope: float, rng: np.random.Generator
-) -> PlaneCraters:
-    """Draw craters uniform over the area, with N(>r) proportional to r**-slope."""
-    points, normals = ground.sample(count, rng)
-    low, high = (radius ** (-slope) for radius in radii_m)
-    return PlaneCraters(points, normals, (low + rng.uniform(size=count) * (high - low)) ** (-1.0 / slope))
+def draw_plane_craters(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
+    """Draw the craters of a body, uniform over its area with N(>r) proportional to r**-slope, from their own seed."""
+    rng, slope = np.random.default_rng(spec.seed), spec.exponent
+    points, normals = ground.sample(spec.count, rng)
+    low, high = ((0.5 * diameter_m) ** (-slope) for diameter_m in (spec.min_diameter_m, spec.max_diameter_m))
+    return PlaneCraters(points, normals, (low + rng.uniform(size=spec.count) * (high - low)) ** (-1.0 / slope))
 
 
 def raise_craters(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> PlaneCraters:
@@ -142,12 +141,6 @@ class CraterPair:
     second: CraterView
     view_deg: float
     sun_deg: float
-
-
-def draw_plane_craters(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
-    """Draw the craters of a body from the seed of its spec."""
-    radii = (0.5 * spec.min_diameter_m, 0.5 * spec.max_diameter_m)
-    return sample_plane_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
 
 
 def draw_pair(

@@ -14,7 +14,7 @@ from boresight.scenarios.dynamics.harmonics import Harmonics
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
 from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
-from boresight.scenarios.orbits.true_orbit import DAY_S, PointingErrors, TrueOrbit, propagate_truth
+from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, draw_pointing, propagate_truth
 from boresight.scenarios.orbits.world import OrbitWorld
 
 
@@ -137,7 +137,7 @@ def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tup
     Each image is pointed at a random lit and visible crater, or at the origin if there is none.
     """
     rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
-    errors = PointingErrors.draw(world, images, rng)
+    R_true_reported, camera = draw_pointing(world, images, rng)
     # Drawn for all images at once: how many craters are in view must not shift the stream.
     aims = rng.uniform(size=images)
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
@@ -152,7 +152,7 @@ def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tup
         attitudes[i] = _pointed_at(state, target)
         # Rows times R_body_inertial are its transpose times columns: body to inertial axes.
         inertial = horizons.points_m[rows] @ turns[i] - state[:3]
-        uv = errors.camera.project(inertial @ (errors.R_true_reported[i] @ attitudes[i]).T)
+        uv = camera.project(inertial @ (R_true_reported[i] @ attitudes[i]).T)
         inside = world.camera.contains(uv, spec.margin_px)
         rows, uv = rows[inside], uv[inside]
         chosen = draw_found_craters(rows, asteroid.prominence, spec, rng)

@@ -12,7 +12,6 @@ from boresight.scenarios.geometry import TriangleMesh, plane_axes
 from boresight.scenarios.spec.orbit import CraterSightingSpec
 
 _BINS = 72  # of azimuth, 5 deg each
-_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +39,8 @@ class Horizons:
         # Side of the square of ground that one of the points stands for.
         spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
         tangents = np.zeros((len(points_m), _BINS))
-        for start in range(0, len(points_m), _AT_ONCE):
-            for i in range(start, min(start + _AT_ONCE, len(points_m))):
-                tangents[i] = _horizon_tangents(
-                    ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing
-                )
+        for i in range(len(points_m)):
+            tangents[i] = _horizon_tangents(ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing)
         return cls(points_m, normals, first, second, tangents)
 
     def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:

@@ -105,26 +105,20 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     return field, PiecewiseAcceleration(step * np.arange(pieces + 1, dtype=np.float64), push)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PointingErrors:
-    """Errors of I images of a trial: rotations (I, 3, 3) from reported to true camera axes, and the true camera."""
+def draw_pointing(world: OrbitWorld, images: int, rng: np.random.Generator) -> tuple[FloatArray, Camera]:
+    """Draw rotations (I, 3, 3) from reported to true camera axes, and the true camera.
 
-    R_true_reported: FloatArray
-    camera: Camera
-
-    @classmethod
-    def draw(cls, world: OrbitWorld, images: int, rng: np.random.Generator) -> PointingErrors:
-        """Draw one misalignment and one focal length, and an attitude error for each image."""
-        spec, known = world.spec.pointing, world.camera
-        mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
-        shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
-        focal = 1.0 + spec.focal_error * rng.normal()
-        # Left of the reported attitude: about camera axes, the constant mounting first.
-        turns = Rotation.from_rotvec(shake).as_matrix() @ Rotation.from_rotvec(mounting).as_matrix()
-        camera = Camera(
-            known.width_px, known.height_px, known.fx_px * focal, known.fy_px * focal, known.cx_px, known.cy_px
-        )
-        return cls(turns, camera)
+    There are one misalignment and one focal length, and an attitude error for each image.
+    """
+    spec, known = world.spec.pointing, world.camera
+    mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
+    shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
+    focal = 1.0 + spec.focal_error * rng.normal()
+    # Left of the reported attitude: about camera axes, the constant mounting first.
+    turns = Rotation.from_rotvec(shake).as_matrix() @ Rotation.from_rotvec(mounting).as_matrix()
+    return turns, Camera(
+        known.width_px, known.height_px, known.fx_px * focal, known.fy_px * focal, known.cx_px, known.cy_px
+    )
 
 
 def imaging_of(world: OrbitWorld) -> ImagingSpec:
@@ -150,13 +144,13 @@ def true_views(
     world: OrbitWorld, flown: TrueOrbit, R_cam_inertial: FloatArray, seed: int, trial: int
 ) -> tuple[View, ...]:
     """Return the true views of images with reported attitudes (I, 3, 3), in the axes of the shape model."""
-    errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
+    R_true_reported, camera = draw_pointing(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
     sun, turns = world.sun_dir, world.rotation.at(flown.times_s)
-    attitudes = errors.R_true_reported @ R_cam_inertial
+    attitudes = R_true_reported @ R_cam_inertial
     views = []
     for state, turn, attitude in zip(flown.image_states, turns, attitudes, strict=True):
         rotation = attitude @ turn.T
         # The shape model's origin is not the centre of mass.
         position = turn @ state[:3] + world.asteroid.centre_m
-        views.append(View(errors.camera, Pose(rotation, -rotation @ position), turn @ sun))
+        views.append(View(camera, Pose(rotation, -rotation @ position), turn @ sun))
     return tuple(views)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
+from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError, one_line
@@ -46,13 +46,6 @@ class TrackTable:
     frames: IndexArray
     rays: FloatArray
     points_m: FloatArray
-
-    def rows_of_frames(self, first: int, last: int) -> list[tuple[IndexArray, BoolArray]]:
-        """Return the rows of the sightings of each frame, and whether their tracks are seen in the next frame too."""
-        goes_on = np.append((np.diff(self.tracks) == 0) & (np.diff(self.frames) == 1), False)
-        order = np.argsort(self.frames, kind="stable")
-        ends = np.searchsorted(self.frames[order], np.arange(first, last + 1))
-        return [(order[begin:end], goes_on[order[begin:end]]) for begin, end in itertools.pairwise(ends)]
 
     @classmethod
     def open(cls, spec: TrackTableSpec, camera: Camera, folders: Sequence[Path]) -> TrackTable:
@@ -180,10 +173,15 @@ def draw_real_sequence(
     sightings, wrong, points = [], [], list[FloatArray]()
     numbers: dict[int, int] = {}  # of a track of the file to its number in the trial
     before: set[int] = set()
-    for pose, (rows, lasting) in zip(path.poses, table.rows_of_frames(first, last), strict=True):
+    # Whether the track of a sighting is seen in the next frame too.
+    lasts = np.append((np.diff(table.tracks) == 0) & (np.diff(table.frames) == 1), False)
+    order = np.argsort(table.frames, kind="stable")
+    ends = np.searchsorted(table.frames[order], np.arange(first, last + 1))
+    for pose, (begin, end) in zip(path.poses, itertools.pairwise(ends), strict=True):
+        rows = order[begin:end]
         tracks = table.tracks[rows].tolist()
         going_on = {track for track in tracks if track in before}
-        new = sorted(set(table.tracks[rows[lasting]].tolist()) - before, key=rank.__getitem__)
+        new = sorted(set(table.tracks[rows[lasts[rows]]].tolist()) - before, key=rank.__getitem__)
         new = new[: max(chosen.per_frame - len(going_on), 0)]
         again = [(len(points) + k, numbers[track]) for k, track in enumerate(new) if track in numbers]
         numbers |= {track: len(points) + k for k, track in enumerate(new)}

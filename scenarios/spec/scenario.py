@@ -75,12 +75,9 @@ class ImageSetSpec(SpecModel):
 
     @rule
     def _kernels_leave_no_choice(self) -> None:
-        if self.spice is not None:
-            given = {"table": self.table != "poses.csv", "first_row": self.first_row != "top"}
-            given |= {"also_score": bool(self.also_score)}
-            senseless = [key for key, is_given in given.items() if is_given]
-            if senseless:
-                raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
+        senseless = self.stated("table", "first_row", "also_score")
+        if self.spice is not None and senseless:
+            raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
 
 
 _ONBOARD_OF = {

@@ -343,10 +343,8 @@ class SequenceSpec(WithDefaultAlternative):
             raise ValueError(
                 "sphere_radius_m: real tracks are of a body, whose shape ranges are measured to: give body"
             )
-        idle = {"vision": self.vision != VisionSpec(), "images": self.images is not None}
-        idle |= {"body_motion": self.body_motion != BodyMotionSpec(), "knowledge.dynamics": self.knowledge.dynamics}
-        given = [key for key, is_given in idle.items() if is_given]
-        if given:
+        given = self.stated("vision", "images", "body_motion")
+        if given := [*given, *(f"knowledge.{key}" for key in self.knowledge.stated("dynamics"))]:
             raise ValueError(f"{given[0]} has no part where tracks have path and sightings, in body axes: leave it out")
 
     @rule

@@ -14,15 +14,15 @@ from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     PlaneCraters,
     detect_simulated,
+    draw_plane_craters,
     in_view,
     raise_craters,
-    sample_plane_craters,
 )
 from boresight.scenarios.draw import turn_direction
 from boresight.scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from boresight.scenarios.observation import Frame
 from boresight.scenarios.sequences.ground import MeshGround
-from boresight.scenarios.spec.craters import DetectionErrorSpec
+from boresight.scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 
 CAMERA = Camera.from_fov(537, 412, np.radians(2.93))
 RANGE_M = 200e3
@@ -34,7 +34,8 @@ def ellipsoid(subdivisions: int = 4) -> MeshGround:
 
 
 def population(ground: MeshGround, seed: int, count: int = 700) -> PlaneCraters:
-    return sample_plane_craters(ground, count, (110.0, 2500.0), 1.8, np.random.default_rng(seed))
+    sizes = {"min_diameter_m": 220.0, "max_diameter_m": 5000.0, "exponent": 1.8}
+    return draw_plane_craters(ground, PlaneCratersSpec(count=count, seed=seed, **sizes))
 
 
 @dataclass(frozen=True)

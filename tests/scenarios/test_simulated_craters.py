@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.craters.simulated import (
     NO_CRATER,
     detect_simulated,
+    draw_plane_craters,
     in_view,
     observed_frame,
-    sample_plane_craters,
 )
 from boresight.scenarios.geometry import Pose, View, look_at
-from boresight.scenarios.spec.craters import DetectionErrorSpec
+from boresight.scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 from boresight.scenarios.spec.vectors import Normal3
 from boresight.scenarios.spec.world import PoseErrorSpec
 
@@ -50,7 +50,8 @@ def test_ray_intersections_with_a_mesh_solve_the_linear_equations(ground) -> Non
 
 
 def test_sizes_follow_the_power_law(ground) -> None:
-    craters = sample_plane_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
+    section = PlaneCratersSpec(count=20_000, min_diameter_m=200.0, max_diameter_m=2000.0, exponent=2.0, seed=2)
+    craters = draw_plane_craters(ground, section)
     above = [(craters.radius_m > radius).mean() for radius in (100.0, 200.0, 400.0)]
     closed = [(radius**-2 - 1e-6) / (1e-4 - 1e-6) for radius in (100.0, 200.0, 400.0)]
     np.testing.assert_allclose(above, closed, atol=4 * np.sqrt(0.25 / 20_000))
