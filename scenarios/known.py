@@ -133,7 +133,10 @@ def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
         nothing = _nots("craters", "shape", "reflectance", "pose")
         return Known((*optics, *nothing, *_unmodelled(spec)), (THRESHOLDS,))
     cratered = _exacts(*(["craters in the images of data bases"] if spec.craters is not None else []))
-    lent = (_shape(spec), _albedo(spec), *cratered, _reflectance(spec), *_optics(spec), *_exacts("renderer"))
+    true, believed = spec.brdf, onboard_spec(spec).brdf
+    named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
+    reflectance = _item("reflectance", believed == true, named)
+    lent = (_shape(spec), _albedo(spec), *cratered, reflectance, *_optics(spec), *_exacts("renderer"))
     if experiment == "landmark-database":  # built and counted, not compared with a truth
         ideal = (Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images"))
         return Known((*lent, *_exacts("poses of the images that data bases are made of"), *ideal))
@@ -218,12 +221,6 @@ def _exposure(spec: ScenarioSpec) -> list[Item]:
     blurred = detector.psf_sigma_px > 0.0
     blur = Item("blur", "not", f"{detector.psf_sigma_px:g} px") if blurred else Item("blur", "absent")
     return [blur, Item("noise", "not"), *bright]
-
-
-def _reflectance(spec: ScenarioSpec) -> Item:
-    true, believed = spec.brdf, onboard_spec(spec).brdf
-    named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
-    return _item("reflectance", believed == true, named)
 
 
 def _optics(spec: ScenarioSpec) -> Iterator[Item]:

@@ -172,7 +172,12 @@ class _Lobed:
 
     def surface(self, q: int) -> tuple[FloatArray, IndexArray]:
         """Points (6 q**2 + 2, 3) where rays from the neck leave the body, by bisection, and faces (12 q**2, 3)."""
-        directions, faces = _cube_mesh(q)
+        first, group = weld_seams(q)
+        # A cube grid on the unit sphere. The tangent spaces it by equal angles: cells at the corners of the cube are
+        # not much smaller.
+        directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
+        quads = group[cube_quads(q)]
+        faces = np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
         directions = unit(directions * self.box_m)
         inner, outer = np.zeros(len(directions)), np.full(len(directions), self.box_m[0])
         for _ in range(_BISECTIONS):
@@ -189,15 +194,6 @@ class _Lobed:
         """Scale points of the surface to the box, with the origin at the centre of volume."""
         points_m = points_m * (self.box_m / np.ptp(points_m, axis=0))
         return TriangleMesh(points_m - _centre_of_volume(points_m, faces), faces.astype(np.int32))
-
-
-def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
-    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube grid projected to the unit sphere."""
-    first, group = weld_seams(q)
-    # The tangent spaces the grid by equal angles: cells at the corners of the cube are not much smaller.
-    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
-    quads = group[cube_quads(q)]
-    return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
 
 
 # A long body and a smaller head in contact with it, as on (25143) Itokawa; the other lobes break the symmetry.

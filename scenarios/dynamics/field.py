@@ -125,11 +125,8 @@ class HarmonicField:
         )
 
     @cached_property
-    def _work_array(self) -> FloatArray:
-        return self.work()
-
     def work(self) -> FloatArray:
-        """Return the work array of `accelerate` and `differentiate`."""
+        """The work array of `accelerate` and `differentiate`."""
         # Long enough for V and W of the highest degree of the three tables.
         return np.empty((2, max(self.flat.pull.shape[2], self.flat.tide.shape[2], self.flat.parts.shape[3])))
 
@@ -148,7 +145,7 @@ class HarmonicField:
     def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) in inertial axes."""
         out = np.empty(3)
-        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._work_array, out)
+        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self.work, out)
         return out
 
 

@@ -24,7 +24,11 @@ def read_grid(source: ShapeFile, west: bool) -> RawShape:
     lines = source.lines()
     table = source.table(lines, source.filled(lines), (0, 1, 2))
     latitudes_deg, longitudes_deg, radii = _grid(source, table, west)
-    vertices = _vertices(np.radians(latitudes_deg), np.radians(longitudes_deg), radii)
+    # South pole, the rings from south to north, north pole.
+    lat, lon = np.meshgrid(np.radians(latitudes_deg)[1:-1], np.radians(longitudes_deg), indexing="ij")
+    ring = radii[1:-1, :, None] * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    south, north = [0.0, 0.0, -radii[0].mean()], [0.0, 0.0, radii[-1].mean()]
+    vertices = np.vstack([south, ring.reshape(-1, 3), north])
     return source.shape(vertices, _faces(len(latitudes_deg) - 2, len(longitudes_deg)))
 
 
@@ -50,14 +54,6 @@ def _grid(source: ShapeFile, table: FloatArray, west: bool) -> tuple[FloatArray,
         raise source.fault(f"the grid has no row at {place} deg; is the file cut?")
     radii = np.bincount(cell, weights=table[:, 2]) / count
     return latitudes_deg, longitudes_deg, radii.reshape(n_lat, n_lon)
-
-
-def _vertices(latitude_rad: FloatArray, longitude_rad: FloatArray, radii: FloatArray) -> FloatArray:
-    """South pole, the rings from south to north, north pole."""
-    lat, lon = np.meshgrid(latitude_rad[1:-1], longitude_rad, indexing="ij")
-    ring = radii[1:-1, :, None] * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
-    south, north = [0.0, 0.0, -radii[0].mean()], [0.0, 0.0, radii[-1].mean()]
-    return np.vstack([south, ring.reshape(-1, 3), north])
 
 
 def _faces(n_rings: int, n_lon: int) -> IndexArray:
