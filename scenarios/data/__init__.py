@@ -21,17 +21,24 @@ def data_folder() -> Path:
     return Path(data).expanduser() if data else Path(platformdirs.user_data_dir("boresight"))
 
 
-def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
+def find_data_file(
+    name: str, search_dirs: Sequence[Path], folder: str, key: str, is_wanted: Callable[[Path], bool] = Path.is_file
+) -> Path:
     """Find a file: as given if absolute, else in ``search_dirs``, then in ``folder`` of the data folder, then in that.
 
     Raise BoresightError, which names the scenario's ``key`` and lists where it was looked for.
     """
-    return _find(name, search_dirs, folder, key, Path.is_file)
+    candidates = _candidates(name, search_dirs, folder)
+    for candidate in candidates:
+        if is_wanted(candidate):
+            return candidate
+    looked = ", ".join(str(candidate) for candidate in candidates)
+    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(Path(name), folder)}")
 
 
 def find_data_folder(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
     """Find a folder as ``find_data_file`` finds a file."""
-    return _find(name, search_dirs, folder, key, Path.is_dir)
+    return find_data_file(name, search_dirs, folder, key, Path.is_dir)
 
 
 def is_there(name: str, search_dirs: Sequence[Path], folder: str) -> bool:
@@ -43,15 +50,6 @@ def _candidates(name: str, search_dirs: Sequence[Path], folder: str) -> list[Pat
     given = Path(name).expanduser()
     places = [*search_dirs, data_folder() / folder, data_folder()]
     return [given] if given.is_absolute() else [place / given for place in places]
-
-
-def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_wanted: Callable[[Path], bool]) -> Path:
-    candidates = _candidates(name, search_dirs, folder)
-    for candidate in candidates:
-        if is_wanted(candidate):
-            return candidate
-    looked = ", ".join(str(candidate) for candidate in candidates)
-    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(Path(name), folder)}")
 
 
 def _advice(given: Path, folder: str) -> str:

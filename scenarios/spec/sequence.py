@@ -343,8 +343,8 @@ class SequenceSpec(WithDefaultAlternative):
             raise ValueError(
                 "sphere_radius_m: real tracks are of a body, whose shape ranges are measured to: give body"
             )
-        given = self.stated("vision", "images", "body_motion")
-        if given := [*given, *(f"knowledge.{key}" for key in self.knowledge.stated("dynamics"))]:
+        known = [f"knowledge.{key}" for key in self.knowledge.stated("dynamics")]
+        if given := [*self.stated("vision", "images", "body_motion"), *known]:
             raise ValueError(f"{given[0]} has no part where tracks have path and sightings, in body axes: leave it out")
 
     @rule
