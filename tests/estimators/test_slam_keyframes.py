@@ -1,8 +1,7 @@
-"""The views of BA-SLAM's window, worked out by hand, and causality: no estimator uses later frames."""
+"""The views of BA-SLAM's window, worked out by hand."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,15 +89,3 @@ def test_both_rules_follow_an_orbit(connected):
     assert found.status == "ok"
     errors = [np.linalg.norm(f.position_m - p) for f, p in zip(found.frames, truth.positions_m, strict=True)]
     assert max(errors) < 40.0
-
-
-@pytest.mark.parametrize(
-    "name", ["dead-reckoning", "ba-slam", "ekf-slam", "consistent-ekf-slam", "iterated-ekf-slam", "fixed-lag"]
-)
-def test_what_is_estimated_of_a_frame_does_not_depend_on_later_frames(name):
-    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=40, landmarks=20))
-    whole = sequence_estimator_class(name).from_options({}).follow(sequence)
-    first = sequence_estimator_class(name).from_options({}).follow(replace(sequence, frames=sequence.frames[:25]))
-    assert len(first.frames) == 25
-    for one, other in zip(first.frames, whole.frames, strict=False):
-        np.testing.assert_array_equal(one.position_m, other.position_m)

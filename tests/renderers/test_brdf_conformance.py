@@ -28,10 +28,11 @@ from boresight.scenarios.spec.brdf import (
 DEFAULTS: list[BrdfSpec] = [model.spec.model_validate({"kind": kind}) for kind, model in MODELS.items()]
 OTHERS: list[BrdfSpec] = [
     LambertSpec(albedo=1.0),
-    OrenNayarSpec(kind="oren-nayar", sigma_deg=50.0, albedo=0.9),
+    OrenNayarSpec(kind="oren-nayar", sigma_deg=60.0, albedo=0.9),
     OrenNayarSpec(kind="oren-nayar", sigma_deg=35.0, form="qualitative"),
     HapkeSpec(kind="hapke", theta_bar_deg=0.0, w=0.9, b=-0.4, c=0.3),
-    HapkeSpec(kind="hapke", theta_bar_deg=55.0, H_function="1981"),
+    HapkeSpec(kind="hapke", theta_bar_deg=59.0, w=0.9, b=-0.8, c=0.3),
+    HapkeSpec(kind="hapke", theta_bar_deg=55.0, b=0.5, c=-1.0, B0=0.0, H_function="1981"),
     LommelSeeligerSpec(kind="lommel-seeliger", w=1.0),
     LommelSeeligerSpec(kind="lommel-seeliger", w=1.0, b=0.6, c=0.4),
     McEwenSpec(kind="mcewen", albedo=0.59),
@@ -39,6 +40,14 @@ OTHERS: list[BrdfSpec] = [
     McEwenSpec(kind="mcewen", albedo=1.0, L1_per_deg=-1000.0),
 ]
 ALL = [*DEFAULTS, *OTHERS]
+EXTREMES: list[BrdfSpec] = [
+    HapkeSpec(kind="hapke", b=1.0, w=0.999),
+    HapkeSpec(kind="hapke", b=-1.0, c=-1.0),
+    HapkeSpec(kind="hapke", h=1e-6, B0=50.0),
+    OrenNayarSpec(kind="oren-nayar", sigma_deg=0.0, albedo=1.0),
+]
+angles = st.one_of(st.sampled_from([0.0, 1e-9, 1e-4, math.pi / 2 - 1e-9, math.pi / 2]), st.floats(0.0, math.pi / 2))
+azimuths = st.one_of(st.sampled_from([0.0, 1e-7, math.pi / 2, math.pi]), st.floats(0.0, math.pi))
 every_model = pytest.mark.parametrize("spec", ALL, ids=repr)
 
 
@@ -131,8 +140,8 @@ def test_closed_form(case):
     assert radiance_factor(case.spec, *angles) == pytest.approx(case.expected, rel=2e-5)
 
 
-@every_model
-@given(i=st.floats(0.0, 1.57), e=st.floats(0.0, 1.57), psi=st.floats(0.0, math.pi))
+@pytest.mark.parametrize("spec", [*ALL, *EXTREMES], ids=repr)
+@given(i=angles, e=angles, psi=azimuths)
 def test_reciprocal_finite_and_never_negative(spec, i, e, psi):
     cosine = math.cos(i) * math.cos(e) + math.sin(i) * math.sin(e) * math.cos(psi)
     g = np.array(math.acos(max(-1.0, min(1.0, cosine))))
