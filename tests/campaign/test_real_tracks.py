@@ -59,10 +59,7 @@ def test_a_case_is_worked_out_again_to_the_last_bit(run, tmp_path, capsys):
 
 
 BAD = {
-    "doubled": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n1,0,5,4\n", "track 1 is in frame 0 after frame 0"),
-    "nan": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n1,1,,4\n", "row 1 (from 0) of u_px, v_px is not all numbers"),
     "single": ("tracks", "track,frame,u_px,v_px\n1,0,3,4\n", "track 1 has one sighting"),
-    "poses": ("poses", "time_s,x_m,y_m,z_m\n0,1,2,3\n0,1,2,3\n", "time_s 0 of row 1 (from 0) is not after the one"),
     "inside": (
         "poses",
         "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + "".join(f"{k},{5 * k + 1},2,3,1,0,0,0\n" for k in range(9)),

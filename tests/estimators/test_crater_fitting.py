@@ -33,6 +33,7 @@ def test_exact_points_give_the_ellipse_back():
     assert good.all()
     np.testing.assert_allclose(found.centre_px, truth.centre_px, atol=1e-6)
     np.testing.assert_allclose(found.semi_axes_px, truth.semi_axes_px, rtol=1e-6)
+    np.testing.assert_allclose(np.sin(found.angle_rad - truth.angle_rad), 0.0, atol=1e-5)
 
 
 def test_the_direct_fit_is_opencvs():

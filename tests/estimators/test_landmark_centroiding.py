@@ -5,7 +5,6 @@ import pytest
 from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
 from boresight.estimators.landmark.centroiding import CentroidAligner, CentroidOptions
-from boresight.estimators.registry import estimator_class
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose
 from boresight.scenarios.observation import Frame, Observation
@@ -31,10 +30,6 @@ def observed(shift_m=(0.0, 0.0, 0.0), image=None):
 def estimate(observation, **options):
     aligner = CentroidAligner(Ball(), CentroidOptions(**options))
     return aligner.estimate(observation, rng=np.random.default_rng(0))
-
-
-def test_it_is_in_the_registry():
-    assert estimator_class("centroid") is CentroidAligner
 
 
 @pytest.mark.parametrize("shift_m", [(30.0, 0.0, 0.0), (-25.0, 40.0, 3.0)])

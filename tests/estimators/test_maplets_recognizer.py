@@ -1,13 +1,10 @@
 """Maplets from the image to the pose, on images of a body that is finer than the shape on board."""
 
-from copy import copy
-
 import numpy as np
 import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.maplets.build import build_maplets
-from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
 from boresight.estimators.maplets.visibility import body_mask, visible_windows
 from boresight.renderers.mitsuba3 import MitsubaRenderer
@@ -139,16 +136,6 @@ def test_the_data_base_is_asked_for_by_its_options(world):
     ((kind, options),) = world.asked
     assert kind == PRODUCT
     assert options == {"spacing_m": 4.0, "side": 21, "separation": 0.6, "seed": None}
-
-
-def test_a_stored_data_base_gives_the_same_pose(world, navigator, tmp_path):
-    world.database.save(tmp_path)
-
-    stored = copy(world)
-    stored.database = MapletDatabase.load(tmp_path)
-    _, frame = world.frame(1)
-    first, second = (estimate(e, frame).pose for e in (navigator, MapletNavigator.from_options(OPTIONS, stored)))
-    assert np.degrees(first.angle_to(second)) < 0.03
 
 
 def test_an_image_without_the_body_fails_with_a_reason(world, navigator):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from slam_sequences import Recipe, Truth, make_sequence
+from slam_sequences import Recipe, make_sequence, position_errors_m
 
 from boresight.estimators.slam.adjustment.problem import (
     AdjustedWindow,
@@ -23,7 +23,6 @@ from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.association.gating import gate_frame
 from boresight.estimators.slam.association.outliers import OutlierGate, all_within_gate
 from boresight.estimators.slam.association.prediction import SharedUncertainty, predict_lines
-from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.options import SmootherOptions
 from boresight.estimators.slam.smoothing.smoother import (
@@ -59,11 +58,6 @@ def misplaced_gauge(sequence: TrackSequence) -> TrackSequence:
     return replace(sequence, frames=(sequence.frames[0], replace(second, uv_px=uv), *sequence.frames[2:]))
 
 
-def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
-    found = np.array([frame.position_m for frame in estimate.frames])
-    return np.linalg.norm(found - truth.positions_m[: len(found)], axis=1)
-
-
 @pytest.mark.parametrize(
     ("estimator", "options"), [(FixedLagSmoother, {"lag": 6}), (BundleSlam, {}), (BatchAdjustment, {})]
 )
@@ -72,12 +66,12 @@ def test_wrong_associations_cost_little(estimator: type[FixedLagSmoother], optio
     frames = 10 if estimator is BatchAdjustment else 30
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=frames, landmarks=20))
     spoilt, _ = thrown(sequence, 77)
-    clean = errors(estimator.from_options({**options, "associations": "all"}).follow(sequence), truth).mean()
+    clean = position_errors_m(estimator.from_options({**options, "associations": "all"}).follow(sequence), truth).mean()
     believing = estimator.from_options({**options, "associations": "all"}).follow(spoilt)
-    assert believing.status == "failed" or errors(believing, truth).mean() > 5.0 * clean
+    assert believing.status == "failed" or position_errors_m(believing, truth).mean() > 5.0 * clean
     estimate = estimator.from_options({**options, "associations": "consensus"}).follow(spoilt)
     assert estimate.status == "ok", estimate.reason
-    assert errors(estimate, truth).mean() < 1.5 * clean + 0.3
+    assert position_errors_m(estimate, truth).mean() < 1.5 * clean + 0.3
 
 
 def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,7 +142,7 @@ def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> N
     estimate = FixedLagSmoother.from_options({}).follow(misplaced_gauge(sequence))
     assert estimate.status == "ok", estimate.reason
     clean = FixedLagSmoother.from_options({"associations": "all"}).follow(sequence)
-    assert errors(estimate, truth)[2:].max() < 2.0 * errors(clean, truth).max() + 0.3
+    assert position_errors_m(estimate, truth)[2:].max() < 2.0 * position_errors_m(clean, truth).max() + 0.3
 
 
 def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
@@ -219,9 +213,9 @@ def test_bundle_waits_a_frame_where_the_gauge_is_refused() -> None:
     gated = BundleSlam.from_options({"associations": "consensus"}).follow(spoilt)
     assert gated.status == "ok", gated.reason
     clean = BundleSlam.from_options({}).follow(sequence)
-    assert errors(gated, truth)[2:].max() < 2.0 * errors(clean, truth).max() + 0.3
+    assert position_errors_m(gated, truth)[2:].max() < 2.0 * position_errors_m(clean, truth).max() + 0.3
     believing = BundleSlam.from_options({}).follow(spoilt)
-    assert errors(believing, truth)[1] > 5.0 * errors(gated, truth)[1]
+    assert position_errors_m(believing, truth)[1] > 5.0 * position_errors_m(gated, truth)[1]
 
 
 @pytest.mark.parametrize(("wrong", "reliable"), [(3, True), (5, False)])

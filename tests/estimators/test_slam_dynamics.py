@@ -10,8 +10,8 @@ from numpy_equations import bearing_residuals, distance_residuals
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.stats import chi2
-from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
-from slam_sequences import ORBIT_M, Recipe
+from slam_orbits import GM, LIGHT, Drive, make_orbit_sequence
+from slam_sequences import ORBIT_M, Recipe, position_errors_m
 
 from boresight.estimators.slam.adjustment.problem import State
 from boresight.estimators.slam.adjustment.solver import StoppingRule
@@ -200,11 +200,6 @@ def test_prior_of_the_departed_stands_for_them(
     assert np.abs(right).max() <= np.abs(before).max() + 1e-9 * largest
 
 
-def errors(estimate, truth: OrbitTruth) -> np.ndarray:
-    found = np.array([frame.position_m for frame in estimate.frames])
-    return np.linalg.norm(found - truth.positions_m[: len(found)], axis=1)
-
-
 def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
     """The prior velocity, gravity parameter and radiation pressure have errors."""
     drive = Drive(noise_m_s2=0.0, gm_sigma=1.0, radiation_sigma=1.0)
@@ -212,7 +207,7 @@ def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
     forces = replace(sequence.forces, gm_m3_s2=1.05 * GM, radiation_m_s2=0.9 * LIGHT)
     estimate = DynamicSmoother.from_options({"tolerance": 1e-10}).follow(replace(sequence, forces=forces))
     assert estimate.status == "ok", estimate.reason
-    assert errors(estimate, truth).max() < 1e-3
+    assert position_errors_m(estimate, truth).max() < 1e-3
     assert estimate.diagnostics["gm_m3_s2"] == pytest.approx(GM, rel=1e-6)
     assert estimate.diagnostics["radiation_m_s2"] == pytest.approx(np.linalg.norm(LIGHT), rel=1e-5)
 
@@ -267,7 +262,7 @@ def test_error_of_the_first_position_is_found_out() -> None:
     shift = np.array([12.0, -16.0, 0.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=400.0 * np.eye(3))
     estimate = DynamicSmoother.from_options({}).follow(unsure)
-    assert errors(estimate, truth)[0] == pytest.approx(20.0)
+    assert position_errors_m(estimate, truth)[0] == pytest.approx(20.0)
     last = estimate.frames[-1]
     assert last.covariance_m2 is not None
     assert np.trace(last.covariance_m2) < 0.01 * np.trace(unsure.position_covariance_m2)
@@ -298,7 +293,7 @@ def test_what_is_certain_stays_as_it_is() -> None:
     sure = DynamicSmoother.from_options({"lag": 5}).follow(sequence)
     assert (sure.diagnostics["gm_m3_s2"], sure.diagnostics["gm_sigma_m3_s2"]) == (pytest.approx(GM, rel=1e-15), 0.0)
     assert sure.diagnostics["radiation_m_s2"] == pytest.approx(np.linalg.norm(LIGHT), rel=1e-15)
-    assert errors(sure, truth)[-1] < 2.0
+    assert position_errors_m(sure, truth)[-1] < 2.0
     looser = replace(sequence.forces, gm_sigma_m3_s2=0.1 * GM, velocity_covariance_m2_s2=1e-6 * np.eye(3))
     unsure = DynamicSmoother.from_options({"lag": 5}).follow(replace(sequence, forces=looser)).frames[-1]
     last = sure.frames[-1]

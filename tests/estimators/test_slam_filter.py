@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_sequence
+from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, central_differences, look_down, make_sequence
 
 from boresight.estimators.slam.filters.ekf import EkfSlam
 from boresight.estimators.slam.filters.ekf_state import FilterState, landmark_jacobians, landmark_points
@@ -58,15 +58,6 @@ def square_root(covariance: np.ndarray) -> np.ndarray:
     return vectors[:, keep] * np.sqrt(values[keep])
 
 
-def differences(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    columns = []
-    for i, step in enumerate(steps):
-        shift = np.zeros(len(x))
-        shift[i] = step
-        columns.append((function(x + shift) - function(x - shift)) / (2.0 * step))
-    return np.stack(columns, axis=-1)
-
-
 def test_landmark_lies_on_its_first_ray(state: FilterState) -> None:
     points = state.points(CAMERA)
     anchor = state.landmarks[:, 3:]
@@ -78,7 +69,9 @@ def test_landmark_lies_on_its_first_ray(state: FilterState) -> None:
 def test_derivatives_are_those_of_central_differences(state: FilterState) -> None:
     steps = np.array([1e-2, 1e-2, 1e-7, 1e-3, 1e-3, 1e-3])
     for landmark, rotation in zip(state.landmarks, state.R_cam_body, strict=True):
-        numeric = differences(lambda x, R=rotation: landmark_points(CAMERA, x[None], R[None])[0], landmark, steps)
+        numeric = central_differences(
+            lambda x, R=rotation: landmark_points(CAMERA, x[None], R[None])[0], landmark, steps
+        )
         analytic = landmark_jacobians(CAMERA, landmark[None], rotation[None])[0]
         np.testing.assert_allclose(analytic, numeric, rtol=1e-6, atol=1e-6)
 
@@ -92,7 +85,7 @@ def test_innovation_derivatives_are_those_of_central_differences(state: FilterSt
         range_sigma_m=np.ones(2),
     )
     steps = np.concatenate([np.full(3, 1e-3), np.tile([1e-2, 1e-2, 1e-8, 1e-3, 1e-3, 1e-3], 3)])
-    numeric = differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
+    numeric = central_differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
     scale = steps / 1e-3  # in units of the steps, so that metres and inverse metres compare
     np.testing.assert_allclose(seen.innovation(state).jacobian * scale, numeric * scale, atol=1e-5)
 
@@ -190,7 +183,7 @@ def test_product_of_both_errors_widens_the_innovation(state: FilterState) -> Non
     found = measured(state, [0, 2], np.zeros((1, 2))).second_order(state)
     assert not found[:2, 2:].any()
     for block, row in ((found[:2, :2], 0), (found[2:, 2:], 2)):
-        by_camera = differences(
+        by_camera = central_differences(
             lambda x, row=row: CAMERA.project((points[row] - x)[None] @ rotation.T)[0], state.position_m, np.ones(3)
         )
         relative = np.sqrt(state.covariance[5 + 6 * row, 5 + 6 * row]) / state.landmarks[row, 2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_sequence
+from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, central_differences, look_down, make_sequence
 
 from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
@@ -60,15 +60,6 @@ def state() -> PoseState:
     return replace(moved, x=x)
 
 
-def differences(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    columns = []
-    for i, step in enumerate(steps):
-        shift = np.zeros(len(x))
-        shift[i] = step
-        columns.append((function(x + shift) - function(x - shift)) / (2.0 * step))
-    return np.stack(columns, axis=-1)
-
-
 def errors_of(state: PoseState, true: PoseState) -> np.ndarray:
     """(15,) errors of a state, in the elements of its covariance; rotations by scipy."""
     turn = Rotation.from_matrix(true.attitude) * Rotation.from_matrix(state.attitude).inv()
@@ -84,7 +75,7 @@ def test_rotation_vectors_are_those_of_scipy(angle: float) -> None:
     np.testing.assert_allclose(rotation_of(turn), foreign.as_matrix(), atol=1e-15)
     np.testing.assert_allclose(cross_matrix(turn)[1] @ [1.0, 2.0, 3.0], np.cross(turn[1], [1.0, 2.0, 3.0]), atol=1e-15)
     for row, J in zip(turn, left_jacobian(turn), strict=True):
-        numeric = differences(
+        numeric = central_differences(
             lambda t, row=row: (Rotation.from_rotvec(t) * Rotation.from_rotvec(row).inv()).as_rotvec(),
             row,
             np.full(3, 1e-5),
@@ -96,7 +87,7 @@ def test_landmark_turns_with_its_anchor(state: PoseState) -> None:
     R = state.anchor_attitudes
     analytic = turn_jacobians(CAMERA, state.landmarks, R)
     for k in range(3):
-        numeric = differences(
+        numeric = central_differences(
             lambda t, k=k: landmark_points(
                 CAMERA, state.landmarks[k : k + 1], (Rotation.from_rotvec(t).as_matrix() @ R[k])[None]
             )[0],
@@ -113,7 +104,7 @@ def test_innovation_derivatives_are_those_of_central_differences(state: PoseStat
     )
     landmark = [1e-2, 1e-2, 1e-8, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6]
     steps = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-6), np.full(6, 1e-3), np.tile(landmark, 3)])
-    numeric = differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
+    numeric = central_differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
     scale = steps / 1e-3  # in units of the steps, so that metres, radians and inverse metres compare
     np.testing.assert_allclose(seen.innovation(state).jacobian * scale, numeric * scale, atol=1e-5)
     assert np.abs(numeric[:4, 6:9]).min() > 1.0
@@ -178,7 +169,7 @@ def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> Non
         moved = replace(state, x=x)
         return errors_of(folded, moved)[6:9]
 
-    J = differences(turned, state.x, np.full(len(state.x), 1e-5))
+    J = central_differences(turned, state.x, np.full(len(state.x), 1e-5))
     np.testing.assert_allclose(folded.covariance[6:9, 6:9], J @ state.covariance @ J.T, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(folded.covariance[6:9, :3], (J @ state.covariance)[:, :3], rtol=1e-6, atol=1e-9)
 
@@ -192,7 +183,7 @@ def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseSt
     there = (grown.points(CAMERA) - grown.position_m) @ grown.attitude.T
     np.testing.assert_allclose((points - position) @ known.T, there, atol=1e-9)
     steps = np.full(len(grown.x), 1e-5)
-    J = differences(lambda x: replace(grown, x=x).estimate(CAMERA)[0], grown.x, steps)
+    J = central_differences(lambda x: replace(grown, x=x).estimate(CAMERA)[0], grown.x, steps)
     J[:, 6:9] = 0.0  # a turn of the axes is itself the error: of second order
     expected = J @ grown.covariance @ J.T
     np.testing.assert_allclose(covariance, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())

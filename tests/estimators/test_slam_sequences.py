@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from slam_orbits import Drive, make_orbit_sequence
-from slam_sequences import Recipe, Truth, make_sequence
+from slam_sequences import Recipe, make_sequence, position_errors_m
 
-from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
+from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
@@ -31,11 +31,6 @@ ALL = [
     DynamicSmoother,
     BatchAdjustment,
 ]
-
-
-def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
-    found = np.array([frame.position_m for frame in estimate.frames])
-    return np.linalg.norm(found - truth.positions_m[: len(found)], axis=1)
 
 
 def changed(sequence: TrackSequence, number: int, **values: object) -> TrackSequence:
@@ -84,7 +79,7 @@ def test_noise_free_sequence_returns_the_truth(estimator: type[BundleSlam], opti
     estimate = estimator.from_options({"tolerance": 1e-10, **options}).follow(sequence)
     assert estimate.status == "ok", estimate.reason
     assert len(estimate.frames) == len(sequence.frames)
-    assert errors(estimate, truth).max() < 1e-9 * 790.0
+    assert position_errors_m(estimate, truth).max() < 1e-9 * 790.0
     last = estimate.frames[-1]
     true = np.array([truth.points_m[track] for track in last.tracks.tolist()])
     np.testing.assert_allclose(last.points_m, true, atol=1e-9 * 790.0)
@@ -97,7 +92,7 @@ def test_filter_returns_the_truth_where_nothing_is_guessed(estimator: type[EkfSl
     sequence, truth = make_sequence(np.random.default_rng(11), recipe)
     estimate = estimator.from_options({}).follow(sequence)
     assert estimate.status == "ok", estimate.reason
-    assert errors(estimate, truth).max() < 1e-9 * 790.0
+    assert position_errors_m(estimate, truth).max() < 1e-9 * 790.0
 
 
 @pytest.mark.parametrize(
@@ -301,7 +296,7 @@ def test_gated_filter_survives_wrong_associations(estimator: type[EkfSlam]) -> N
     assert estimator.from_options({}).follow(spoilt).status == "failed"
     estimate = estimator.from_options({"gate": "one-point"}).follow(spoilt)
     assert estimate.status == "ok", estimate.reason
-    assert errors(estimate, truth).max() < 1.5 * errors(clean, truth).max() + 0.5
+    assert position_errors_m(estimate, truth).max() < 1.5 * position_errors_m(clean, truth).max() + 0.5
     assert estimate.diagnostics["refused_pixels"] > 0.04 * sum(len(frame.tracks) for frame in sequence.frames[1:])
 
 

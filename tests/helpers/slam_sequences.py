@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
@@ -33,6 +35,19 @@ class Recipe:
     motion_error: float = 0.5
     gauge_life: int = 10
     range_all: bool = False
+
+
+def position_errors_m(estimate: SequenceEstimate, truth: Truth) -> FloatArray:
+    """Return the error of each frame that is estimated, (n,)."""
+    found = np.array([frame.position_m for frame in estimate.frames])
+    return np.asarray(np.linalg.norm(found - truth.positions_m[: len(found)], axis=1))
+
+
+def central_differences(function: Callable[[FloatArray], FloatArray], x: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the derivatives of a function by each element of its argument, in the last axis."""
+    shifts = np.diag(steps)
+    columns = [(function(x + shift) - function(x - shift)) / (2.0 * h) for shift, h in zip(shifts, steps, strict=True)]
+    return np.stack(columns, axis=-1)
 
 
 def look_down(position_m: FloatArray) -> FloatArray:

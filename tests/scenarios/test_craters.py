@@ -6,7 +6,6 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -28,7 +27,6 @@ from boresight.scenarios.craters.tiles import check_size, expected_size
 from boresight.scenarios.craters.truth import CraterTruth, find_rims
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, TriangleMesh
-from boresight.scenarios.geometry.ellipse import fit_conics, sampson_distances
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 ANGLES = {"uniform": [0, 20]}
@@ -329,34 +327,6 @@ def test_an_octave_is_scipys_periodic_spline() -> None:
     at = (points @ turn.T + shift).T
     expected = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
     np.testing.assert_allclose(heights, 1.0 + 0.7 * expected, atol=1e-12)
-
-
-def test_fitted_ellipses_are_those_of_opencv() -> None:
-    rng = np.random.default_rng(0)
-    true = Ellipses(
-        np.array([[200.3, 150.7], [40.0, 300.0]]), np.array([[30.0, 18.0], [9.0, 8.0]]), np.array([0.6, 2.0])
-    )
-    points, normal = true.points(72)
-    exact, found = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
-    assert found.all()
-    np.testing.assert_allclose(exact.centre_px, true.centre_px, atol=1e-8)
-    np.testing.assert_allclose(exact.semi_axes_px, true.semi_axes_px, atol=1e-8)
-    np.testing.assert_allclose(exact.angle_rad, true.angle_rad, atol=1e-7)
-    offset = rng.normal(0.0, 0.2, points.shape[:2])
-    noisy = points + offset[..., None] * normal
-    fitted, _ = Ellipses.among(fit_conics(noisy, np.ones(points.shape[:2])))
-    for k in range(2):
-        (u, v), (d1, d2), _ = cv2.fitEllipseDirect(noisy[k].astype(np.float32))
-        np.testing.assert_allclose(fitted.centre_px[k], [u, v], atol=2e-3)
-        np.testing.assert_allclose(fitted.semi_axes_px[k], sorted([d1 / 2, d2 / 2], reverse=True), atol=5e-3)
-    apart = sampson_distances(noisy, true.conics())
-    np.testing.assert_allclose(np.sqrt((apart**2).mean(axis=1)), np.sqrt((offset**2).mean(axis=1)), rtol=0.03)
-
-
-def test_a_line_is_no_ellipse() -> None:
-    line = np.stack([np.linspace(0, 10, 20), np.linspace(0, 5, 20)], axis=1)[None]
-    _, found = Ellipses.among(fit_conics(line, np.ones((1, 20))))
-    assert not found[0]
 
 
 @pytest.mark.parametrize(

@@ -347,11 +347,6 @@ def test_a_key_replaces_its_alternative(here):
     assert load_scenario("child.yaml").spec.images is None
 
 
-def test_null_takes_an_optional_section_away():
-    assert load_scenario("quickstart", ["detector.bits=8"]).spec.detector.bits == 8
-    assert load_scenario("quickstart", ["detector.bits=8", "detector=null"]).spec.detector is None
-
-
 def test_lists_replace():
     spec = load_scenario("navcam67p-real", ["images.also_score=[]", "images.aligned=[]"]).spec
     assert spec.images.also_score == ()

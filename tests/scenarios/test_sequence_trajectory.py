@@ -281,7 +281,6 @@ def test_kernels_that_do_not_go_with_it_are_one_line(mission, more, last_s, said
     ("keys", "said"),
     [
         ([ORBIT, f"trajectory: {{{HOVER}}}"], "give either orbit or trajectory, not both"),
-        (["orbit: {}", f"trajectory: {{{HOVER}}}"], "give either orbit or trajectory, not both"),
         ([f"trajectory: {{{HOVER}, {ROTATION}}}", SPIN], r"body_motion has no part where trajectory\.rotation has"),
         ([f"trajectory: {{{FLYBY}}}", SPIN], r"body_motion: a flyby is in inertial axes: give .* trajectory\.rotation"),
         ([f"trajectory: {{{HOVER}}}", "knowledge: {dynamics: true}"], r"knowledge\.dynamics: only orbit and traj"),

@@ -269,7 +269,6 @@ BAD = {
     "part of attitudes": (table_of(turns=TURNS).drop(columns="qw"), "", "no column qw"),
     "part of the Sun": (table_of(suns=SUNS).drop(columns="sun_x"), "", "no column sun_x"),
     "part of velocities": (table_of(velocities=VELOCITIES).drop(columns="vx_m_s"), "", "no column vx_m_s"),
-    "velocity": (table_of(velocities=VELOCITIES).drop(columns="vz_m_s"), "", "no column vz_m_s"),
     "number": (table_of(np.where(POSITIONS == 900.0, np.nan, POSITIONS)), "", "row 3 .* is not all numbers"),
     "word": ("time_s,x_m,y_m,z_m\n0,1,2,far\n", "", "could not convert string to float"),
     "origin": (table_of(POSITIONS * [[1], [0], [1], [1]]), "", "a position is the body's origin"),
