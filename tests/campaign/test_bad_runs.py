@@ -64,12 +64,10 @@ def half_manifest(run: Path) -> None:
 DAMAGES = {
     "no manifest": (lambda run: (run / "manifest.json").unlink(), ["no run there", "run it first"], True),
     "half a manifest": (half_manifest, [MANIFEST, AGAIN], True),
-    "an empty manifest": (lambda run: (run / "manifest.json").write_text(""), [MANIFEST, AGAIN], True),
     "a binary manifest": (lambda run: (run / "manifest.json").write_bytes(b"\x80\x81"), [MANIFEST, AGAIN], True),
     "no seed": (rewritten(seed=None), ["not a manifest of boresight, which has a seed"], True),
     "an older format": (rewritten(format=1), ["run: stored in format 1, and this version of", "reads 3", AGAIN], True),
     "no format": (rewritten(format=None), ["stored in format unknown", AGAIN], True),
-    "a later format": (rewritten(format=9), ["stored in format 9", AGAIN], True),
     "no rows": (lambda run: shutil.rmtree(run / "rows"), ["no finished trial is stored; continue the run"], False),
     "half the rows": (cut("rows", checked=True), ["/rows/scene-00000", ".parquet: damaged", "run the campaign"], True),
     "half the rows, unchecked": (cut("rows", checked=False), ["rows: not readable as a stored table", AGAIN], True),

@@ -313,9 +313,3 @@ def test_a_truth_without_most_detectable_craters_is_refused(folder: Path, capsys
     message = capsys.readouterr().err
     assert "few.yaml: craters.known_diameter_m: 60 m is 28.5 px at the range of the views, and 86 % of" in message
     assert "give at most 25.2" in message
-
-
-def test_unknown_detector_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "unknown.yaml").write_text(CAMPAIGN.replace("blind]", "sharp]"))
-    assert main(["run", str(folder / "unknown.yaml"), "--out", str(folder / "unknown")]) == 2
-    assert "sharp" in capsys.readouterr().err

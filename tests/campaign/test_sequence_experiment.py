@@ -20,8 +20,6 @@ from boresight.campaign.kinds.sequence.score import (
 from boresight.campaign.kinds.sequence.trial import SequenceTrials
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.estimators.slam.dead_reckoning import DeadReckoning
-from boresight.estimators.slam.registry import sequence_estimator_class
-from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.sequences import SphereGround, draw_sequence
 from boresight.scenarios.spec.sequence import SequenceSpec
@@ -222,13 +220,6 @@ def test_an_error_that_was_reached_before_a_failure_counts():
     told = summary(estimate, sequence, truth, score_epochs(estimate, sequence, truth))
     assert (told["error_after_1_m"], told["error_after_2_m"]) == (pytest.approx(3.0), None)
     assert told["landmark_rmse_m"] is None
-
-
-def test_an_unknown_estimator_is_named():
-    with pytest.raises(BoresightError, match=r"'ekf'.*dead-reckoning"):
-        sequence_estimator_class("ekf")
-    with pytest.raises(BoresightError, match="window"):
-        DeadReckoning.from_options({"window": 3})
 
 
 def test_the_smoke_campaign_runs_end_to_end_and_twice_the_same(tmp_path):

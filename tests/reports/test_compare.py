@@ -1,6 +1,5 @@
 """Comparisons of stored runs: hand-made failures, scipy's tests and bootstrap, and what may not be compared."""
 
-import json
 import re
 
 import numpy as np
@@ -384,12 +383,3 @@ def test_in_80_columns_names_stay_whole_and_no_column_is_lost(tmp_path):
     rows = [line.split()[0] for line in lines if line.startswith("landmark-")]
     assert set(rows) == set(errors)
     assert len(rows) > sum(len(grid.rows) for grid in grids), "each part of a wide table begins with the names"
-
-
-def test_a_run_of_an_older_version_is_told(tmp_path):
-    run = store(tmp_path / "run", {"one": [1, 2]})
-    manifest = json.loads((run / "manifest.json").read_text())
-    del manifest["credits"]
-    (run / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(BoresightError, match="credits"):
-        compare_runs([run])

@@ -1,5 +1,3 @@
-import re
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,7 +6,6 @@ from stored_runs import find, seal
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.records import FAILURES_AT_PRIOR
 from boresight.reports.statistics.measures import clusters_of, measure_run
-from boresight.scenarios.errors import BoresightError
 
 ITOKAWA = {"scenario": "itokawa", "estimator": "landmark-harris"}
 
@@ -134,44 +131,3 @@ def _split_reversed(part):
     rows.iloc[100:].to_parquet(part.with_name("a.parquet"))
     rows.iloc[:100].to_parquet(part.with_name("b.parquet"))
     part.unlink()
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda run: (run / "manifest.json").unlink(), "manifest.json: not found"),
-        (lambda run: (run / "manifest.json").write_text("{"), "manifest.json"),
-        (lambda run: (run / "manifest.json").write_text('{"name": "x", "format": 3}'), "seed: Field required"),
-        (lambda run: (run / "rows" / "block-0.parquet").unlink(), "no finished trial"),
-        (
-            lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish") and seal(run),
-            "rows: not readable as a stored table",
-        ),
-    ],
-)
-def test_a_damaged_run_is_one_clear_line(builder, damage, message):
-    _three_trials(builder)
-    folder = builder.write()
-    damage(folder)
-    with pytest.raises(BoresightError, match=message) as caught:
-        read_run(folder)
-    assert "\n" not in str(caught.value)
-
-
-def test_missing_columns_are_named(builder):
-    _three_trials(builder)
-    folder = builder.write()
-    file = folder / "rows" / "block-0.parquet"
-    pd.read_parquet(file).drop(columns="position_error_m").to_parquet(file)
-    seal(folder)
-    with pytest.raises(BoresightError, match="rows: columns position_error_m are missing: run the campaign again"):
-        read_run(folder)
-
-
-def test_a_run_of_another_format_says_what_to_do(builder):
-    builder.trial(0, ((1, 0, 0), 1), ((1, 0, 0), 1))
-    folder = builder.write(format=2)
-    said = f"{folder}: stored in format 2, and this version of boresight reads 3: run the campaign again, into another"
-    with pytest.raises(BoresightError, match=re.escape(said)) as caught:
-        read_run(folder)
-    assert "\n" not in str(caught.value)

@@ -23,7 +23,9 @@ BROWN = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, OpenCVDistortion(-0.28, 0.1
 RATIONAL = Camera(640, 480, 400.0, 410.0, 318.0, 243.0, OpenCVDistortion(0.9, 0.2, 2e-3, 1e-3, 0.01, 1.1, 0.3, 0.02))
 CALIBRATED = pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=["brown", "rational"])
 ALL = pytest.mark.parametrize(
-    "camera", [AMICA, MSI, WIDE, BARREL, BROWN, RATIONAL], ids=["amica", "msi", "wide", "barrel", "brown", "rational"]
+    "camera",
+    [WIDE.pinhole, AMICA, MSI, WIDE, BARREL, BROWN, RATIONAL],
+    ids=["pinhole", "amica", "msi", "wide", "barrel", "brown", "rational"],
 )
 
 
