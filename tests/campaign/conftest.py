@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,22 @@ def tiny_run(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> TinyRun:
     folder = file.parent / "run"
     compute(file, folder)
     return TinyRun(file, folder)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that must be refused, and return the one line that it prints on standard error."""
+
+    def line(*words: object) -> str:
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("boresight: ")
+        assert error.endswith("\n")
+        assert error.count("\n") == 1, error
+        return error
+
+    return line
 
 
 @pytest.fixture

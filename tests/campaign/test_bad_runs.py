@@ -115,12 +115,9 @@ def test_a_figure_is_not_drawn_of_what_another_version_stored(tiny_run, tmp_path
     assert "tiny-2/rows: not readable as a stored table" in unread
 
 
-def test_a_run_goes_on_in_no_folder_of_another_format(tiny_run, tmp_path, capsys):
+def test_a_run_goes_on_in_no_folder_of_another_format(tiny_run, tmp_path, refused):
     shutil.copytree(tiny_run.folder, tmp_path / "run")
     rewritten(format=1)(tmp_path / "run")
     before = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*.parquet"))
-    assert main(["run", str(tiny_run.file), "--out", str(tmp_path / "run")]) == 2
-    error = capsys.readouterr().err
-    assert "stored in format 1" in error
-    assert error.count("\n") == 1
+    assert "stored in format 1" in refused("run", tiny_run.file, "--out", tmp_path / "run")
     assert sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*.parquet")) == before

@@ -72,11 +72,3 @@ def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys):
     assert len(changes) == 7
     assert 100 < np.median(changes) < 10_000
     assert os.sched_getaffinity(0) == cores
-
-
-@pytest.mark.parametrize("arguments", [("--blocks", "0"), ("--against", "scene.yaml"), ("--against", "none.json")])
-def test_bad_input_is_one_line(times, monkeypatch, capsys, arguments):
-    file, _, _ = times
-    monkeypatch.chdir(file.parent)
-    assert main(["bench", str(file), *arguments]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -37,9 +37,3 @@ def test_a_run_that_cannot_be_read_is_named(runs, capsys):
     page = (runs / "index.html").read_text(encoding="utf-8")
     assert "broken: stored in format unknown" in page
     assert "tiny one" in page
-
-
-def test_a_folder_without_runs_is_refused(tmp_path, capsys):
-    assert main(["board", str(tmp_path)]) == 2
-    assert "no run in that folder" in capsys.readouterr().err
-    assert not (tmp_path / "index.html").exists()

@@ -210,11 +210,6 @@ def test_validate_describes_the_images_before_any_is_made(tiny_run, capsys):
     assert len(refused.splitlines()) == 1
 
 
-def test_validate_tries_the_overrides(tiny_run, capsys):
-    assert main(["validate", str(tiny_run.file), "--set", "camera.width_px=2.5"]) == 2
-    assert "--set camera.width_px=2.5: camera.width_px: 2.5 is not a whole number" in capsys.readouterr().err
-
-
 def test_the_version_is_that_of_the_package(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])

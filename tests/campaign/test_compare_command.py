@@ -1,4 +1,4 @@
-"""`boresight compare` on a run that was made, and what it refuses: one line, exit code 2, nothing written."""
+"""`boresight compare` on runs that were made."""
 
 from __future__ import annotations
 
@@ -16,14 +16,6 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def refused(capsys, *arguments):
-    assert main(["compare", *map(str, arguments)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("boresight: ")
-    assert error.count("\n") == 1, error
-    return error
-
-
 def test_a_run_is_compared(tiny_run, here, capsys):
     assert main(["compare", str(tiny_run.folder)]) == 0
     said = capsys.readouterr().out
@@ -39,16 +31,10 @@ def test_a_run_is_compared(tiny_run, here, capsys):
     assert "\nLeft out: the prior, which is no estimator" in capsys.readouterr().out
 
 
-def test_what_cannot_be_compared(tiny_run, here, capsys, monkeypatch):
-    assert "--metric speed" in refused(capsys, tiny_run.folder, "--metric", "speed")
-    assert "--by weather" in refused(capsys, tiny_run.folder, "--by", "weather")
-    assert "--by: empty" in refused(capsys, tiny_run.folder, "--by", ",")
-    assert "nowhere: no run there" in refused(capsys, "nowhere")
-    assert "a run is named twice" in refused(capsys, tiny_run.folder, tiny_run.folder)
+def test_runs_of_other_seeds_are_compared_unpaired_alone(tiny_run, here, refused, monkeypatch):
     other = here / "other"
     assert run(tiny_run.file, other, "--trials", 4, "--seed", 6) == 0
-    capsys.readouterr()
-    assert "their seeds are 5 and 6: give --unpaired" in refused(capsys, tiny_run.folder, other)
+    assert "their seeds are 5 and 6: give --unpaired" in refused("compare", tiny_run.folder, other)
     assert not (here / "comparisons").exists()
     stop_before_long(monkeypatch)
     assert run_command(["compare", str(tiny_run.folder), str(other), "--unpaired"]) == 0

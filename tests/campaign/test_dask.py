@@ -111,21 +111,6 @@ def test_a_run_goes_on_where_a_cluster_of_one_worker_left_it(cluster, tmp_path):
     assert files(tmp_path / "there", *RESULTS) == files(tmp_path / "here", *RESULTS)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--backend", "dask"], "--backend dask: give either --scheduler ADDRESS or --local N"),
-        (["--backend", "dask", "--local", "2", "--scheduler", "tcp://127.0.0.1:1"], "give either"),
-        (["--local", "2"], "--scheduler and --local are of --backend dask"),
-        (["--backend", "dask", "--local", "2", "--keep-images"], "--keep-images: workers of a cluster cannot write"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(tmp_path, capsys, words, said):
-    assert run(write_campaign(tmp_path), tmp_path / "run", *words) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("boresight.campaign.runs.dask._PATIENCE_S", 2.0)
     words = ("--trials", 2, "--backend", "dask", "--scheduler", "tcp://127.0.0.1:9")

@@ -154,21 +154,6 @@ def test_tables_come_back_bit_for_bit(tiny_run, tmp_path, kind):
     assert (meanings["meaning"].str.len() > 3).all()
 
 
-def test_what_cannot_be_exported(tiny_run, tmp_path, capsys):
-    def refused(*arguments):
-        assert main(["export", str(tiny_run.folder), "--out", str(tmp_path / "out"), *arguments]) == 2
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1, error
-        return error
-
-    assert "--trial 99: " in refused("--to", "csv", "--trial", "99")
-    assert "--trial 99: " in refused("--to", "tum", "--trial", "99")
-    assert "choose one of landmark-harris, prior" in refused("--to", "colmap", "--estimator", "sift")
-    assert "--trial: the tables of a report are of the whole run" in refused("--to", "latex", "--trial", "1")
-    assert "invalid choice: 'kitti'" in refused("--to", "kitti")
-    assert not (tmp_path / "out").exists()
-
-
 # --- `boresight export --to latex`: tables that LaTeX itself sets, whatever characters their cells hold --------------
 
 

@@ -499,25 +499,6 @@ def test_the_command_lists_what_there_is(registry, capsys):
     assert "yours  Some, into x; a paper" in said
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["fetch", "eroz"], "eroz: no such data set, campaign or paper; did you mean eros?"),
-        (["fetch", "rowell2014"], "did you mean rowell2015?"),
-        (["fetch", "amica-20051001"], "bring your own into images/hayabusa_amica_20051001; published at https://"),
-        (["fetch"], "boresight fetch --list"),
-        (["fetch", "eros", "--from", "/nowhere"], "/nowhere/shapes/eros022540.tab: no such file"),
-        (["fetch", "nothing.yaml"], "nothing.yaml: no such campaign"),
-    ],
-)
-def test_the_command_refuses_in_one_line(words, line, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    assert line in said
-    assert said.count("\n") == 1
-
-
 def test_without_a_variable_data_go_to_the_users_folder(monkeypatch, tmp_path, capsys):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))

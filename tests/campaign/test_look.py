@@ -79,7 +79,7 @@ def test_the_page_draws_in_a_browser_without_a_network(tiny_run, tmp_path):
         assert shown.title() == "scene / landmark-harris"
 
 
-def test_a_look_at_sequences_and_what_has_none(cache, tmp_path, capsys):
+def test_a_look_at_sequences_and_what_has_none(cache, tmp_path):
     (tmp_path / "orbit.yaml").write_text(
         "extends: apophis-sphere-sequence\nsequence:\n  orbit: {revolutions: 0.2}\n", encoding="utf-8"
     )
@@ -96,7 +96,3 @@ def test_a_look_at_sequences_and_what_has_none(cache, tmp_path, capsys):
     last = epochs.groupby("trial")["position_error_m"].last().sort_values()
     gaps = [np.linalg.norm(look.cameras[k + 1].points_m[-1] - look.cameras[k].points_m[-1]) for k in (0, 2)]
     np.testing.assert_allclose(gaps, [last.iloc[1], last.iloc[2]], atol=1e-6)
-    assert main(["inspect", str(folder.path), "--look", "--trial", "1"]) == 2
-    assert "--trial: a look is at all trials" in capsys.readouterr().err
-    assert main(["inspect", str(folder.path), "--look", "--estimator", "sift"]) == 2
-    assert "choose one of fixed-lag" in capsys.readouterr().err

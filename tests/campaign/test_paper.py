@@ -230,12 +230,6 @@ def read_name(folder):
     return RunFolder(folder).read_manifest()["name"]
 
 
-@pytest.mark.parametrize("share", ["0", "1.5", "much"])
-def test_a_share_that_is_none_is_refused(capsys, share):
-    assert main(["figures", "all", "--trials-scale", share]) == 2
-    assert "--trials-scale" in capsys.readouterr().err
-
-
 def test_campaigns_without_their_data_are_told_and_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
     out = tmp_path / "figures"
@@ -245,16 +239,6 @@ def test_campaigns_without_their_data_are_told_and_left_out(tmp_path, monkeypatc
     for name in paper_campaigns(PAPER):
         assert len(re.findall(rf"^{name}: (?!{name}).* (is|are) missing, ", said, re.M)) == 1, name
     assert (out / "index.html").exists()
-
-
-def test_trials_without_run_are_refused(tmp_path, capsys):
-    assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--trials", "3"]) == 2
-    assert "--run" in capsys.readouterr().err
-
-
-def test_another_paper_is_refused(capsys):
-    assert main(["figures", "rowell2016"]) == 2
-    assert "rowell2015" in capsys.readouterr().err
 
 
 def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):

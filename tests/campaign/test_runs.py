@@ -163,7 +163,7 @@ def test_fewer_trials_take_nothing_away(tiny_run, tmp_path):
     assert RunFolder(out).read_manifest()["trials"] == 12
 
 
-def test_a_damaged_block_is_told_refused_by_readers_and_run_again(tiny_run, tmp_path, capsys):
+def test_a_damaged_block_is_told_refused_by_readers_and_run_again(tiny_run, tmp_path, refused, capsys):
     out = tmp_path / "run"
     shutil.copytree(tiny_run.folder, out)
     path = out / "stages" / "scene-0000001.parquet"
@@ -171,10 +171,7 @@ def test_a_damaged_block_is_told_refused_by_readers_and_run_again(tiny_run, tmp_
     content[len(content) // 2] ^= 16
     path.write_bytes(content)
     for words in (["report", str(out)], ["compare", str(out)], ["inspect", str(out), "--trial", "3"]):
-        assert main(words) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(f"boresight: {path}: damaged")
-        assert error.count("\n") == 1
+        assert refused(*words).startswith(f"boresight: {path}: damaged")
     assert run(tiny_run.file, out) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "1 of 3 stored blocks are not what was stored (the first: scene-0000001.parquet): 10 trials are run" in said
@@ -205,14 +202,12 @@ def test_another_request_is_another_run(tiny_run, tmp_path, monkeypatch, change)
     assert not RunFolder(path).table("rows").equals(rows[rows["trial"] < 3].reset_index(drop=True))
 
 
-def test_the_folder_of_another_run_is_refused_and_left_alone(tiny_run, capsys):
+def test_the_folder_of_another_run_is_refused_and_left_alone(tiny_run, refused):
     before = files(tiny_run.folder)
     for change in (("--seed", "6"), ("--set", "viewpoint.range_m=2100")):
-        assert run(tiny_run.file, tiny_run.folder, *change) == 2
-        error = capsys.readouterr().err
+        error = refused("run", tiny_run.file, "--out", tiny_run.folder, *change)
         assert error.startswith(f"boresight: {tiny_run.folder}: holds another run (tiny, digest ")
         assert error.endswith("choose another folder with --out\n")
-        assert error.count("\n") == 1
     assert files(tiny_run.folder) == before
 
 

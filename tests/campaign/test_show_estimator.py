@@ -31,19 +31,3 @@ def test_show_prints_the_detector_that_trials_of_every_matcher_take(capsys):
     for name, takes in (("vote", True), ("hybrid", True), ("crater-classic", False)):
         assert main(["show", name]) == 0
         assert ("\n  detector: Crater detector that finds" in capsys.readouterr().out) == takes
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["landmark-ransack"], "no such campaign, scenario or estimator; did you mean landmark-ransac?"),
-        (["quickstrt"], "did you mean quickstart?"),
-        (["prior", "--set", "camera.fov_deg=3"], "--set changes scenarios and campaigns"),
-        (["nosuch:Class"], "cannot be imported"),
-    ],
-)
-def test_what_cannot_be_shown_is_said_in_one_line(words, told, capsys):
-    assert main(["show", *words]) == 2
-    said = capsys.readouterr().err
-    assert told in said
-    assert said.count("\n") == 1

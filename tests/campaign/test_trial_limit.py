@@ -14,7 +14,6 @@ import pytest
 from third_party import install_answers
 from tiny_campaign import boresight, write_campaign
 
-from boresight.campaign.cli import main
 from boresight.campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.runs.blocks import Losses
@@ -251,11 +250,3 @@ def test_a_run_goes_on_whatever_its_estimators_do(tmp_path, where):
         own = rows[rows["estimator"] == name]
         assert set(own["status"]) == {"ok", "error"}
         assert set(own[own["status"] == "error"]["reason"]) == {reason}
-
-
-def test_a_limit_that_is_none_is_refused(tmp_path, capsys):
-    for limit in ("0", "-1", "nan", "inf"):
-        words = ["run", str(write_campaign(tmp_path)), "--out", str(tmp_path / "run"), f"--trial-limit={limit}"]
-        assert main(words) == 2
-        assert "give a number of seconds above 0" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_campaign import Heard, run
+from tiny_campaign import Heard
 
 from boresight.campaign.runs import until as module
 from boresight.campaign.runs.request import RunRequest
@@ -41,12 +41,10 @@ def test_looks_are_whole_blocks_and_end_at_the_cap():
         ("ci(position_error_m, mode) < 3", "mode is no statistic: choose one of median"),
     ],
 )
-def test_a_wrong_condition_is_one_line_before_anything_runs(tiny_file, tmp_path, capsys, text, why):
+def test_a_wrong_condition_is_one_line_before_anything_runs(tiny_file, tmp_path, refused, text, why):
     with pytest.raises(BoresightError, match=why):
         parse_until(text, "single-image")
-    assert run(tiny_file, tmp_path / "run", "--until", text) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
+    refused("run", tiny_file, "--out", tmp_path / "run", "--until", text)
     assert not (tmp_path / "run").exists()
 
 
