@@ -66,35 +66,31 @@ def test_the_sign_test_is_the_binomial_of_the_signs(builder):
     assert found["attitude_difference_deg", SIGN_TEST].value is None
 
 
-def test_realisations_of_few_images_are_no_more_than_their_images(builder):
-    """20 of 30 trials better, but all of two images and none of the third: Student's t over 1, 1 and 0."""
-    base = [error(20, 1)] * 30
-    other = [error(19 if trial < 20 else 25, 1) for trial in range(30)]
-    images = [f"{trial // 10}.png" for trial in range(30)]
-    found = by_key(fill(builder, base, other, images))
-    test = found["position_difference_m", SIGN_TEST]
-    assert test.n_ok == 30
-    assert test.value == pytest.approx(ttest_1samp([1.0, 1.0, 0.0], 0.5).pvalue)
+# Ten realisations of each image: which trials are better, of how many, as how many these count, and the sign test.
+REALISATIONS = {
+    "two images of three: Student's t over 1, 1 and 0": (
+        lambda t: t < 20,
+        30,
+        30,
+        ttest_1samp([1.0, 1.0, 0.0], 0.5).pvalue,
+    ),
+    "six images of eight, each counted once": (lambda t: t < 60, 80, 8, binomtest(6, 8).pvalue),
+    "six of ten of either image: Student's t would be certain": (
+        lambda t: t % 10 < 6,
+        20,
+        20,
+        binomtest(12, 20).pvalue,
+    ),
+}
 
 
-def test_realisations_of_an_image_count_once(builder):
-    base = [error(20, 1)] * 80
-    other = [error(19 if trial < 60 else 25, 1) for trial in range(80)]
-    test = by_key(fill(builder, base, other, [f"{trial // 10}.png" for trial in range(80)]))[
-        "position_difference_m", SIGN_TEST
-    ]
-    assert test.n_ok == 8
-    assert test.value == pytest.approx(binomtest(6, 8).pvalue)
-
-
-def test_equal_shares_of_few_data_bases_say_no_more_than_their_trials(builder):
-    """Each of two images is better in 6 of 10: Student's t would be certain."""
-    base = [error(20, 1)] * 20
-    other = [error(19 if trial % 10 < 6 else 25, 1) for trial in range(20)]
-    test = by_key(fill(builder, base, other, [f"{trial // 10}.png" for trial in range(20)]))[
-        "position_difference_m", SIGN_TEST
-    ]
-    assert test.value == pytest.approx(binomtest(12, 20).pvalue)
+@pytest.mark.parametrize("case", REALISATIONS)
+def test_realisations_are_no_more_than_their_images_nor_than_their_trials(builder, case):
+    better, trials, independent, chance = REALISATIONS[case]
+    other = [error(19 if better(trial) else 25, 1) for trial in range(trials)]
+    run = fill(builder, [error(20, 1)] * trials, other, [f"{trial // 10}.png" for trial in range(trials)])
+    test = by_key(run)["position_difference_m", SIGN_TEST]
+    assert (test.value, test.n_ok) == (pytest.approx(chance), independent)
 
 
 def test_failures_count_missing_and_worse_solutions(builder):

@@ -144,9 +144,17 @@ def test_real_images_have_no_view_to_draw():
 # --- pose errors -----------------------------------------------------------------------------------------------------
 
 
-def errors_of(spec, true_poses, camera, seed=1):
+def priors_of(spec, true_poses, camera):
+    return [degrade(T, spec, camera, generator(1, Stream.POSE_ERROR, t)) for t, T in enumerate(true_poses)]
+
+
+@pytest.fixture(scope="module")
+def priors(paper, views):
+    return priors_of(paper.pose_error, [v.T_cam_body for v in views], paper.camera.camera())
+
+
+def errors_of(priors, true_poses):
     """Rotation vectors (N, 3) rad and shifts (N, 3) m, worked out with scipy from the poses alone."""
-    priors = [degrade(T, spec, camera, generator(seed, Stream.POSE_ERROR, t)) for t, T in enumerate(true_poses)]
     turns = [
         Rotation.from_matrix(p.rotation @ T.rotation.T).as_rotvec() for p, T in zip(priors, true_poses, strict=True)
     ]
@@ -154,8 +162,8 @@ def errors_of(spec, true_poses, camera, seed=1):
     return np.array(turns), np.array(shifts)
 
 
-def test_the_error_of_the_paper_follows_its_law(paper, views):
-    turns, shifts = errors_of(paper.pose_error, [v.T_cam_body for v in views], paper.camera.camera())
+def test_the_error_of_the_paper_follows_its_law(priors, views):
+    turns, shifts = errors_of(priors, [v.T_cam_body for v in views])
     for axis, bound in enumerate((50, 50, 5)):
         assert_follows(shifts[:, axis], uniform(-bound, bound))
     angles = np.linalg.norm(turns, axis=1)
@@ -166,15 +174,12 @@ def test_the_error_of_the_paper_follows_its_law(paper, views):
     assert np.abs(np.corrcoef(turns.T, shifts.T)[:3, 3:]).max() < 4 / np.sqrt(N)
 
 
-def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
+def test_the_prior_error_of_the_paper_is_reproduced(priors, views):
     """Rowell et al. (2015), section 4.2: 1.00 deg, 45.3 m and (27.1, 27.4, 2.45) m of 6000 images before recognition.
 
     The intervals are four standard errors of a median of 4000.
     """
-    camera = paper.camera.camera()
-    poses = [v.T_cam_body for v in views]
-    priors = [degrade(T, paper.pose_error, camera, generator(1, Stream.POSE_ERROR, t)) for t, T in enumerate(poses)]
-    pairs = list(zip(priors, poses, strict=True))
+    pairs = [(prior, view.T_cam_body) for prior, view in zip(priors, views, strict=True)]
     angles = np.degrees([p.angle_to(T) for p, T in pairs])
     errors = np.array([T.rotate(p.camera_position_m - T.camera_position_m) for p, T in pairs])
     assert np.median(angles) == pytest.approx(1.0, abs=4 * 2 / np.sqrt(12) * 1.8 / np.sqrt(N))
@@ -217,7 +222,7 @@ def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
 )
 def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_error):
     camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]))
-    turns, shifts = errors_of(pose_error, [pose] * N, camera)
+    turns, shifts = errors_of(priors_of(pose_error, [pose] * N, camera), [pose] * N)
     sample = np.hstack([turns, shifts])
     covariance = prior_covariance(pose_error, pose, camera)
     products = sample[:, :, None] * sample[:, None, :]
@@ -236,7 +241,7 @@ JOINT = JOINT * np.array([0.3, 0.2, 0.1, 30.0, 20.0, 5.0])
 def test_attitude_and_position_with_one_covariance(paper, more):
     camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]))
     spec = PoseErrorSpec(pose_cam_deg_m=Correlated6(covariance=JOINT.tolist(), **more))
-    turns, shifts = errors_of(spec, [pose] * N, camera)
+    turns, shifts = errors_of(priors_of(spec, [pose] * N, camera), [pose] * N)
     sample = np.hstack([np.degrees(turns), shifts])
     mean = np.array(more.get("mean", np.zeros(6)))
     products = sample[:, :, None] * sample[:, None, :]
