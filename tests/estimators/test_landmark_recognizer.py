@@ -136,8 +136,7 @@ def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
 
 
 def test_an_estimate_holds_what_the_contract_says(world):
-    _, frame = world.frame(1)
-    result = estimate(recogniser(world), frame)
+    _, _, result = world.recognised(1)
     assert result.status == "ok"
     assert [stage.name for stage in result.stages] == ["centroid", "recognition"]
     assert result.stages[-1].T_cam_body is result.pose
@@ -183,8 +182,7 @@ def test_the_centroid_brings_the_body_into_place(world):
 
 @pytest.mark.parametrize("alignment", ["image", "none"])
 def test_the_alignment_is_an_option(world, alignment):
-    _, frame = world.frame(2)
-    default = estimate(recogniser(world), frame)
+    _, frame, default = world.recognised(2)
     other = recogniser(world, alignment=alignment).recognise(frame, CAMERA)
     if alignment == "none":
         assert other.alignment.steps == ()
@@ -195,10 +193,9 @@ def test_the_alignment_is_an_option(world, alignment):
 
 
 def test_corners_of_the_image_may_differ_from_those_of_the_data_base(world):
-    _, frame = world.frame(2)
-    few = estimate(recogniser(world, corners={"count": 20}), frame)
-    assert few.diagnostics["n_corners"] == 20
-    assert estimate(recogniser(world), frame).diagnostics["n_corners"] == 100
+    _, frame, default = world.recognised(2)
+    assert default.diagnostics["n_corners"] == 100
+    assert estimate(recogniser(world, corners={"count": 20}), frame).diagnostics["n_corners"] == 20
 
 
 def spoilt(frame, image):
