@@ -27,15 +27,12 @@ PAGE = Path(__file__).parents[2] / "docs" / "howto" / "estimator-of-sequences.md
 # here is what may do harm on its way to a row.
 IMAGES = {
     "matrix": ('Estimate("ok", pose=np.eye(4))', "a ndarray is no Pose"),
-    "nan": ('Estimate("ok", pose=Pose(R, [np.nan, 0, 0]))', "translation [nan"),
-    "nothing": ("None", "a NoneType is no Estimate"),
     "falls": ('Estimate("ok", pose=prior, stages=Falls())', "stages are a Falls, not a tuple"),
     "endless": ('Estimate("failed", "on and on", stages=endless(prior))', "stages are a generator, not a tuple"),
     "objects": (
         'Estimate("ok", pose=prior, details={"mine": {"a": np.array([object()])}})',
         "mine: a is no array of numbers or texts",
     ),
-    "keys": ('Estimate("ok", pose=prior, diagnostics={(1, 2): 3.0})', "diagnostics of type dict have no names"),
     "quits": ("quits()", "SystemExit: 0"),
     "changes": ("observation.frame.image.fill(0)", "read-only"),
 }
@@ -79,11 +76,8 @@ ANSWERS = {
 # What an estimator of sequences of n frames returns.
 SEQUENCES = {
     "matrix": "ok(n, np.eye(4))",
-    "nothing": "None",
-    "few": "ok(n - 1)",
     "generator": 'SequenceEstimate("failed", (frame for frame in ok(n).frames), "late")',
     "objects": 'SequenceEstimate("ok", (object(),) * n)',
-    "keys": 'SequenceEstimate("ok", ok(n).frames, diagnostics={(1, 2): 3.0})',
 }
 SEQUENCE_METHODS = """
 import numpy as np

@@ -73,7 +73,9 @@ def test_a_calibrated_lens_is_opencvs(camera):
 @ALL
 def test_project_and_unproject_invert_each_other(camera):
     uv = pixels(camera)
-    np.testing.assert_allclose(camera.project(7.0 * camera.unproject(uv)), uv, atol=1e-9)
+    directions = camera.unproject(uv)
+    np.testing.assert_allclose(camera.project(7.0 * directions), uv, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
 
 
 @ALL
