@@ -6,6 +6,7 @@ from stored_runs import find, seal
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.records import FAILURES_AT_PRIOR
 from boresight.reports.statistics.measures import clusters_of, measure_run
+from boresight.scenarios.errors import BoresightError
 
 ITOKAWA = {"scenario": "itokawa", "estimator": "landmark-harris"}
 
@@ -131,3 +132,21 @@ def _split_reversed(part):
     rows.iloc[100:].to_parquet(part.with_name("a.parquet"))
     rows.iloc[:100].to_parquet(part.with_name("b.parquet"))
     part.unlink()
+
+
+@pytest.mark.parametrize(
+    ("manifest", "message"),
+    [
+        (None, "manifest.json: not found"),
+        ("{", "manifest.json: not readable as a manifest"),
+        ('{"name": "x", "format": 3}', "seed: Field required"),
+    ],
+)
+def test_a_manifest_that_cannot_be_read_is_one_clear_line(builder, manifest, message):
+    """Commands read it first, and refuse it themselves."""
+    _three_trials(builder)
+    file = builder.write() / "manifest.json"
+    file.unlink() if manifest is None else file.write_text(manifest)
+    with pytest.raises(BoresightError, match=message) as caught:
+        read_run(file.parent)
+    assert "\n" not in str(caught.value)
