@@ -1,10 +1,11 @@
-"""Closed form, Levenberg-Marquardt and outlier rounds against scipy, OpenCV and differences."""
+"""Closed form, Levenberg-Marquardt and outlier rounds against scipy, OpenCV, differences and sampling."""
 
 import cv2
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.hull import concave_hull
@@ -139,6 +140,19 @@ def test_the_fit_is_no_worse_than_its_start_and_ends_from_anywhere():
         assert fit.chi2 <= task.chi2(start)
         assert fit.iterations <= 100
         np.testing.assert_allclose(fit.T_cam_body.rotation @ fit.T_cam_body.rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_the_covariance_is_that_of_the_errors():
+    """NEES of 400 fits: a mean over 400 x 6 degrees of freedom, false alarm 1e-4 (two-sided)."""
+    n = 400
+    nees = []
+    for seed in range(n):
+        fit = refine_pose(problem(seed=seed), TRUTH, MINIMAL)
+        rotation = Rotation.from_matrix(TRUTH.rotation @ fit.T_cam_body.rotation.T).as_rotvec()
+        error = np.concatenate([rotation, TRUTH.translation_m - fit.T_cam_body.translation_m])
+        nees.append(error @ np.linalg.solve(fit.covariance, error))
+    low, high = chi2.ppf([5e-5, 1 - 5e-5], 6 * n)
+    assert low < sum(nees) < high
 
 
 def test_a_point_behind_the_camera_has_infinite_chi2():

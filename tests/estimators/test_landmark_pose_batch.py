@@ -1,7 +1,9 @@
-"""Stacks of pose problems against the solver of one, and other stacks of the same problems."""
+"""Stacks of pose problems against the solver of one, scipy, and other stacks of the same problems."""
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
 from boresight.estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
@@ -47,6 +49,25 @@ def test_a_stack_does_step_by_step_what_one_does(options):
         np.testing.assert_allclose(fits.poses.translations_m[row], one.T_cam_body.translation_m, atol=2e-3)
     # At the bottom rounding decides whether a step is a success, so that single counts may differ.
     assert np.mean(fits.iterations == iterations) > 0.8
+
+
+@pytest.mark.parametrize("parameters", ["quaternion", "minimal"])
+def test_a_stack_agrees_with_scipy(parameters):
+    problems, starts, poses = stack(15, seed=3)
+    fits = refine_poses(problems, starts, MarquardtOptions(parameters=parameters, tolerance=1e-14))
+    for row, start in enumerate(poses):
+        weights = np.linalg.cholesky(problems.information_px2[row])
+        points, uv = problems.points_body_m[row], problems.uv_px[row]
+
+        def residuals(x, start=start, weights=weights, points=points, uv=uv):
+            seen = Rotation.from_rotvec(x[:3]).apply(points @ start.rotation.T) + start.translation_m + 1000.0 * x[3:]
+            return np.einsum("nji,nj->ni", weights, uv - (seen[:, :2] / seen[:, 2:] * CAMERA.fx_px + 256.0)).ravel()
+
+        found = least_squares(residuals, np.zeros(6), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        expected = start.perturbed(found.x[:3], 1000.0 * found.x[3:])
+        assert fits.chi2[row] == pytest.approx(2.0 * found.cost, rel=1e-8)
+        np.testing.assert_allclose(fits.poses.rotations[row], expected.rotation, atol=1e-6)
+        np.testing.assert_allclose(fits.poses.translations_m[row], expected.translation_m, atol=4e-3)
 
 
 @pytest.mark.parametrize("options", VARIANTS, ids=label)

@@ -1,4 +1,4 @@
-"""The windowed adjustment: the minimum against scipy, rank, marginalisation."""
+"""The windowed adjustment: derivatives against differences, the minimum against scipy, rank, marginalisation."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy_equations import (
+    VariableOrdering,
+    bearing_jacobians,
     bearing_residuals,
     cost,
+    distance_jacobians,
     distance_residuals,
     motion_residuals,
+    normal_equations,
 )
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, make_sequence
@@ -71,6 +75,44 @@ def all_residuals(problem: Adjustment, state: State) -> np.ndarray:
     motions = np.einsum("kji,kj->ki", roots, motion_residuals(problem, state))
     parts = [bearing_residuals(problem, state).ravel(), distance_residuals(problem, state), motions.ravel()]
     return np.concatenate(parts)
+
+
+def dense_jacobian(problem: Adjustment, state: State) -> np.ndarray:
+    x = packed(problem, state)
+    columns = []
+    for i in range(len(x)):
+        step = np.zeros(len(x))
+        step[i] = 1e-3
+        ahead = all_residuals(problem, unpacked(problem, state, x + step))
+        columns.append((ahead - all_residuals(problem, unpacked(problem, state, x - step))) / 2e-3)
+    return np.stack(columns, axis=1)
+
+
+def test_derivatives_are_those_of_central_differences(small: tuple[Adjustment, State]) -> None:
+    problem, state = small
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-3
+        ahead = State(state.positions_m, state.points_m + step)
+        behind = State(state.positions_m, state.points_m - step)
+        bearing = (bearing_residuals(problem, ahead) - bearing_residuals(problem, behind)) / 2e-3
+        np.testing.assert_allclose(bearing_jacobians(problem, state)[:, :, axis], bearing, atol=1e-8)
+        distance = (distance_residuals(problem, ahead) - distance_residuals(problem, behind)) / 2e-3
+        np.testing.assert_allclose(distance_jacobians(problem, state)[:, 0, axis], distance, atol=1e-6)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_schur_step_solves_the_dense_equations(small: tuple[Adjustment, State], kept: bool) -> None:
+    problem, state = small
+    if kept:  # some landmarks stay in the reduced system
+        problem = replace(problem, kept_points=np.arange(len(problem.free_points)) % 3 == 0)
+    system = normal_equations(problem, state, VariableOrdering.of(problem))
+    matrix, right, inverse = system.reduced(damping=0.7)
+    step = np.linalg.solve(matrix, right).reshape(-1, 3)
+    moved = system.stepped(state, step, system.back_substituted(step, inverse))
+    J = dense_jacobian(problem, state)
+    dense = np.linalg.solve(J.T @ J + 0.7 * np.eye(J.shape[1]), -J.T @ all_residuals(problem, state))
+    np.testing.assert_allclose(packed(problem, moved) - packed(problem, state), dense, rtol=1e-5, atol=1e-6)
 
 
 def test_minimum_is_that_of_scipy(small: tuple[Adjustment, State]) -> None:

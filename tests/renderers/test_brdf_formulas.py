@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from boresight.renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, oren_nayar
-from boresight.renderers.brdf.hapke import h_function
+from boresight.renderers.brdf import NUMPY, HapkeParameters, OrenNayarParameters, brdf_value, hapke, oren_nayar
+from boresight.renderers.brdf.hapke import h_function, opposition_surge
 from boresight.renderers.brdf.lunar_lambert import henyey_greenstein
-from boresight.scenarios.spec.brdf import BrdfSpec, HapkeSpec, OrenNayarSpec
+from boresight.scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, OrenNayarSpec
 
 HAPKES = [
     HapkeSpec(kind="hapke"),
@@ -19,7 +19,21 @@ HAPKES = [
     HapkeSpec(kind="hapke", theta_bar_deg=59.0, w=0.9, b=-0.8, c=0.3),
     HapkeSpec(kind="hapke", b=0.5, c=-1.0, B0=0.0, H_function="1981"),
 ]
+MODELS: list[BrdfSpec] = [
+    LambertSpec(albedo=0.7),
+    OrenNayarSpec(kind="oren-nayar"),
+    OrenNayarSpec(kind="oren-nayar", sigma_deg=60.0, albedo=0.9),
+    OrenNayarSpec(kind="oren-nayar", sigma_deg=35.0, form="qualitative"),
+    *HAPKES,
+]
+EXTREMES = [
+    HapkeSpec(kind="hapke", b=1.0, w=0.999),
+    HapkeSpec(kind="hapke", b=-1.0, c=-1.0),
+    HapkeSpec(kind="hapke", h=1e-6, B0=50.0),
+    OrenNayarSpec(kind="oren-nayar", sigma_deg=0.0, albedo=1.0),
+]
 
+angles = st.one_of(st.sampled_from([0.0, 1e-9, 1e-4, math.pi / 2 - 1e-9, math.pi / 2]), st.floats(0.0, math.pi / 2))
 azimuths = st.one_of(st.sampled_from([0.0, 1e-7, math.pi / 2, math.pi]), st.floats(0.0, math.pi))
 
 
@@ -34,6 +48,35 @@ def value(spec: BrdfSpec, i: float, e: float, psi: float) -> float:
 
 def direction(polar: float, azimuth: float) -> np.ndarray:
     return np.array([math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)])
+
+
+def hemispherical(spec: BrdfSpec, i: float) -> float:
+    """Directional-hemispherical reflectance by Gauss-Legendre in cos(e) and the midpoint rule in azimuth."""
+    nodes, weights = np.polynomial.legendre.leggauss(96)
+    cos_e, psi = np.meshgrid(0.5 * (nodes + 1.0), (np.arange(180) + 0.5) / 180 * np.pi, indexing="ij")
+    cos_g = math.cos(i) * cos_e + math.sin(i) * np.sqrt(1.0 - cos_e**2) * np.cos(psi)
+    f = brdf_value(spec, np.full_like(cos_e, math.cos(i)), cos_e, np.arccos(np.clip(cos_g, -1.0, 1.0)))
+    return float(np.sum(f * cos_e * 0.5 * weights[:, None]) * 2.0 * np.pi / 180)
+
+
+@pytest.mark.parametrize("spec", [*MODELS, *EXTREMES], ids=repr)
+@given(i=angles, e=angles, psi=azimuths)
+def test_finite_never_negative_and_reciprocal(spec, i, e, psi):
+    forward, backward = value(spec, i, e, psi), value(spec, e, i, psi)
+    assert math.isfinite(forward)
+    assert forward >= 0.0
+    assert forward == pytest.approx(backward, rel=1e-9)
+
+
+@pytest.mark.parametrize("spec", MODELS, ids=repr)
+@pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0, 80.0])
+def test_reflects_no_more_than_it_receives(spec, incidence_deg):
+    assert 0.0 < hemispherical(spec, math.radians(incidence_deg)) <= 1.0
+
+
+def test_lambert_reflects_its_albedo():
+    assert hemispherical(LambertSpec(albedo=0.42), 0.7) == pytest.approx(0.42, rel=1e-3)
+    assert value(LambertSpec(albedo=0.42), 0.2, 0.3, 1.0) == 0.42 / math.pi
 
 
 def oren_nayar_1994(rho: float, sigma: float, theta_i: float, theta_r: float, dphi: float) -> float:
@@ -212,3 +255,27 @@ def test_h_function_follows_the_exact_one(kind, tolerance, w):
 def test_phase_function_is_normalised(b, c):
     mean, _ = quad(lambda g: 0.5 * math.sin(g) * float(henyey_greenstein(b, c, math.cos(g), NUMPY)), 0.0, math.pi)
     assert mean == pytest.approx(1.0, rel=1e-9)
+
+
+def test_c_of_one_is_all_backward():
+    """Backward means towards the light: phase angle 0. P(0) = (1 - b^2) / (1 - b)^3 by hand."""
+    assert float(henyey_greenstein(0.4, 1.0, 1.0, NUMPY)) == pytest.approx(0.84 / 0.6**3)
+    assert float(henyey_greenstein(0.4, 1.0, -1.0, NUMPY)) == pytest.approx(0.84 / 1.4**3)
+
+
+def test_opposition_surge_by_hand():
+    p = HapkeParameters(0.5, 0.4, 1.0, 0.8, 0.05, 0.0)
+    assert float(opposition_surge(p, 0.0, NUMPY)) == pytest.approx(0.8)
+    assert float(opposition_surge(p, 2.0 * math.atan(0.05), NUMPY)) == pytest.approx(0.4)
+    assert float(opposition_surge(p, math.pi, NUMPY)) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_roughness_darkens_grazing_light_and_keeps_the_zenith():
+    """At i = e = 0 the 1984 correction leaves the reflectance as it is, up to the tilt of the effective cosines."""
+    p = HapkeParameters(0.3, 0.3, 1.0, 0.5, 0.05, math.radians(30.0))
+    smooth = HapkeParameters(0.3, 0.3, 1.0, 0.5, 0.05, 0.0)
+    grazing = (math.cos(1.4), math.cos(1.3), np.array(2.7))
+    assert float(hapke(p, *grazing, NUMPY)) < 0.5 * float(hapke(smooth, *grazing, NUMPY))
+    chi = 1.0 / math.sqrt(1.0 + math.pi * math.tan(math.radians(30.0)) ** 2)
+    zenith = smooth_hapke(p, chi, chi, 0.0)  # S is 1 there, and the effective cosines are chi
+    assert float(hapke(p, 1.0, 1.0, np.array(0.0), NUMPY)) == pytest.approx(zenith, rel=1e-6)
