@@ -32,24 +32,10 @@ class Detector:
     spec: DetectorSpec
 
     def expose(self, radiance_factor: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Expose one frame.
+        """Expose one frame of an (H, W) mean radiance factor I/F, which is not modified.
 
-        Parameters
-        ----------
-        radiance_factor
-            (H, W) mean radiance factor I/F of each pixel; not modified.
-        rng
-            Source of the shot noise and the read noise.
-
-        Returns
-        -------
-        ndarray
-            (H, W) float32, whole digital numbers from 0 to 2**bits - 1.
-
-        Raises
-        ------
-        BoresightError
-            If the image is not two-dimensional, or holds negative or non-finite values.
+        ``rng`` is the source of the shot noise and the read noise. Return (H, W) whole digital numbers from 0 to
+        2**bits - 1. Raise `BoresightError` if the image is not two-dimensional, or holds negative or non-finite values.
         """
         image = np.asarray(radiance_factor, dtype=np.float64)
         if image.ndim != 2 or not (np.isfinite(image) & (image >= 0.0)).all():

@@ -11,28 +11,13 @@ from boresight.scenarios.geometry import Camera, pixel_to_opencv
 
 
 def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Resample an image of ``camera`` to that of ``camera.pinhole``.
+    """Resample an image of ``camera``, (H, W) and proportional to radiance, to that of ``camera.pinhole``.
 
     The interpolation is a cubic spline. Through AMICA's lens (1.5 pixels in the corners) its RMS error is 0.6 % of the
-    amplitude of a wave of 4 pixels and 0.03 % of one of 8 pixels, and white noise keeps 84 % of its variance.
-    OpenCV's remap would round positions to 1/32 pixel. Edge pixels are repeated beyond the edge.
-
-    Parameters
-    ----------
-    image
-        (H, W), proportional to radiance; not modified.
-    camera
-        The camera of the image.
-
-    Returns
-    -------
-    ndarray
-        (H, W) float32; ``image`` itself for a camera without distortion.
-
-    Raises
-    ------
-    BoresightError
-        If the image is not of the camera's size, or the distortion is not defined in a part of the pinhole's field.
+    amplitude of a wave of 4 pixels and 0.03 % of one of 8 pixels, and white noise keeps 84 % of its variance. OpenCV's
+    remap would round positions to 1/32 pixel. Edge pixels are repeated beyond the edge. Return ``image`` itself for a
+    camera without distortion. Raise `BoresightError` if the image is not of the camera's size, or the distortion is not
+    defined in a part of the pinhole's field.
     """
     if camera.distortion is None:
         return image

@@ -29,18 +29,10 @@ from boresight.renderers.brdf.lunar_lambert import henyey_greenstein
 class HapkeParameters:
     """Parameters in the units of the formula; the numbers may be Dr.Jit values.
 
-    Parameters
-    ----------
-    w
-        Single scattering albedo, below 1.
-    b, c
-        Asymmetry of the two Henyey-Greenstein lobes and their balance: c = 1 is all backward, c = -1 all forward.
-    B0, h
-        Amplitude and angular width of the opposition surge.
-    theta_bar_rad
-        Mean slope angle of the macroscopic roughness.
-    H_function
-        Year of Hapke's approximation of Chandrasekhar's H function.
+    ``w`` is the single scattering albedo, below 1. ``b`` is the asymmetry of the two Henyey-Greenstein lobes, ``c``
+    their balance: c = 1 is all backward, c = -1 all forward. ``B0`` and ``h`` are the amplitude and the angular width
+    of the opposition surge, ``theta_bar_rad`` is the mean slope angle of the macroscopic roughness. ``H_function`` is
+    the year of Hapke's approximation of Chandrasekhar's H function.
     """
 
     w: Array
@@ -61,20 +53,10 @@ class HapkeParameters:
 def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Hapke's BRDF, 1/sr: the bidirectional reflectance r divided by the cosine of incidence.
 
-    The two cases of the roughness correction (i <= e and e <= i) become one when written in the smaller angle a and
-    the larger angle b, and the cosine of incidence cancels, so that the function is reciprocal by construction.
-    The opposition surge violates energy conservation: with w near 1 and B0 = 1 up to 106 % of the light is reflected.
-
-    Parameters
-    ----------
-    p
-        The model's parameters.
-    cos_i, cos_e
-        Cosines of the angles of incidence and emission from the normal.
-    phase_rad
-        Angle g between the direction to the light and the direction to the viewer, 0 to pi.
-    xp
-        The array library of the angles.
+    The angles are given as in `brdf_value`; ``phase_rad`` is the paper's g. The two cases of the roughness correction
+    (i <= e and e <= i) become one when written in the smaller angle a and the larger angle b, and the cosine of
+    incidence cancels, so that the function is reciprocal by construction. The opposition surge violates energy
+    conservation: with w near 1 and B0 = 1 up to 106 % of the light is reflected.
     """
     cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     cos_a, cos_b = smaller_and_larger_angle(cos_i, cos_e, xp)

@@ -22,15 +22,8 @@ _TINY = 1e-12
 def henyey_greenstein(b: Array, c: Array, cos_g: Array, xp: ArrayMath) -> Array:
     """Two-lobe Henyey-Greenstein phase function of single particles; its mean over the sphere is 1.
 
-    Parameters
-    ----------
-    b, c
-        Asymmetry of the two lobes and their balance: c = 1 is all backward (towards the light), c = -1 all forward;
-        b = 0 is isotropic.
-    cos_g
-        Cosine of the phase angle.
-    xp
-        The array library of the angles.
+    ``b`` is the asymmetry of the two lobes, 0 if isotropic; ``c`` is their balance: 1 is all backward (towards the
+    light), -1 all forward. ``cos_g`` is the cosine of the phase angle.
     """
     one, square = 1.0 - b * b, 1.0 + b * b
     # P = (1 - b^2) [(1 + c) / 2 (1 - 2 b cos g + b^2)^-3/2 + (1 - c) / 2 (1 + 2 b cos g + b^2)^-3/2]: g = 0 is
@@ -49,12 +42,8 @@ def lambert(albedo: Array) -> Array:
 class LommelSeeligerParameters:
     """Parameters of the formula; the numbers may be Dr.Jit values.
 
-    Parameters
-    ----------
-    w
-        Single scattering albedo of the particles (not the reflectance of the surface).
-    b, c
-        Lobes of the particles' phase function P (`henyey_greenstein`); b = 0 is isotropic.
+    ``w`` is the single scattering albedo of the particles, not the reflectance of the surface. ``b`` and ``c`` are the
+    lobes of the particles' phase function P (`henyey_greenstein`).
     """
 
     w: Array
@@ -70,21 +59,11 @@ class LommelSeeligerParameters:
 def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """Lommel and Seeliger's BRDF, 1/sr: ``I/F = w/4 P(g) mu0 / (mu0 + mu)``, divided by pi mu0.
 
-    Single scattering in a dark medium: light is attenuated by exp(-tau / mu0) down to the optical depth tau and by
-    exp(-tau / mu) on its way up, which integrates to ``w/4 P(g) int_0^inf exp(-tau (1/mu0 + 1/mu)) dtau / mu``.
+    The angles are given as in `brdf_value`. Single scattering in a dark medium: light is attenuated by exp(-tau / mu0)
+    down to the optical depth tau and by exp(-tau / mu) on its way up, which integrates to
+    ``w/4 P(g) int_0^inf exp(-tau (1/mu0 + 1/mu)) dtau / mu``.
     At normal incidence and emission I/F = w/8 P(0), which is also the geometric albedo of a sphere, whose disc at
     opposition is uniform. Isotropic particles reflect ``w/2 (1 - mu0 ln((1 + mu0) / mu0))`` into the hemisphere.
-
-    Parameters
-    ----------
-    p
-        Albedo and phase function of the particles.
-    cos_i, cos_e
-        Cosines of the angles of incidence (mu0) and emission (mu) from the normal.
-    phase_rad
-        Angle between the direction to the light and the direction to the viewer, 0 to pi.
-    xp
-        The array library of the angles.
     """
     # The radiance factor is pi f_r mu0, so that f_r = w / (4 pi) P(g) / (mu0 + mu).
     scattered = p.w / (4.0 * pi) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
@@ -95,12 +74,8 @@ def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, pha
 class McEwenParameters:
     """Parameters of the formula; the numbers may be Dr.Jit values.
 
-    Parameters
-    ----------
-    albedo
-        Radiance factor A at normal incidence and emission.
-    L1_per_deg, L2_per_deg2, L3_per_deg3
-        Coefficients of the weight of the lunar part, ``L = 1 + L1 g + L2 g^2 + L3 g^3`` with g in degrees.
+    ``albedo`` is the radiance factor A at normal incidence and emission. The others are the coefficients of the weight
+    of the lunar part, ``L = 1 + L1 g + L2 g^2 + L3 g^3`` with g in degrees.
     """
 
     albedo: Array
@@ -117,22 +92,12 @@ class McEwenParameters:
 def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
     """McEwen's BRDF, 1/sr: ``I/F = A [2 L mu0 / (mu0 + mu) + (1 - L) mu0]``, divided by pi mu0.
 
-    The factor 2 makes A the radiance factor at mu0 = mu = 1 for every weight L: there ``mu0 / (mu0 + mu)`` is 1/2 and
-    ``mu0`` is 1, so that ``A [2 L / 2 + (1 - L)] = A``. For L = 0 the law is Lambert's.
+    The angles are given as in `brdf_value`. The factor 2 makes A the radiance factor at mu0 = mu = 1 for every weight
+    L: there ``mu0 / (mu0 + mu)`` is 1/2 and ``mu0`` is 1, so that ``A [2 L / 2 + (1 - L)] = A``. For L = 0 the law is
+    Lambert's.
 
     A is not the hemispherical albedo: with the Moon's weight the hemisphere receives 1.09 A at normal incidence and
     1.67 A at an incidence of 89.5 deg. Energy is conserved up to A of about 0.59.
-
-    Parameters
-    ----------
-    p
-        Albedo and coefficients of the weight.
-    cos_i, cos_e
-        Cosines of the angles of incidence (mu0) and emission (mu) from the normal.
-    phase_rad
-        Angle between the direction to the light and the direction to the viewer, 0 to pi.
-    xp
-        The array library of the angles.
     """
     weight = lunar_weight(p, phase_rad, xp)
     # mu0 cancels in f_r, so that the law is reciprocal although the radiance factor is not.

@@ -84,23 +84,11 @@ MODELS = {
 
 
 def brdf_value(spec: BrdfSpec, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath = NUMPY) -> Array:
-    """Evaluate the bidirectional reflectance distribution function of a scenario's surface, 1/sr.
+    """Evaluate the bidirectional reflectance distribution function (BRDF) of a scenario's surface, 1/sr.
 
-    Parameters
-    ----------
-    spec
-        The scenario's ``brdf`` section.
-    cos_i, cos_e
-        Cosines of the angles of incidence and emission from the normal; raised to at least COS_MIN.
-    phase_rad
-        Angle between the direction to the light and the direction to the viewer, 0 to pi.
-    xp
-        The array library of the angles.
-
-    Returns
-    -------
-    Array
-        The BRDF, finite and never negative; the radiance factor is ``I/F = pi f_r cos_i``. A single number for
-        Lambert's law.
+    ``cos_i`` and ``cos_e`` are the cosines of the angles of incidence and emission from the normal, raised to at least
+    COS_MIN; ``phase_rad`` is the angle between the directions to the light and to the viewer, 0 to pi. ``xp`` is the
+    array library of the three. The result is finite and never negative; the radiance factor is ``I/F = pi f_r cos_i``.
+    Lambert's law gives a single number.
     """
     return MODELS[spec.kind].formula(dict(spec), cos_i, cos_e, phase_rad, xp)

@@ -25,14 +25,8 @@ from boresight.renderers.brdf.arrays import (
 class OrenNayarParameters:
     """Parameters in the units of the formula; the numbers may be Dr.Jit values.
 
-    Parameters
-    ----------
-    albedo
-        Reflectance of a cavity's facets, rho in the paper.
-    sigma_rad
-        Standard deviation of the facets' slope angle.
-    form
-        The full functional approximation with interreflection, or the qualitative one.
+    ``albedo`` is the reflectance of a cavity's facets, rho in the paper, and ``sigma_rad`` the standard deviation of
+    their slope angle. ``form`` chooses the full functional approximation with interreflection, or the qualitative one.
     """
 
     albedo: Array
@@ -46,21 +40,10 @@ class OrenNayarParameters:
 
 
 def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    """Oren and Nayar's BRDF, 1/sr.
+    """Oren and Nayar's BRDF, 1/sr; the angles are given as in `brdf_value`.
 
     At slopes above about 45 deg the paper's fit becomes slightly negative for grazing forward scattering; it is
     clipped to 0 there. For an albedo of 1 the fit reflects up to 103 % of the light.
-
-    Parameters
-    ----------
-    p
-        Albedo, roughness and form.
-    cos_i, cos_e
-        Cosines of the angles of incidence and emission from the normal.
-    phase_rad
-        Angle between the direction to the light and the direction to the viewer.
-    xp
-        The array library of the angles.
     """
     cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     # The paper's alpha is the larger angle, whose cosine is the smaller one.

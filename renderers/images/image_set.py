@@ -62,13 +62,7 @@ class ImageSet(Protocol):
 
 
 def files_digest(paths: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 of the contents of files, in order.
-
-    Raises
-    ------
-    BoresightError
-        If a file cannot be read.
-    """
+    """Hexadecimal SHA-256 of the contents of files, in order; `BoresightError` if one cannot be read."""
     digest = hashlib.sha256()
     for path in paths:
         try:
@@ -100,14 +94,7 @@ def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
 class Selection:
     """Subset of an image set, in its order; an `ImageSet` too.
 
-    Parameters
-    ----------
-    images
-        The set.
-    kept
-        Indices of the used images.
-    left_out
-        Names of the other images, each with the reason.
+    ``kept`` are the indices of the used images, ``left_out`` the names of the others, each with the reason.
     """
 
     images: ImageSet
@@ -152,19 +139,8 @@ class Selection:
 def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> Selection:
     """Leave out the images in which the body overlaps given rectangles of the detector.
 
-    Parameters
-    ----------
-    images
-        The set.
-    outline_m
-        (N, 3) points of the body frame whose convex hull contains the body.
-    rectangles
-        Left, top, right and bottom of each rectangle, px.
-
-    Raises
-    ------
-    BoresightError
-        If no image remains.
+    The convex hull of ``outline_m`` (N, 3), in the body frame, contains the body. A rectangle is left, top, right and
+    bottom, px. Raise `BoresightError` if no image remains.
     """
     reasons = [keep_clear_violation(images.view(index), outline_m, rectangles) for index in range(len(images))]
     kept = tuple(index for index, reason in enumerate(reasons) if not reason)

@@ -97,13 +97,7 @@ def has_label(content: bytes) -> bool:
 
 
 def parse_label(content: bytes, path: Path) -> Label:
-    """Parse the label that a file starts with.
-
-    Raises
-    ------
-    BoresightError
-        If there is none, or it cannot be parsed.
-    """
+    """Parse the label that a file starts with; `BoresightError` if there is none, or it cannot be parsed."""
     if not has_label(content):
         raise BoresightError(f"{path}: does not start with a PDS3 label (PDS_VERSION_ID = PDS3)")
     end = _END.search(content, 0, _LONGEST_LABEL)
@@ -128,12 +122,8 @@ def _flattened(values: Mapping[str, object]) -> dict[str, object]:
 def pixel_file(label: Label) -> Path:
     """Return the file with the pixels: the label's own where ^IMAGE names none.
 
-    Case is ignored, as labels often give file names in capitals.
-
-    Raises
-    ------
-    BoresightError
-        If the label points to no image or the file is missing.
+    Case is ignored, as labels often give file names in capitals. Raise `BoresightError` if the label points to no image
+    or the file is missing.
     """
     name = next((item for item in _pointer(label) if isinstance(item, str)), None)
     if name is None:
@@ -148,10 +138,7 @@ def pixel_file(label: Label) -> Path:
 def read_pixels(label: Label) -> NDArray[np.float32]:
     """Read the image that a label describes, (lines, samples), in the order of the file, scaled as the label states.
 
-    Raises
-    ------
-    BoresightError
-        If the layout is not supported, the file is too short, or pixels are marked as missing.
+    Raise `BoresightError` if the layout is not supported, the file is too short, or pixels are marked as missing.
     """
     layout, image = _layout(label), label.part("IMAGE")
     stride = layout.prefix + layout.samples * layout.dtype.itemsize + layout.suffix

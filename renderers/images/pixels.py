@@ -47,10 +47,7 @@ _FAULTS = (
 def read_fits(content: bytes, path: Path) -> NDArray[np.generic]:
     """Read the first image of a FITS file, (H, W), scaled as its header says.
 
-    Raises
-    ------
-    BoresightError
-        If the file is damaged or holds no image of two dimensions.
+    Raise `BoresightError` if the file is damaged or holds no image of two dimensions.
     """
     return _fits(content, path)[0]
 
@@ -58,10 +55,7 @@ def read_fits(content: bytes, path: Path) -> NDArray[np.generic]:
 def read_fits_header(content: bytes, path: Path) -> dict[str, object]:
     """Read the keywords of a FITS file: those of the primary header, overridden by those of the first image.
 
-    Raises
-    ------
-    BoresightError
-        As ``read_fits``.
+    Raise `BoresightError` as `read_fits`.
     """
     return _fits(content, path)[1]
 
@@ -154,17 +148,9 @@ def _tiff_size(content: bytes, order: str) -> tuple[int, int, int]:
 
 
 def read_image(path: Path) -> NDArray[np.float32]:
-    """Read a grey PNG, TIFF (8 or 16 bit) or FITS image.
+    """Read a grey PNG, TIFF (8 or 16 bit) or FITS image, (H, W), in the units and with the order of rows of the file.
 
-    Returns
-    -------
-    ndarray
-        (H, W) float32 in the units of the file, rows in the order of the file.
-
-    Raises
-    ------
-    BoresightError
-        If the file is missing, damaged, of another format or in colour, or contains values that are not finite.
+    Raise `BoresightError` if the file is missing, damaged, of another format or in colour, or a value is not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
@@ -177,13 +163,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a whole file.
-
-    Raises
-    ------
-    BoresightError
-        If it is missing or cannot be read.
-    """
+    """Read a whole file; `BoresightError` if it is missing or cannot be read."""
     if not path.is_file():
         raise BoresightError(f"{path}: no such image")
     try:
@@ -193,13 +173,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def finite_float32(image: NDArray[np.generic], path: Path) -> NDArray[np.float32]:
-    """Convert an image to float32.
-
-    Raises
-    ------
-    BoresightError
-        If a pixel is not finite.
-    """
+    """Convert an image to float32; `BoresightError` if a pixel is not finite."""
     with np.errstate(over="ignore"):
         values = np.ascontiguousarray(image, dtype=np.float32)
     bad = ~np.isfinite(values)

@@ -40,18 +40,10 @@ _SUN = ("sun_body_x", "sun_body_y", "sun_body_z")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseTable:
-    """Content of a checked table of poses.
+    """Content of a checked table of N images.
 
-    Parameters
-    ----------
-    files
-        N file names.
-    times_s
-        (N,) epochs, s.
-    sun_dirs_body
-        (N, 3) unit vectors towards the Sun.
-    poses
-        N poses T_cam_body for each prefix.
+    ``times_s`` (N,) are epochs, ``sun_dirs_body`` (N, 3) unit vectors towards the Sun, ``poses`` N poses T_cam_body for
+    each prefix.
     """
 
     files: tuple[str, ...]
@@ -88,11 +80,8 @@ class _Row:
 def read_table(path: Path, prefixes: Sequence[str]) -> PoseTable:
     """Read and check a table of poses.
 
-    Raises
-    ------
-    BoresightError
-        If the table is missing or no CSV, has no rows, lacks a column or contains a wrong value; the message names
-        file, line and column.
+    Raise `BoresightError` with file, line and column if the table is missing or no CSV, has no rows, lacks a column or
+    contains a wrong value.
     """
     rows = _read_rows(path, prefixes)
     return PoseTable(
@@ -208,19 +197,8 @@ class PosedImageSet:
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
         """Read and check the table, and check that every image exists; the images are read later.
 
-        Parameters
-        ----------
-        spec
-            The images section of a scenario.
-        camera
-            The camera of the images.
-        search_dirs
-            Folders searched for a relative ``folder`` before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
-
-        Raises
-        ------
-        BoresightError
-            If the table or an image is missing, or the table contains an error.
+        A relative ``folder`` is searched for in ``search_dirs``, then in ``$BORESIGHT_DATA/images`` and
+        ``$BORESIGHT_DATA``. Raise `BoresightError` if the table or an image is missing, or the table contains an error.
         """
         path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
         folder = path.parent
@@ -250,10 +228,7 @@ class PosedImageSet:
     def view(self, index: int, prefix: str | None = None) -> View:
         """View of an image with the pose under ``prefix``, by default the reference pose ``truth``.
 
-        Raises
-        ------
-        BoresightError
-            If the scenario does not name the prefix in ``truth`` or ``also_score``.
+        Raise `BoresightError` if the scenario does not name the prefix in ``truth`` or ``also_score``.
         """
         prefix = self.spec.truth if prefix is None else prefix
         if prefix not in self.table.poses:
@@ -263,10 +238,7 @@ class PosedImageSet:
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.
 
-        Raises
-        ------
-        BoresightError
-            If it cannot be read, or is not of the camera's size.
+        Raise `BoresightError` if it cannot be read, or is not of the camera's size.
         """
         path = self.folder / self.names[index]
         image = read_image(path)
@@ -274,22 +246,10 @@ class PosedImageSet:
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 
     def content_digest(self) -> str:
-        """Hexadecimal SHA-256 of the table and every image.
-
-        Raises
-        ------
-        BoresightError
-            If a file cannot be read.
-        """
+        """Hexadecimal SHA-256 of the table and every image; `BoresightError` if one cannot be read."""
         return files_digest(self.files)
 
     def check_images(self) -> None:
-        """Read every image, so that a damaged one is found before a campaign starts.
-
-        Raises
-        ------
-        BoresightError
-            As ``image``.
-        """
+        """Read every image, so that a damaged one is found before a campaign starts; `BoresightError` as `image`."""
         for index in range(len(self)):
             self.image(index)

@@ -44,19 +44,10 @@ _EXPOSURE = ("EXPOSURE_DURATION", "EXPTIME", "EXPOSURE")
 class ImageMetadata:
     """Metadata from label and FITS header; None where neither gives it.
 
-    Parameters
-    ----------
-    start_utc
-        Start of the exposure, UTC, ISO 8601 without zone.
-    exposure_s
-        Exposure time.
-    spacecraft, instrument, filter, target
-        Names as the mission writes them.
-    unit
-        Unit of the pixels: ``I/F``, ``DN``, ...
-    line_display
-        Direction of the stored lines on a display (LINE_DISPLAY_DIRECTION). It may show the image mirrored: the
-        direction of the lines in the camera is a property of the instrument.
+    ``start_utc`` is the start of the exposure in UTC, ISO 8601 without zone. Names are as the mission writes them;
+    ``unit`` is that of the pixels: ``I/F``, ``DN``, ... ``line_display`` is the direction of the stored lines on a
+    display (LINE_DISPLAY_DIRECTION). It may show the image mirrored: the direction of the lines in the camera is a
+    property of the instrument.
     """
 
     start_utc: str | None = None
@@ -70,21 +61,10 @@ class ImageMetadata:
 
 
 def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: float = 1.0) -> ImageMetadata:
-    """Extract the metadata from the keywords of label and header.
+    """Extract the metadata from the keywords of label and header; objects of a label are mappings.
 
-    Parameters
-    ----------
-    values
-        Values by keyword; objects of a label are mappings.
-    path
-        The file, for error messages.
-    exposure_unit_s
-        Unit, in seconds, of an exposure time without a unit.
-
-    Raises
-    ------
-    BoresightError
-        If a time or an exposure time is invalid.
+    ``path`` is for error messages, ``exposure_unit_s`` the unit of an exposure time without one, in seconds. Raise
+    `BoresightError` if a time or an exposure time is invalid.
     """
     # Keywords of the file go before those of the object IMAGE.
     flat = {**_inside(values, "IMAGE"), **values}
@@ -150,18 +130,10 @@ def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageProduct:
-    """A published image; its pixels are read on demand.
+    """A published image; its pixels are read on demand from ``path``.
 
-    Parameters
-    ----------
-    path
-        File of the pixels.
-    label
-        The PDS3 label; None for a FITS file without one.
-    keywords
-        Keywords of the FITS header, overridden by those of the label.
-    files
-        Every file of the product.
+    ``label`` is the PDS3 label, None for a FITS file without one. ``keywords`` are those of the FITS header, overridden
+    by those of the label; ``files`` is every file of the product.
     """
 
     path: Path
@@ -187,10 +159,7 @@ class ImageProduct:
     def pixels(self) -> NDArray[np.float32]:
         """Read the pixels, (lines, samples), in the order of the file, with its scaling applied.
 
-        Raises
-        ------
-        BoresightError
-            If they cannot be read, or are not finite.
+        Raise `BoresightError` if they cannot be read, or are not finite.
         """
         if self.path.suffix.lower() in FITS_SUFFIXES:
             return finite_float32(read_fits(read_bytes(self.path), self.path), self.path)
@@ -202,10 +171,7 @@ class ImageProduct:
 def open_product(path: Path) -> ImageProduct:
     """Open a label, a FITS file or a PDS3 image, with a detached label of the same name if there is one.
 
-    Raises
-    ------
-    BoresightError
-        If a file is missing, damaged, or of another format.
+    Raise `BoresightError` if a file is missing, damaged, or of another format.
     """
     suffix = path.suffix.lower()
     if suffix not in (*LABEL_SUFFIXES, *ATTACHED_SUFFIXES, *FITS_SUFFIXES):

@@ -41,12 +41,7 @@ def image_and_derivatives(tracer: WavefrontTracer, view: View, window: PixelWind
     The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, with the Sun fixed in camera
     axes. Two effects are neglected: the motion of cast shadows over the surface as the body rotates, and the motion of
     occluding edges relative to the surface behind them. The derivatives are those of the image filtered by a tent two
-    pixels wide, not by the square of a pixel.
-
-    Raises
-    ------
-    BoresightError
-        If the camera has distortion.
+    pixels wide, not by the square of a pixel. Raise `BoresightError` if the camera has distortion.
     """
     import drjit as dr
 

@@ -186,15 +186,10 @@ def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray
 
 
 def check_outside(mesh: TriangleMesh, position_body_m: FloatArray) -> None:
-    """Raise an error if the camera is inside the body.
+    """Raise `BoresightError` if the camera, at ``position_body_m`` (3,), is inside the body.
 
     The solid angle of the closed mesh seen from a point is 4 pi inside it and 0 outside (A. van Oosterom and
     J. Strackee, IEEE Trans. Biomed. Eng. 30, 1983, equation 8). It is not computed beyond the farthest vertex.
-
-    Raises
-    ------
-    BoresightError
-        If ``position_body_m`` (3,) lies inside.
     """
     position = np.asarray(position_body_m, dtype=np.float64)
     distance_m = float(np.linalg.norm(position))

@@ -31,25 +31,10 @@ _MAX_SAMPLES = 1 << 22
 class MitsubaRenderer:
     """Renderer of one body with one reflectance model, lit by the Sun as a point source, with hard shadows.
 
-    Images are deterministic: each pixel is the mean of a regular grid of samples.
-
-    Parameters
-    ----------
-    mesh
-        The body: a closed mesh with outward normals.
-    brdf
-        The scenario's ``brdf`` section; the mesh's albedo multiplies it.
-    samples_per_pixel
-        A square number.
-    shading
-        ``flat`` uses the normals of the facets, ``smooth`` interpolates those of the vertices.
-    variant
-        The Mitsuba variant; by default the fastest that works.
-
-    Raises
-    ------
-    BoresightError
-        If the mesh has no facets, ``samples_per_pixel`` is not a square number or ``shading`` is unknown.
+    Images are deterministic: each pixel is the mean of a regular grid of ``samples_per_pixel``, a square number. The
+    mesh is closed, with outward normals; its albedo multiplies ``brdf``. ``shading`` is ``flat``, by the normals of the
+    facets, or ``smooth``, by those of the vertices, interpolated. ``variant`` is by default the fastest that works.
+    Raise `BoresightError` for a mesh without facets, an unknown ``shading`` and samples that are not a square number.
     """
 
     name: ClassVar[str] = "mitsuba"
@@ -85,10 +70,7 @@ class MitsubaRenderer:
     def render(self, view: View) -> NDArray[np.float32]:
         """Radiance factor I/F = pi f_r cos(i) of every pixel, (H, W); 0 off the body and in shadow.
 
-        Raises
-        ------
-        BoresightError
-            If the camera is inside the body.
+        Raise `BoresightError` if the camera is inside the body.
         """
         check_outside(self._mesh, view.T_cam_body.camera_position_m)
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
@@ -107,13 +89,8 @@ class MitsubaRenderer:
     def render_with_derivatives(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Render (H, W) as `render` does except for rounding, with the derivatives (6, H, W) by the pose.
 
-        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, with the Sun fixed in
-        camera axes. `renderers.mitsuba3.derivatives` states what is neglected.
-
-        Raises
-        ------
-        BoresightError
-            If the camera is inside the body or has distortion, or the variant does not differentiate.
+        `image_and_derivatives` states the parameters and what is neglected. Raise `BoresightError` if the camera is
+        inside the body or has distortion, or the variant does not differentiate.
         """
         if not isinstance(self._tracer, WavefrontTracer):
             raise BoresightError(f"the Mitsuba variant {self.variant.name} gives no derivatives: {self.variant.advice}")
@@ -131,12 +108,8 @@ class MitsubaRenderer:
     def surface(self, view: View, uv_px: NDArray[np.float64]) -> SurfaceHits:
         """De-project pixel positions (N, 2) to the first points of the body on their lines of sight.
 
-        Facets and shadows come from the ray tracer; points and normals are computed in double precision.
-
-        Raises
-        ------
-        BoresightError
-            If the camera is inside the body or ``uv_px`` is not (N, 2).
+        Facets and shadows come from the ray tracer; points and normals are computed in double precision. Raise
+        `BoresightError` if the camera is inside the body or ``uv_px`` is not (N, 2).
         """
         check_outside(self._mesh, view.T_cam_body.camera_position_m)
         uv = np.asarray(uv_px, dtype=np.float64)

@@ -19,16 +19,9 @@ SUN_ID = "sun"
 
 
 def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
-    """Build a Mitsuba mesh with flat normals under the active variant.
+    """Build a Mitsuba mesh with flat normals under the active variant of ``mi``, the library ``mitsuba``.
 
-    Parameters
-    ----------
-    mi
-        The library ``mitsuba``.
-    mesh
-        The body. Mitsuba's coordinates are body coordinates, m, in single precision.
-    bsdf
-        A Mitsuba BSDF; None for Mitsuba's default.
+    Mitsuba's coordinates are body coordinates, m, in single precision. A ``bsdf`` of None is Mitsuba's default.
     """
     properties = mi.Properties()
     properties["face_normals"] = True

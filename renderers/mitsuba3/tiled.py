@@ -66,18 +66,8 @@ class TiledRenderer:
 
     Mitsuba gets only the facets of the fine surface that a bundle of rays can hit. They are found by projecting rays
     and facets onto a plane, which costs much less than a tree of all facets. The coarse body below it, in a separate
-    scene, closes the gaps where the fine surface ends; the nearer hit counts.
-
-    Parameters
-    ----------
-    ground
-        The cratered surface.
-    brdf
-        The scenario's ``brdf`` section.
-    samples_per_pixel
-        A square number.
-    variant
-        The Mitsuba variant; the scalar one traces the same facets as one mesh, slowly.
+    scene, closes the gaps where the fine surface ends; the nearer hit counts. ``samples_per_pixel`` is a square number.
+    The scalar variant traces the same facets as one mesh, slowly.
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
@@ -91,10 +81,7 @@ class TiledRenderer:
     def render(self, view: View) -> SingleArray:
         """Radiance factor I/F of every pixel, (H, W); 0 off the body and in shadow.
 
-        Raises
-        ------
-        BoresightError
-            If the camera is inside the body.
+        Raise `BoresightError` if the camera is inside the body.
         """
         check_outside(self.ground.under, view.T_cam_body.camera_position_m)
         if not self.variant.is_wavefront:

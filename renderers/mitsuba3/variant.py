@@ -85,12 +85,8 @@ class Variant:
 def choose_variant(request: str | None = None) -> Variant:
     """Choose the fastest variant that works, or check the requested one.
 
-    The first call imports Dr.Jit, with a libLLVM that works with it if there is one.
-
-    Raises
-    ------
-    BoresightError
-        If the requested variant is unknown or does not work here.
+    The first call imports Dr.Jit, with a libLLVM that works with it if there is one. Raise `BoresightError` if the
+    requested variant is unknown or does not work here.
     """
     if request not in (None, CUDA, LLVM, SCALAR):
         raise BoresightError(f"the Mitsuba variant {request!r} is unknown: choose {CUDA}, {LLVM} or {SCALAR}")
@@ -163,13 +159,7 @@ def _keep_to_avx2() -> bool:
 
 
 def limit_threads(threads: int) -> None:
-    """Set the number of threads of Mitsuba and Dr.Jit in this process.
-
-    Raises
-    ------
-    BoresightError
-        If ``threads`` is below 1.
-    """
+    """Set the number of threads of Mitsuba and Dr.Jit in this process; `BoresightError` below 1."""
     if threads < 1:
         raise BoresightError(f"rendering needs at least 1 thread, not {threads}")
     _load_drjit().set_thread_count(threads)
@@ -244,12 +234,8 @@ def gpu_names() -> tuple[str, ...]:
 def gpu_of_worker(place: int) -> dict[str, str]:
     """Environment variables that give a worker a GPU of its own; none if there is only one GPU.
 
-    Dr.Jit uses the first visible GPU, which all workers would share otherwise.
-
-    Parameters
-    ----------
-    place
-        Index of the worker, from 0; with more workers than GPUs, several share a GPU.
+    Dr.Jit uses the first visible GPU, which all workers would share otherwise. ``place`` is the index of the worker,
+    from 0; with more workers than GPUs, several share a GPU.
     """
     names = gpu_names()
     # CUDA numbers the visible devices from 0, and Dr.Jit takes device 0.

@@ -54,19 +54,9 @@ class SpiceImageSet:
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
         """Read all labels and compute all views; unusable images are left out, each with the reason.
 
-        Parameters
-        ----------
-        spec
-            The images section of a scenario, with ``spice``.
-        camera
-            The scenario's camera; it must be that of the kernels.
-        search_dirs
-            Folders searched for relative paths before ``$BORESIGHT_DATA``.
-
-        Raises
-        ------
-        BoresightError
-            If a file is missing or damaged, the cameras differ, or no image can be used.
+        The scenario's ``camera`` must be that of the kernels. Relative paths are searched for in ``search_dirs``, then
+        in ``$BORESIGHT_DATA``. Raise `BoresightError` if a file is missing or damaged, the cameras differ, or no image
+        can be used.
         """
         if spec.spice is None:
             raise BoresightError("images.spice: missing: name instrument, kernels and body")
@@ -105,13 +95,7 @@ class SpiceImageSet:
         return self.frames[index].et
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """View of an image by the kernels.
-
-        Raises
-        ------
-        BoresightError
-            If ``prefix`` names another pose.
-        """
+        """View of an image by the kernels; `BoresightError` if ``prefix`` names another pose."""
         if prefix not in (None, self.truth):
             raise BoresightError(f"images: no poses {prefix!r} were read, only {self.truth}")
         geometry = self.frames[index].geometry
@@ -120,10 +104,7 @@ class SpiceImageSet:
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.
 
-        Raises
-        ------
-        BoresightError
-            If it cannot be read, or is not of the camera's size.
+        Raise `BoresightError` if it cannot be read, or is not of the camera's size.
         """
         product = self.frames[index].product
         image = product.pixels()

@@ -24,22 +24,10 @@ from boresight.scenarios.spice.kernels import Constants
 class Instrument:
     """A camera of a mission.
 
-    Parameters
-    ----------
-    names
-        Its names in labels (INSTRUMENT_ID).
-    spacecraft
-        NAIF name of the spacecraft.
-    frame
-        NAIF name of the camera's frame.
-    kernel_id
-        NAIF identifier of the camera.
-    exposure_unit_s
-        Unit, in seconds, of an exposure time without a unit.
-    camera
-        Creates the camera from the constants in the kernel pool.
-    start_et
-        Returns the start of an exposure, s past J2000 TDB; kernels must be loaded.
+    ``names`` are its names in labels (INSTRUMENT_ID). ``spacecraft`` and ``frame``, the camera's, are NAIF names, and
+    ``kernel_id`` is the camera's NAIF identifier. ``exposure_unit_s`` is the unit of an exposure time without one, in
+    seconds. ``camera`` creates the camera from the constants in the kernel pool. ``start_et`` returns the start of an
+    exposure, s past J2000 TDB; kernels must be loaded.
     """
 
     names: tuple[str, ...]
@@ -57,10 +45,7 @@ class Instrument:
     def middle_et(self, product: ImageProduct) -> float:
         """Middle of an exposure, s past J2000 TDB; kernels must be loaded.
 
-        Raises
-        ------
-        BoresightError
-            If label and header do not give it.
+        Raise `BoresightError` if label and header do not give it.
         """
         metadata = product.metadata(self.exposure_unit_s)
         if metadata.exposure_s is None:
