@@ -167,7 +167,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--unpaired", "compare runs of other seeds or views too", _FLAG),
         _a("--out", f"folder of the comparison (default: {COMPARISONS}/RUN-...)", _FILE),
     ),
-    "sensitivity": ("sensitivity:sensitivity_command",
+    "sensitivity": ("compare:sensitivity_command",
         "vary keys of a campaign's scenario together, and tell what matters",
         _a("name", "a campaign, or a YAML file"),
         _a("--scenario", "of this scenario, where the campaign has several"),

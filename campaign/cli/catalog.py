@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
@@ -29,9 +30,13 @@ from boresight.scenarios.load import (
     load_scenario,
     scenario_names,
 )
+from boresight.scenarios.load.keys import keys_of
 from boresight.scenarios.load.yaml_text import shortened
 from boresight.scenarios.spec.campaign import grid_cells
 from boresight.scenarios.spec.scenario import ScenarioSpec
+
+if TYPE_CHECKING:
+    from boresight.estimators.pages import EstimatorPage
 
 _GROUPS = (
     ("start here", ("quickstart", "*-smoke")),
@@ -46,6 +51,10 @@ _GROUPS = (
 _SHOWN = ("start here", "missions", "the papers", "compare", "sensitivity", "real data")
 _FURTHER = "further campaigns"
 _GAP = "  "
+
+
+_WIDEST = 100
+"""Characters of a line at most, however wide the terminal is."""
 
 
 def list_command(arguments: argparse.Namespace) -> int:
@@ -117,9 +126,6 @@ def show_command(arguments: argparse.Namespace) -> int:
     """Print a campaign or a scenario as YAML, every default filled in, with a preview; or the page of an estimator."""
     name = arguments.name
     if _is_estimator(name):
-        # Imported here: it loads the estimator, which the other commands do without.
-        from boresight.campaign.cli.estimator import print_page
-
         if arguments.overrides:
             raise BoresightError(f"--set changes scenarios and campaigns, and {name} is an estimator: remove it")
         print_page(name)
@@ -220,3 +226,37 @@ def schema_command(arguments: argparse.Namespace) -> int:
                 definition["properties"]["experiment"]["enum"] = kind_names()
     console().print(json.dumps(schema, indent=1), highlight=False)
     return 0
+
+
+def print_page(name: str) -> None:
+    """Print what an estimator does, when to use it, when it fails, its cost, source and options."""
+    # Imported here: the other commands do without estimators.
+    from boresight.estimators.pages import COSTS, page_of
+
+    page, out = page_of(name), console()
+    width = min(out.width, _WIDEST)
+    out.print(Text(f"{page.name}, version {page.version}", style="bold"))
+    for paragraph in (page.summary, *filter(None, page.text.split("\n\n"))):
+        out.print("\n" + _filled(paragraph, width))
+    for heading, text in page.sections.items():
+        out.print(Text(f"\n{heading}", style="bold"))
+        out.print(_filled(f"{text} {COSTS}" if heading == "Cost" and text != "None." else text, width, "  ", "  "))
+    out.print(Text("\nOptions", style="bold"))
+    for line in _option_lines(page):
+        out.print(_filled(line, width, "  ", "      "))
+
+
+def _filled(text: str, width: int, first: str = "", others: str = "") -> str:
+    """Wrap text without the marks of literals."""
+    told = text.replace("`", "")
+    return textwrap.fill(told, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+
+
+def _option_lines(page: EstimatorPage) -> Iterator[str]:
+    """Yield a line for each option; the keys of its sections are in the documentation."""
+    keys = [key for model in page.options for key in keys_of(model)]
+    for key in keys:
+        default = "required" if key.default is None else f"default: {key.default}"
+        yield f"{key.name}: {key.meaning} ({', '.join(filter(None, (key.type, key.unit, default)))})"
+    if not keys:
+        yield "None."

@@ -1,18 +1,33 @@
-"""``compare`` and ``board``: compare estimators, scenarios or runs after they have been run, and list runs."""
+"""``compare``, ``board`` and ``sensitivity``: comparisons of runs, lists of runs, and keys that errors depend on."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from boresight.campaign.cli.arguments import COMPARISONS
+from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders
+from boresight.campaign.runs.check import check_campaign
+from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.newest import find_run, newest_first
+from boresight.campaign.runs.request import RUNS, RunRequest
+from boresight.campaign.runs.resolve import resolve
+from boresight.campaign.runs.sensitivity import analyse, make_design, parse_over
+from boresight.campaign.runs.until import CONTROLS, STATISTICS
+from boresight.campaign.threads import workers
+from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.compare import compare_runs
+from boresight.reports.compare.global_sensitivity import sensitivity_grid
 from boresight.reports.compare.tables import counted_tests, equal_pairs, limits, pooled_lines
+from boresight.reports.compare.trials import choose_metric
 from boresight.reports.pages.board import write_board
-from boresight.reports.pages.comparison import write_comparison
+from boresight.reports.pages.comparison import write_comparison, write_sensitivity
 from boresight.reports.pages.rich_tables import rich_parts
+from boresight.reports.run.data import read_run
+from boresight.reports.run.limits import short_line
+from boresight.reports.schema.tables import kind_schema
 from boresight.scenarios.errors import BoresightError, display
 
 _IN_PART = 3
@@ -57,3 +72,38 @@ def board_command(arguments: argparse.Namespace) -> int:
         out.print(f"not read: {line}")
     out.print(f"board of {len(folders) - len(refused)} of {len(folders)} runs: {display(page)}")
     return _IN_PART if refused else 0
+
+
+def sensitivity_command(arguments: argparse.Namespace) -> int:
+    """Run a design of scenarios, and write the sensitivity indices."""
+    varied = [parse_over(text) for text in arguments.over]
+    if arguments.statistic not in STATISTICS:
+        raise BoresightError(f"--statistic {arguments.statistic}: choose one of {', '.join(STATISTICS)}")
+    variant = choose_variant().name
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant)
+    known = kind_schema(campaign.spec.experiment).metrics
+    if arguments.metric is not None and arguments.metric not in known:
+        raise BoresightError(f"--metric {arguments.metric}: choose one of {', '.join(known)}")
+    design = make_design(arguments.name, campaign, arguments.scenario, varied, arguments.samples, arguments.method)
+    name = f"{campaign.spec.name}-sensitivity-{design.campaign.digest[:8]}"
+    jobs = workers(arguments.jobs, variant)
+    check_campaign(design.campaign, arguments.trials)
+    request = RunRequest(arguments.out or RUNS / name, arguments.trials, jobs, command=arguments.command)
+    out = console()
+    cells = len(design.campaign.scenarios)
+    out.print(f"{campaign.spec.name}: {cells} scenarios of {request.trials} trials into {display(request.out)}")
+    with ProgressListener(out) as listener:
+        folder = run_campaign(design.campaign, request, listener)
+    run = read_run(folder.path)
+    metric, statistic = choose_metric(arguments.metric, [run]), STATISTICS[arguments.statistic]
+    labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
+    found = analyse(run, design, metric, statistic, labels)
+    grid = replace(sensitivity_grid(found, varied, metric, statistic.name), known=short_line(run))
+    with writing(folder.path):
+        page = write_sensitivity(run, found, grid, design.varied, design.samples, metric)
+    out.print(*rich_parts(grid))
+    for one in found:
+        for key in one.unmoved:
+            out.print(f"{key} changes no result of {one.estimator}: is it applied at all?")
+    out.print(f"sensitivity: {display(page)}")
+    return 0

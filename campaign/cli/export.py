@@ -10,15 +10,16 @@ import pandas as pd
 from rich.progress import track
 
 from boresight.campaign.cli.terminal import console, writing
-from boresight.campaign.export.poses import (
+from boresight.campaign.export import (
     check_posed,
     posed,
     stored_images,
     trajectories,
+    write_latex,
     write_model,
+    write_tables,
     write_trajectory,
 )
-from boresight.campaign.export.tables import write_latex, write_tables
 from boresight.campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.runs.newest import find_run

@@ -15,11 +15,10 @@ from boresight.campaign.cli.arguments import ALL_PAPERS
 from boresight.campaign.cli.fetch import bring_missing
 from boresight.campaign.cli.progress import NamedLines, ProgressListener
 from boresight.campaign.cli.terminal import console, writing
-from boresight.campaign.draft import as_draft, kept
 from boresight.campaign.machine import sharing_cores
 from boresight.campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from boresight.campaign.pool.workers import in_order
-from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.resolved import ResolvedCampaign, as_draft, kept
 from boresight.campaign.runs.check import check_campaign, check_data
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.read import CATALOG, sources

@@ -16,9 +16,9 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import trials_of
 from boresight.campaign.runs.newest import run_words
 from boresight.campaign.runs.resolve import reload, unlike
-from boresight.campaign.store import TABLES, RunFolder
+from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.reports.schema.tables import schema
+from boresight.reports.schema.tables import TABLES, schema
 from boresight.scenarios.errors import BoresightError
 
 _MOST_NAMED = 3

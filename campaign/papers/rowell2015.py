@@ -14,8 +14,8 @@ from scipy.spatial import Delaunay
 from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.world import World, open_world
 from boresight.campaign.inspection.case import Case
-from boresight.campaign.kinds.landmark_database.trial import DatabaseTrials
-from boresight.campaign.kinds.single_image.examples import (
+from boresight.campaign.kinds.landmark_database import DatabaseTrials
+from boresight.campaign.kinds.single_image.show import (
     SecondLook,
     alignment_of,
     credit_lines,

@@ -12,7 +12,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from boresight.campaign.draft import drafted
 from boresight.campaign.handles import Handle, target_of
 from boresight.campaign.imaging.world import believed
 from boresight.campaign.products.databases import (
@@ -23,6 +22,7 @@ from boresight.campaign.products.databases import (
     with_database_knowledge,
     with_database_seed,
 )
+from boresight.campaign.resolved import drafted
 from boresight.campaign.threads import one_blas_thread
 from boresight.estimators.contract import ImageRenderer, NoProductError
 from boresight.renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -115,7 +115,7 @@ class BuiltAssets:
     All of them come from the believed scenario, which equals the true ``scenario`` except for the section ``onboard``.
     ``folder`` is ``RUN/products``, with a folder for each product, so that a run is self-contained. With ``jobs`` None,
     in a worker, nothing is built, and a missing product is an error. ``report`` is called with a message before and
-    after each build. ``draft`` is the fraction of the images of data bases, see `campaign.draft`, ``database`` the
+    after each build. ``draft`` is the fraction of the images of data bases, see `as_draft`, ``database`` the
     number of the data base, see `campaign.products.databases`.
     """
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 from boresight.campaign.pool.guard import ENDED, Call, Loss, guarding, last_call, over_time
 from boresight.campaign.pool.workers import no_replacement
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.store import TABLES
-from boresight.campaign.store.folder import Block
+from boresight.campaign.store import Block
 from boresight.campaign.threads import use_threads
 from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext
+from boresight.reports.schema.tables import TABLES
 
 Tell = Callable[[str], None]
 

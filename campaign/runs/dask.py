@@ -27,7 +27,7 @@ from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import Losses, run_block
 from boresight.campaign.runs.request import Cluster
-from boresight.campaign.store.folder import Block
+from boresight.campaign.store import Block
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.scenarios.bodies import EMBEDDED
 from boresight.scenarios.cache import default_cache

@@ -15,11 +15,11 @@ from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.blocks import Losses, run_block
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.requirements import remember
-from boresight.campaign.store import TABLES, RunFolder, run_lock
-from boresight.campaign.store.folder import Block, BlockState, blocks
+from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.campaign.trial.methods import unbuilt_products
 from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.errors import BoresightError
 
 

@@ -19,7 +19,7 @@ from tiny_sequences import SCENE
 from boresight.campaign.cli import main
 from boresight.campaign.pool.captured import MOST_CHARACTERS, CapturedOutput
 from boresight.campaign.pool.guard import Call
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.runner import Work
 
 MODULE = """
 import logging, os, sys, warnings

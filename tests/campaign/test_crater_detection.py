@@ -20,7 +20,7 @@ from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Choice
 from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import reopened
-from boresight.campaign.kinds.crater_detection import trial as crater_detection
+from boresight.campaign.kinds import crater_detection
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest

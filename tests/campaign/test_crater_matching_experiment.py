@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from tiny_pairs import PAIRS
 
-from boresight.campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
-from boresight.campaign.kinds.crater_matching.trial import (
+from boresight.campaign.kinds.crater_matching import (
     CraterMatching,
     check_matches,
     largest_epipolar_offset,
     score_matches,
 )
+from boresight.campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.trial.crater_score import check_listed

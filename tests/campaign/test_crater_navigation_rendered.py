@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
-from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from boresight.campaign.kinds.crater_navigation import CraterNavigationTrials
+from boresight.campaign.kinds.orbit_determination import DeterminedOrbit
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.trial.kind import WorkerContext
 from boresight.estimators.craters.navigation.rounds import CraterNavigation

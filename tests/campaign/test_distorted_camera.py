@@ -10,7 +10,7 @@ import pytest
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.kinds.single_image import SingleImage
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.geometry import View
 from boresight.scenarios.load import load_scenario

@@ -6,7 +6,7 @@ import pytest
 from mission_data import needs_data
 from tiny_campaign import Heard
 
-from boresight.campaign.draft import as_draft, drafted, kept
+from boresight.campaign.resolved import as_draft, drafted, kept
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve

@@ -13,8 +13,7 @@ from tiny_campaign import DATABASE, SCENE
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.kinds.single_image.check import check
-from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.kinds.single_image import SingleImage, check
 from boresight.campaign.products import BuiltAssets
 from boresight.estimators.contract import Assets, Estimate, Estimator
 from boresight.estimators.registry import estimator_class, estimator_names

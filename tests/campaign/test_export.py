@@ -16,8 +16,9 @@ from boresight.campaign.cli import main
 from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.recompute import recompute, reopened
 from boresight.campaign.runs.blocks import opened
-from boresight.campaign.store import TABLES, RunFolder
+from boresight.campaign.store import RunFolder
 from boresight.reports.schema.grid import _SPECIAL, Grid
+from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.geometry import Pose, View
 
 SEQUENCE = """\

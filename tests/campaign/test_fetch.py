@@ -22,9 +22,8 @@ import pytest
 from mission_data import needs_data
 
 from boresight.campaign.cli import main
-from boresight.campaign.data.derive import apophis, icq
-from boresight.campaign.data.fetch import fetch, state
-from boresight.campaign.papers.wanted import wanted
+from boresight.campaign.cli.fetch import wanted
+from boresight.campaign.data.fetch import apophis, fetch, icq, state
 from boresight.scenarios.bodies.readers import read_shape
 from boresight.scenarios.data import data_folder, find_data_file, find_data_folder
 from boresight.scenarios.data.datasets import DataSet, datasets, read_registry

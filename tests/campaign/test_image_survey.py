@@ -11,7 +11,7 @@ import trimesh
 from orbit_worlds import orbit_world
 
 from boresight.campaign.kinds.crater_navigation.images import DrawnSights
-from boresight.campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
+from boresight.campaign.kinds.image_survey import FEW, ImageSurvey, coverage
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.craters.simulated import NO_CRATER, draw_plane_craters
 from boresight.scenarios.errors import BoresightError

@@ -3,7 +3,7 @@
 import pytest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
-from boresight.campaign.kinds.landmark_database.trial import at_trial
+from boresight.campaign.kinds.landmark_database import at_trial
 from boresight.campaign.products import landmark_database, product_key
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder

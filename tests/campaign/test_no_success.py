@@ -8,7 +8,7 @@ from tiny_campaign import SCENE, write_campaign
 from tiny_pairs import PAIRS
 
 from boresight.campaign.cli import main
-from boresight.campaign.trial import work as fault
+from boresight.campaign.trial import runner as fault
 
 ORBITING = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.1}}\n"
 OF_SEQUENCES = "experiment: sequence\nestimators: [dead-reckoning]\n"

@@ -19,10 +19,10 @@ from tiny_campaign import SCENE, Heard, write_campaign
 from boresight.campaign.handles import Handle, own_copy
 from boresight.campaign.imaging.image_store import Imager, ImageStore
 from boresight.campaign.imaging.world import TrialImage, World
-from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
+from boresight.campaign.kinds import single_image
+from boresight.campaign.kinds.orbit_determination import OrbitTrials
 from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.tracks import Watch
-from boresight.campaign.kinds.single_image import trial as single_image
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest

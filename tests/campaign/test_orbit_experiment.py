@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
+from boresight.campaign.kinds.orbit_determination import OrbitTrials
 from boresight.campaign.kinds.orbit_determination.score import (
     check_orbit,
     drawable,
@@ -14,7 +15,6 @@ from boresight.campaign.kinds.orbit_determination.score import (
     orbit_summary,
     wrong_sightings,
 )
-from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.trial.kind import PerDatabase

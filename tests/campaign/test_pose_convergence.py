@@ -8,7 +8,7 @@ from scipy.stats import chi2, kstest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
 from boresight.campaign.cli import main
-from boresight.campaign.kinds.pose_convergence.trial import (
+from boresight.campaign.kinds.pose_convergence import (
     LANDMARKS,
     PoseConvergence,
     draw_landmarks,

@@ -30,8 +30,7 @@ from boresight.campaign.pool import workers as parallel
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store import RunFolder
-from boresight.campaign.store.folder import BlockState, blocks
+from boresight.campaign.store import BlockState, RunFolder, blocks
 from boresight.scenarios import atomic
 
 CUT_TRIALS, KILL_TRIALS = 20, 60
@@ -119,7 +118,7 @@ def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkey
 SERVER = f"""
 import os, sys
 from pathlib import Path
-import boresight.campaign.kinds.sequence.trial
+import boresight.campaign.kinds.sequence
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.execute import run_campaign

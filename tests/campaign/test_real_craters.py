@@ -11,8 +11,14 @@ from astropy.io import fits
 from mission_data import data_path, needs_data
 
 from boresight.campaign.cli import main
-from boresight.campaign.data.msi_image import camera_of_lines, open_msi, square_pixels
-from boresight.campaign.data.named_craters import NamedCrater, predict, read_gazetteer
+from boresight.campaign.data.named_craters import (
+    NamedCrater,
+    camera_of_lines,
+    open_msi,
+    predict,
+    read_gazetteer,
+    square_pixels,
+)
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at
 

@@ -26,7 +26,7 @@ from boresight.campaign.cli import main
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.kinds.single_image import SingleImage
 from boresight.campaign.papers.gather import finished_runs, run_folders
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.campaign.store import RunFolder

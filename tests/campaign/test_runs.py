@@ -37,10 +37,10 @@ from boresight.campaign.kinds.single_image import KIND
 from boresight.campaign.pool import workers as pool
 from boresight.campaign.runs.blocks import run_block
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store import TABLES, RunFolder
-from boresight.campaign.store.folder import blocks
+from boresight.campaign.store import RunFolder, blocks
 from boresight.campaign.trial.kind import WorkerContext
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.schema.tables import TABLES
 
 LONG = 200
 N_BLOCKS = LONG // sequence.KIND.block_trials

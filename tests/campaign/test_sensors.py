@@ -7,7 +7,7 @@ from tiny_campaign import SCENE
 
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.kinds.single_image.trial import SingleImage
+from boresight.campaign.kinds.single_image import SingleImage
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.altimeter import boresight_range
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 
 from boresight.campaign.cli.main import main
+from boresight.campaign.kinds.sequence import SequenceTrials
 from boresight.campaign.kinds.sequence.score import (
     check_sequence,
     final_landmark_rmse,
@@ -17,7 +18,6 @@ from boresight.campaign.kinds.sequence.score import (
     score_epochs,
     summary,
 )
-from boresight.campaign.kinds.sequence.trial import SequenceTrials
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.estimators.slam.dead_reckoning import DeadReckoning
 from boresight.scenarios.geometry import Camera

@@ -11,10 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from boresight.campaign.store import TABLES, RunFolder, run_lock
-from boresight.campaign.store.folder import Block, BlockState, blocks
+from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
 from boresight.campaign.trial.pose_score import pose_error
-from boresight.reports.schema.tables import columns_of, schema
+from boresight.reports.schema.tables import TABLES, columns_of, schema
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import look_at

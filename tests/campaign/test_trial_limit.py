@@ -17,9 +17,9 @@ from tiny_campaign import boresight, write_campaign
 from boresight.campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.runs.blocks import Losses
-from boresight.campaign.store.folder import Block
+from boresight.campaign.store import Block
 from boresight.campaign.trial.kind import WorkerContext, kind_named, kind_names
-from boresight.campaign.trial.work import Work
+from boresight.campaign.trial.runner import Work
 from boresight.scenarios.errors import BoresightError
 
 CALL = Call("scene", 3, "mine")

@@ -14,7 +14,7 @@ from tiny_pairs import PAIRS
 from tiny_sequences import SCENE as SEQUENCE
 
 from boresight.campaign.cli import main
-from boresight.campaign.kinds.orbit_determination.trial import OrbitTrials
+from boresight.campaign.kinds.orbit_determination import OrbitTrials
 from boresight.campaign.trial.methods import Unbuilt
 from boresight.scenarios.errors import BoresightError
 

@@ -15,12 +15,13 @@ from pathlib import Path
 import pandas as pd
 
 from boresight.campaign.cli import main
-from boresight.campaign.kinds.single_image.trial import Records
+from boresight.campaign.kinds.single_image import Records
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store import TABLES, RunFolder
+from boresight.campaign.store import RunFolder
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.schema.tables import TABLES
 
 TRIALS = 24
 SCENE = """\

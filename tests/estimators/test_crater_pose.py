@@ -9,7 +9,7 @@ import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, look, population, turned
 from scipy.optimize import least_squares
 
-from boresight.campaign.kinds.single_image.check import check
+from boresight.campaign.kinds.single_image import check
 from boresight.estimators.contract import Estimate
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.build import triangulate_landmarks

@@ -22,7 +22,7 @@ from boresight.campaign.runs.manifest import make_manifest
 from boresight.campaign.runs.newest import newest_first
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store.folder import Block, RunFolder
+from boresight.campaign.store import Block, RunFolder
 from boresight.reports.run.clusters import clusters_of, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import known_lines

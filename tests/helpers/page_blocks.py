@@ -14,7 +14,7 @@ from boresight.campaign.cli.main import main
 
 LONG = (
     "boresight.campaign.runs.start.Start.go",
-    "boresight.campaign.cli.sensitivity.run_campaign",
+    "boresight.campaign.cli.compare.run_campaign",
     "boresight.campaign.cli.figures.run_missing",
     "boresight.campaign.cli.bench.benchmark",
     "benchmarks.door.speed_table",

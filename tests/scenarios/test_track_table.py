@@ -13,7 +13,7 @@ from slam_sequences import CAMERA
 from track_tables import make_world
 
 from boresight.campaign.imaging.real_images import images_digest, open_tracks
-from boresight.campaign.kinds.sequence.trial import ground_of
+from boresight.campaign.kinds.sequence import ground_of
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import digest, load_scenario
 from boresight.scenarios.sequences import draw_real_sequence

@@ -12,7 +12,7 @@ from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
-from boresight.campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
+from boresight.campaign.kinds.crater_detection import CraterDetection, DetectedImage
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.detection.classic import CraterClassic

@@ -14,8 +14,8 @@ from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.kinds.crater_matching import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from boresight.campaign.kinds.crater_matching.pairs import PairSource, SimulatedPairs
-from boresight.campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterMatches

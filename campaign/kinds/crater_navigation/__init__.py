@@ -1,5 +1,175 @@
-"""Kind of trial: an orbit from images of craters."""
+"""Kind of trial: an orbit from images of craters, which are planned, taken, searched and matched.
 
-from boresight.campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+Truth takes the images and scores what comes out; the chain between sees images, telemetry and what is known before, of
+which centre of mass and the RMS error of the believed shape are the true ones, and the spin where nothing else is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from boresight.campaign.handles import own_copy
+from boresight.campaign.kinds.crater_navigation.images import (
+    CraterSights,
+    NavigationTrial,
+    SearchedImage,
+    open_sights,
+    searched_in,
+)
+from boresight.campaign.kinds.crater_navigation.score import (
+    at_times,
+    image_records,
+    landmark_records,
+    navigation_summary,
+    truth_of_sightings,
+)
+from boresight.campaign.kinds.orbit_determination import (
+    DeterminedOrbit,
+    checked_orbit_section,
+    open_orbit_world,
+    scored_orbit,
+)
+from boresight.campaign.kinds.orbit_determination.score import check_orbit
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.trial.crater_score import check_listed
+from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
+from boresight.campaign.trial.runner import GaveUpError, MethodRunner
+from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult
+from boresight.estimators.craters.navigation.stages import StageFiles
+from boresight.estimators.craters.registry import (
+    crater_detector_class,
+    crater_detector_names,
+    crater_matcher_class,
+    crater_matcher_names,
+)
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
+from boresight.scenarios.dynamics.propagation import OrbitLostError
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.orbits.draw import OrbitTruth
+from boresight.scenarios.orbits.true_orbit import epochs_s, imaging_of
+from boresight.scenarios.orbits.world import OrbitWorld
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavigationAnswer:
+    """Result of a chain: its images and their folder, all rounds, and the last round's orbit at the scored times."""
+
+    searched: Sequence[SearchedImage]
+    searched_in: StageFiles
+    navigation: NavigationResult
+    estimate: OrbitEstimate
+    data: OrbitData
+
+
+@dataclass(frozen=True, eq=False)
+class CraterNavigationTrials(MethodRunner[CraterNavigation, NavigationTrial, NavigationAnswer]):
+    """Trials of chains of crater navigation; all see the same images.
+
+    ``folder`` has a folder for each trial, where the stages leave their files; those that are there are read back.
+    """
+
+    name = "crater-navigation"
+    version = 2
+    block_trials = 1
+    called = "chain"
+    undrawable = (BoresightError,)
+
+    world: OrbitWorld
+    sights: CraterSights
+    folder: Path
+
+    @classmethod
+    def method_class(cls, name: str) -> type[CraterNavigation]:
+        if name != CraterNavigation.name:
+            raise BoresightError(
+                f"estimators: {name} is no chain of crater-navigation; there is: {CraterNavigation.name}"
+            )
+        return CraterNavigation
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of the chain: the sum of those of its parts, which only rise."""
+        detectors = [crater_detector_class(one).version for one in crater_detector_names()]
+        matchers = [crater_matcher_class(one).version for one in crater_matcher_names()]
+        return cls.method_class(name).version + BatchFilter.version + sum(detectors) + sum(matchers)
+
+    @classmethod
+    def options_model(cls, name: str) -> None:
+        """Return None: the length among the options is replaced by the error of the a priori shape."""
+
+    @classmethod
+    def check_scenario(cls, scenario: LoadedScenario) -> None:
+        """Refuse missing sections, and craters of which most that a detector finds are not listed."""
+        imaging = checked_orbit_section(scenario).imaging
+        if imaging is None:
+            raise BoresightError(
+                f"{scenario.path}: orbit.imaging: missing, but the experiment crater-navigation needs it"
+            )
+        if imaging.detections == "rendered":
+            check_listed(scenario)
+
+    @classmethod
+    def open(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, context: WorkerContext, number: int = 0
+    ) -> Self:
+        """Open the world and build the chains."""
+        world = open_orbit_world(scenario, campaign.seed, number)
+        sights = open_sights(scenario, imaging_of(world), campaign.variant)
+        folder = context.run / "chain" / scenario.spec.name
+        return cls.made(campaign, scenario, number, world=world, sights=sights, folder=folder)
+
+    def draw(self, trial: int) -> NavigationTrial:
+        """Plan the images of a trial and take them; there may be no arc."""
+        return NavigationTrial.take(self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}"))
+
+    def row(self, drawn: NavigationTrial) -> Record:
+        return {"n_landmarks": 0, "range_m": float(np.linalg.norm(drawn.flown.wanted_states[0, :3]))}
+
+    def ask(self, method: CraterNavigation, drawn: NavigationTrial) -> NavigationAnswer:
+        """Let a chain search its images and solve for the orbit."""
+        task, stages = own_copy(drawn.task), drawn.stages
+        searched = drawn.search(method, task)
+        try:
+            navigation = method.navigate([image.exposure for image in searched], task, stages)
+        except OrbitLostError as error:
+            raise GaveUpError(f"the a priori orbit: {error}") from error
+        last = navigation.rounds[-1]
+        scored = at_times(last.estimate, last.data, drawn.task.wanted_s)
+        return NavigationAnswer(searched, searched_in(method, stages), navigation, *scored)
+
+    def check(self, answer: NavigationAnswer, drawn: NavigationTrial) -> None:
+        check_orbit(answer.estimate, answer.data)
+
+    def score(self, answer: NavigationAnswer, drawn: NavigationTrial) -> Records:
+        """Score images, matches, landmarks and the orbit, with the times of all starts of the trial."""
+        searched, estimate, data = answer.searched, answer.estimate, answer.data
+        truth = self._truth(answer, drawn)
+        used = estimate.orbit.used if estimate.status == "ok" and estimate.orbit is not None else None
+        spent = {**drawn.stages.seconds(), **answer.searched_in.seconds(), **answer.navigation.seconds}
+        return {
+            "navigation": [navigation_summary(answer.navigation, searched, len(epochs_s(self.world)))],
+            "navigated_images": image_records(drawn, searched, answer.navigation.rounds[-1]),
+            "navigated_landmarks": landmark_records(data, truth.crater, used),
+            "timings": [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()],
+            **scored_orbit(estimate, truth, data, with_residuals=drawn.address.trial == 0),
+        }
+
+    def shown(self, answer: NavigationAnswer | None, drawn: NavigationTrial) -> DeterminedOrbit | None:
+        """Return the orbit that a chain has determined; None where there is none."""
+        if answer is None:
+            return None
+        return InspectedTrial(self._truth(answer, drawn), answer.data, answer.estimate)
+
+    def _truth(self, answer: NavigationAnswer, drawn: NavigationTrial) -> OrbitTruth:
+        crater = [image.crater for image in answer.searched]
+        return truth_of_sightings(self.world, drawn, answer.navigation.rounds[-1], crater)
+
 
 KIND = CraterNavigationTrials

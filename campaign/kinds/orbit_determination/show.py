@@ -9,8 +9,8 @@ from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
 from boresight.campaign.inspection.recompute import Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.kinds.orbit_determination import DeterminedOrbit
 from boresight.campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
-from boresight.campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from boresight.estimators.orbit.contract import Orbit
 from boresight.reports.figures.craters import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from boresight.reports.figures.named import NamedFigure

@@ -18,8 +18,8 @@ from boresight.campaign.inspection.show import (
     PosedFrames,
     Show,
 )
+from boresight.campaign.kinds.sequence import FollowedSequence, SequenceTrials
 from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame, track_axes
-from boresight.campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.blocks import opened
 from boresight.campaign.store import RunFolder

@@ -1,4 +1,4 @@
-"""Camera poses of stored runs, as COLMAP text models and as TUM trajectories.
+"""Export of stored runs: poses as COLMAP text models and TUM trajectories, tables as CSV, Parquet and LaTeX.
 
 COLMAP (``cameras.txt``, ``images.txt``, ``points3D.txt``) has the conventions used here: x right, y down, z forward,
 the centre of the first pixel at (0.5, 0.5), and the rotation from world to camera with the scalar first. Identifiers
@@ -23,8 +23,12 @@ from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, sh
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.pose_score import pose_of
+from boresight.reports.figures.named import file_stem
+from boresight.reports.kinds import report_grids
+from boresight.reports.pages.content import read_content
+from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.atomic import write_text
+from boresight.scenarios.atomic import write_atomically, write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose
 
@@ -167,3 +171,43 @@ def write_trajectory(name: str, frames: Sequence[PosedFrame], out: Path) -> list
 def _line(time_s: float, T_cam_world: Pose) -> str:
     quat_xyzw = Rotation.from_matrix(T_cam_world.rotation.T).as_quat(canonical=True)
     return " ".join(f"{x:.17g}" for x in np.concatenate([[time_s], T_cam_world.camera_position_m, quat_xyzw])) + "\n"
+
+
+def write_tables(
+    folder: RunFolder, kind: str, trials: Sequence[int] | None, only: dict[str, str], out: Path
+) -> list[Path]:
+    """Write every table that is not empty to a file, and a file with the meaning of the columns.
+
+    ``kind`` is ``csv`` or ``parquet``; both preserve every bit of the numbers. ``trials`` are those to export, None for
+    all. ``only`` has required values by column, for tables that have the column.
+    """
+    written, meanings = [], []
+    for name in TABLES:
+        table = folder.table(name)
+        for column, value in only.items():
+            table = table[table[column] == value] if column in table else table
+        table = table if trials is None else table[table["trial"].isin(trials)]
+        if table.empty:
+            continue
+        written.append(out / f"{name}.{kind}")
+        _write(table, written[-1], kind)
+        meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
+    written.append(out / "columns.csv")
+    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), written[-1], "csv")
+    return written
+
+
+def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
+    if kind == "csv":
+        write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    else:
+        write_atomically(path, lambda temporary: table.to_parquet(temporary, index=False))
+
+
+def write_latex(folder: RunFolder, out: Path) -> list[Path]:
+    """Write every table of the report as a LaTeX table in the style of booktabs."""
+    written = []
+    for grid in report_grids(read_content(folder.path)):
+        written.append(out / f"{file_stem(grid.title.lower().replace(' ', '-'))}.tex")
+        write_text(written[-1], grid.latex())
+    return written

@@ -1,4 +1,7 @@
-"""Reading and writing of a run folder, and what the entries of a manifest must be."""
+"""The run folder: Parquet tables in blocks of trials, a manifest, a lock.
+
+A block's detail tables are written before its rows, and only a block whose rows are complete counts as done.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,0 @@
-"""Export of stored runs as TUM trajectories, COLMAP models, CSV, Parquet and LaTeX."""
