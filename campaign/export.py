@@ -17,8 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import recompute
+from boresight.campaign.inspection.recompute import Case, recompute
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder

@@ -52,7 +52,6 @@ _SHOWN = ("start here", "missions", "the papers", "compare", "sensitivity", "rea
 _FURTHER = "further campaigns"
 _GAP = "  "
 
-
 _WIDEST = 100
 """Characters of a line at most, however wide the terminal is."""
 

@@ -20,8 +20,7 @@ from boresight.campaign.export import (
     write_tables,
     write_trajectory,
 )
-from boresight.campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
-from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.inspection.recompute import Case, Choice, cases_of, checked_trials, chosen_rows, reopened
 from boresight.campaign.runs.newest import find_run
 from boresight.campaign.store import RunFolder
 from boresight.reports.run.data import read_run

@@ -8,9 +8,8 @@ from boresight.campaign.cli.arguments import WORST
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case, order_of
-from boresight.campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
 from boresight.campaign.inspection.look import look_of
-from boresight.campaign.inspection.recompute import reopened
+from boresight.campaign.inspection.recompute import ORDER, Choice, chosen_rows, named_cases, reopened, worst_cases
 from boresight.campaign.runs.newest import find_run
 from boresight.reports.figures.named import file_stem
 from boresight.reports.pages.view3d import write_view3d

@@ -24,7 +24,6 @@ from boresight.scenarios.errors import BoresightError
 _APOPHIS_KM = 0.375
 """Volume-equivalent diameter of Apophis in Table 1 of Delpech et al. (2015)."""
 
-
 TIMEOUT_S = 30.0
 _CHUNK_BYTES = 1 << 16
 Progress = Callable[[str, int, int], None]

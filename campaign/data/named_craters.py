@@ -43,7 +43,6 @@ _POSE_SIGMA = (
     np.array([40.0, 40.0, 200.0]),
 )  # rad, m: the header's pose has an error of about a pixel
 
-
 GAZETTEER = "craters/eros_named_craters_iau.csv"
 _FAR = 3.0  # body radii from which rays are cast down onto a crater
 _EDGE_ON = 0.1  # cosine of emission below which a rim is seen edge-on

@@ -13,8 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.campaign.inspection.case import CONTROLS, ORDER, Case, Choice, worst_cases
-from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.recompute import CONTROLS, ORDER, Case, Choice, Recomputed, recompute, worst_cases
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder

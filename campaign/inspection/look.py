@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
+from boresight.campaign.inspection.recompute import CONTROLS, Case, Choice, unknown, worst_cases
 from boresight.campaign.inspection.show import EstimatorRun, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
@@ -18,7 +18,6 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
 
 _FINER = 1.25
-
 
 MOST_FACES = 40_000
 _NEAR = 1.8

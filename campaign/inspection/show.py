@@ -11,10 +11,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import Recomputed
+from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.blocks import opened
+from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import module_of
 from boresight.reports.figures.named import NamedFigure

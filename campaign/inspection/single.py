@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.world import check_views, open_world
 from boresight.campaign.inspection.build import draw_case
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import Recomputed, recompute, reopened
+from boresight.campaign.inspection.recompute import Case, Recomputed, recompute, reopened
 from boresight.campaign.inspection.show import CaseFigures, show_of
 from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign

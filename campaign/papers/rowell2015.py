@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay
 
 from boresight.campaign.imaging.ranges import typical_range_m
 from boresight.campaign.imaging.world import World, open_world
-from boresight.campaign.inspection.case import Case
+from boresight.campaign.inspection.recompute import Case
 from boresight.campaign.kinds.landmark_database import DatabaseTrials
 from boresight.campaign.kinds.single_image.show import (
     SecondLook,
@@ -28,9 +28,13 @@ from boresight.campaign.papers.page import Paper, PaperFigure
 from boresight.campaign.products.landmark_database import KIND as DATABASE
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.threads import workers
-from boresight.estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
 from boresight.estimators.landmark.clustering import PointCluster
-from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.database import (
+    DatabaseOptions,
+    LandmarkDatabase,
+    LandmarkDatabaseBuild,
+    build_database,
+)
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.pose import (
     ClusterView,

@@ -40,7 +40,6 @@ _FAILURE = "unmade.txt"
 _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
-
 KINDS = ("landmark-database", "maplets", "descriptors", "crater-database", "covariance-tuning")
 """Names of the modules of this folder that build products; each is imported when a method asks for it."""
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from boresight.campaign.products.database_images import database_images, map_images
 from boresight.campaign.products.databases import ProductKind, content_key
-from boresight.estimators.landmark.build import (
+from boresight.estimators.landmark.database import (
     METHOD_VERSION,
     CandidateOptions,
     DatabaseOptions,
+    LandmarkDatabase,
     database_from_candidates,
     extract_candidates,
 )
-from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.load import LoadedScenario

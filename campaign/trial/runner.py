@@ -26,7 +26,6 @@ T = TypeVar("T")
 _MOST_CHARACTERS = 300
 _ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
 
-
 Method = TypeVar("Method")
 Drawn = TypeVar("Drawn")
 Answer = TypeVar("Answer")

@@ -9,10 +9,15 @@ import numpy as np
 from pydantic import Field
 
 from boresight.estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
-from boresight.estimators.dense.gauss_newton import RegistrationOptions, available_gradient, inverse
-from boresight.estimators.dense.registration import Registration, register
+from boresight.estimators.dense.gauss_newton import (
+    Registration,
+    RegistrationOptions,
+    available_gradient,
+    inverse,
+    register,
+)
 from boresight.estimators.landmark.alignment import MeshView
-from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.estimators.landmark.recognizer import landmark_database
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options

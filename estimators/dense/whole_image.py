@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from boresight.estimators.contract import Assets, Stopwatch
-from boresight.estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
-from boresight.estimators.dense.registration import STAGE, register
+from boresight.estimators.dense.gauss_newton import (
+    STAGE,
+    LevelOptions,
+    RegistrationOptions,
+    available_gradient,
+    register,
+)
 from boresight.estimators.landmark.alignment import Alignment, MeshView
-from boresight.estimators.landmark.pose.match_and_solve import PoseOptions
 from boresight.estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,
+    PoseOptions,
     RecognitionOptions,
     landmark_database,
     shape_renderer,

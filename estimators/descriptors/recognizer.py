@@ -13,17 +13,18 @@ from pydantic import Field
 from scipy.special import chdtrc
 
 from boresight.estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
-from boresight.estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
-from boresight.estimators.descriptors.features import (
+from boresight.estimators.descriptors.database import (
     DescribedFeatures,
+    DescriptorDatabase,
+    DescriptorOptions,
+    DescriptorViewOptions,
     FeatureOptions,
     Kind,
     find_features,
     match_features,
 )
-from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from boresight.estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
-from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from boresight.estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, minimal_jacobian
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
 from boresight.scenarios.arrays import FloatArray

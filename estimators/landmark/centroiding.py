@@ -15,7 +15,7 @@ from boresight.estimators.landmark.alignment import (
     align_translation,
     centroid_pair,
 )
-from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.estimators.landmark.recognizer import landmark_database
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options

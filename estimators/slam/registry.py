@@ -14,7 +14,7 @@ ESTIMATORS: Registry[SequenceEstimator] = Registry(
         "dead-reckoning": "boresight.estimators.slam.dead_reckoning:DeadReckoning",
         "ba-slam": "boresight.estimators.slam.keyframes.bundle:BundleSlam",
         "batch": "boresight.estimators.slam.smoothing.smoother:BatchAdjustment",
-        "dynamic-smoother": "boresight.estimators.slam.smoothing.dynamics.smoother:DynamicSmoother",
+        "dynamic-smoother": "boresight.estimators.slam.smoothing.dynamic_smoother:DynamicSmoother",
         "consistent-ekf-slam": "boresight.estimators.slam.filters.ekf:ConsistentEkfSlam",
         "ekf-slam": "boresight.estimators.slam.filters.ekf:EkfSlam",
         "loop-smoother": "boresight.estimators.slam.smoothing.loop_smoother:LoopSmoother",

@@ -37,7 +37,6 @@ _TYPES = {
 _LARGEST = 1e39  # above single precision's largest number, 3.4e38: MISSING_CONSTANT is often the lowest number, -3.4e38
 _BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
 
-
 # Exceptions of pvl's parser: its own, TypeError for a date that it reads as one with a time zone (2005-10-0), and those
 # of numbers, dates and nesting beyond Python's bounds.
 _PARSER_FAULTS = (

@@ -15,7 +15,6 @@ from boresight.scenarios.geometry import Camera, TriangleMesh, View
 # Points on each side of a bounding box that lens distortion bends.
 _BOX_STEPS = 65
 
-
 # Facets whose solid angles are computed at once, which bounds the memory.
 _CHUNK = 200_000
 

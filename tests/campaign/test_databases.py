@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, RESULTS, SMALL, assert_same_results, compute, write_campaign
 
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.products.assets import BuiltAssets
 from boresight.campaign.products.databases import (
     SEED_STEP,

@@ -10,7 +10,7 @@ from boresight.campaign.resolved import as_draft, drafted, kept
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.request import RunRequest
 from boresight.campaign.runs.resolve import resolve
-from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.run.data import read_run
 

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from tiny_campaign import compute
 
 from boresight.campaign.cli import main
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import recompute, reopened
-from boresight.campaign.runs.blocks import opened
+from boresight.campaign.inspection.recompute import Case, recompute, reopened
+from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.reports.schema.grid import _SPECIAL, Grid
 from boresight.reports.schema.tables import TABLES

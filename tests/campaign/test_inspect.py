@@ -18,8 +18,7 @@ from tiny_campaign import CAMPAIGN, compute, write_campaign
 from undrawn import undrawn
 
 from boresight.campaign.cli import main
-from boresight.campaign.inspection.case import Case, Choice, worst_cases
-from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.inspection.recompute import Case, Choice, recompute, reopened, worst_cases
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named, kind_names
 from boresight.estimators.landmark.recognizer import LandmarkRecognizer

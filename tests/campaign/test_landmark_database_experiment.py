@@ -7,8 +7,7 @@ from boresight.campaign.kinds.landmark_database import at_trial
 from boresight.campaign.products import landmark_database, product_key
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
-from boresight.estimators.landmark.build import DatabaseOptions
-from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.kinds import brief_grids, report_grids
 from boresight.reports.pages.content import read_content

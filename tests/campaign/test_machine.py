@@ -12,11 +12,10 @@ from tiny_campaign import TRIALS, run
 from variants import variant_or_skip
 
 from boresight.campaign import threads
-from boresight.campaign.inspection.case import Case
-from boresight.campaign.inspection.recompute import recompute, reopened
+from boresight.campaign.inspection.recompute import Case, recompute, reopened
 from boresight.campaign.machine import cores, sharing_cores
 from boresight.campaign.pool import workers as parallel
-from boresight.campaign.runs.blocks import trials_of
+from boresight.campaign.runs.execute import trials_of
 from boresight.campaign.store import RunFolder
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import variant
@@ -26,7 +25,7 @@ SCRIPT = """
 import sys
 import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
-import boresight.campaign.runs.blocks
+import boresight.campaign.runs.execute
 from boresight.campaign.threads import use_threads
 for jobs in sys.argv[1:]:
     use_threads(int(jobs))

@@ -24,7 +24,7 @@ from boresight.campaign.papers.rowell2015 import broadside_view, built_again, cl
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
-from boresight.estimators.landmark.build import DatabaseOptions
+from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.papers.page import PaperLine, value_tally

@@ -21,8 +21,7 @@ from boresight.campaign.products.crater_database import _searched
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.threads import use_threads
 from boresight.estimators.craters.contract import CraterDetections
-from boresight.estimators.landmark.build import DatabaseOptions
-from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.estimators.maplets.build import MapletOptions, build_maplets
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.bodies import load_body

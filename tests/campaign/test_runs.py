@@ -35,7 +35,7 @@ from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds import sequence
 from boresight.campaign.kinds.single_image import KIND
 from boresight.campaign.pool import workers as pool
-from boresight.campaign.runs.blocks import run_block
+from boresight.campaign.runs.execute import run_block
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder, blocks
 from boresight.campaign.trial.kind import WorkerContext

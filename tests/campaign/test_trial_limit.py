@@ -16,7 +16,7 @@ from tiny_campaign import boresight, write_campaign
 
 from boresight.campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
 from boresight.campaign.pool.workers import in_order
-from boresight.campaign.runs.blocks import Losses
+from boresight.campaign.runs.execute import Losses
 from boresight.campaign.store import Block
 from boresight.campaign.trial.kind import WorkerContext, kind_named, kind_names
 from boresight.campaign.trial.runner import Work

@@ -9,10 +9,12 @@ from boresight.estimators.descriptors.database import (
     FILE,
     DescriptorDatabase,
     DescriptorOptions,
+    FeatureOptions,
     ViewFeatures,
+    find_features,
+    match_features,
     view_features,
 )
-from boresight.estimators.descriptors.features import FeatureOptions, find_features, match_features
 from boresight.estimators.descriptors.recognizer import (
     PRODUCT,
     DescriptorNavigatorOptions,

@@ -11,8 +11,7 @@ from slam_sequences import Recipe, make_sequence
 from boresight.estimators.slam.adjustment.solver import kept_covariance, view_covariance
 from boresight.estimators.slam.options import SmootherOptions
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
-from boresight.estimators.slam.vision.features import ImageFeatures
-from boresight.estimators.slam.vision.matching import _conditioned, guided_rows
+from boresight.estimators.slam.vision.matching import ImageFeatures, _conditioned, guided_rows
 from boresight.scenarios.tracks import Prediction
 
 

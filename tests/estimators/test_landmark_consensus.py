@@ -10,8 +10,9 @@ from scipy.stats import chi2
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.robust.estimator import ConsensusOptions, _prior_after_alignment
-from boresight.estimators.landmark.robust.mixture import Mixture, MixtureOptions
 from boresight.estimators.landmark.robust.search import (
+    Mixture,
+    MixtureOptions,
     SearchOptions,
     best_hypotheses,
     corner_map,

@@ -8,8 +8,12 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from boresight.estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
-from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.database import (
+    DatabaseOptions,
+    LandmarkDatabase,
+    database_from_candidates,
+    extract_candidates,
+)
 from boresight.scenarios.errors import BoresightError
 
 OCTAHEDRON = 100.0 * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)

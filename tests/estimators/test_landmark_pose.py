@@ -9,16 +9,17 @@ from scipy.stats import chi2
 
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.hull import concave_hull
-from boresight.estimators.landmark.pose.levenberg_marquardt import (
+from boresight.estimators.landmark.pose.problem import (
     MarquardtOptions,
+    PoseProblem,
     minimal_jacobian,
     pose_covariance,
     quaternion_jacobian,
     refine_pose,
+    solve_epnp,
 )
-from boresight.estimators.landmark.pose.match_and_solve import PoseOptions, solve_pose
-from boresight.estimators.landmark.pose.problem import PoseProblem, solve_epnp
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
+from boresight.estimators.landmark.recognizer import PoseOptions, solve_pose
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, look_at
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
+from boresight.estimators.landmark.pose.problem import MarquardtOptions, refine_pose
 from boresight.estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, look_at

@@ -5,7 +5,7 @@ import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.dense.whole_image import WholeImageRecognizer
-from boresight.estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from boresight.estimators.landmark.database import DatabaseOptions, database_from_candidates, extract_candidates
 from boresight.estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer
 from boresight.estimators.landmark.robust.estimator import ConsensusOptions
 from boresight.estimators.landmark.signal import extract_signal

@@ -23,9 +23,9 @@ from boresight.estimators.maplets.matching import (
     MatchingOptions,
     _collect,
     _reach_px,
+    visible_windows,
 )
 from boresight.estimators.maplets.recognizer import MapletFit, surface_covariances
-from boresight.estimators.maplets.visibility import visible_windows
 from boresight.scenarios.geometry import Camera, Pose, look_at
 
 SIDE = 64

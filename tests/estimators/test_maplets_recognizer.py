@@ -5,8 +5,8 @@ import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.maplets.build import build_maplets
+from boresight.estimators.maplets.matching import body_mask, visible_windows
 from boresight.estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
-from boresight.estimators.maplets.visibility import body_mask, visible_windows
 from boresight.renderers.mitsuba3 import MitsubaRenderer
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera

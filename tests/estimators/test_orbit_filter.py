@@ -8,8 +8,7 @@ from orbit_worlds import CAMERA, orbit_world
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from boresight.estimators.orbit.arc import BatchState, DataArc
-from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.batch_filter import BatchFilter, BatchState, DataArc
 from boresight.estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
 from boresight.estimators.orbit.kernels import consistent_rays
 from boresight.estimators.orbit.model import Unknowns, propagate_orbit

@@ -16,12 +16,14 @@ from slam_sequences import ORBIT_M, Recipe, position_errors_m
 from boresight.estimators.slam.adjustment.problem import State
 from boresight.estimators.slam.adjustment.solver import StoppingRule
 from boresight.estimators.slam.force_model import ForceModel, propagate, propagate_with_derivatives
-from boresight.estimators.slam.smoothing.dynamics import smoother
-from boresight.estimators.slam.smoothing.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from boresight.estimators.slam.smoothing.dynamics.smoother import DynamicSmoother, DynamicWindow
-from boresight.estimators.slam.smoothing.dynamics.solver import (
+from boresight.estimators.slam.smoothing import dynamic_smoother
+from boresight.estimators.slam.smoothing.dynamic_smoother import DynamicSmoother, DynamicWindow
+from boresight.estimators.slam.smoothing.dynamics import (
+    DynamicAdjustment,
     DynamicOrdering,
     DynamicSolution,
+    DynamicState,
+    arc_information,
     covariance_of,
     dynamic_equations,
     marginalise_dynamic,
@@ -315,7 +317,7 @@ def test_first_estimates_change_little_where_the_parameters_are_well_known() -> 
 
 def test_first_estimates_are_adjusted_to_where_their_gradient_is_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cost may rise by a little on the way, as they are not its derivatives: that is no reason to stop before."""
-    left, ours = [], smoother.minimise_dynamic
+    left, ours = [], dynamic_smoother.minimise_dynamic
 
     def watched(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
         solution = ours(problem, state, rule)
@@ -326,7 +328,7 @@ def test_first_estimates_are_adjusted_to_where_their_gradient_is_zero(monkeypatc
             left.append(step / rule.step_m)
         return solution
 
-    monkeypatch.setattr(smoother, "minimise_dynamic", watched)
+    monkeypatch.setattr(dynamic_smoother, "minimise_dynamic", watched)
     sequence, _ = make_orbit_sequence(np.random.default_rng(1), Recipe(frames=40))
     DynamicSmoother.from_options({}).follow(sequence)
     assert len(left) > 20

@@ -14,7 +14,7 @@ from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
-from boresight.estimators.slam.smoothing.dynamics.smoother import DynamicSmoother
+from boresight.estimators.slam.smoothing.dynamic_smoother import DynamicSmoother
 from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.errors import BoresightError

@@ -10,17 +10,22 @@ import pytest
 from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.spatial import cKDTree
 
-from boresight.estimators.landmark.corners import CornerOptions, detect_corners
-from boresight.estimators.landmark.fast_hessian import determinant, fast_hessian
-from boresight.estimators.slam.vision.features import find_features
+from boresight.estimators.landmark.corners import CornerOptions, detect_corners, determinant, fast_hessian
 from boresight.estimators.slam.vision.matching import (
     direction_inliers,
+    find_features,
     fitted_direction,
     fundamental_inliers,
     match_descriptors,
 )
-from boresight.estimators.slam.vision.point_trackers import MatchedImage, local_flow
-from boresight.estimators.slam.vision.registration import AffineWarps, Spline, cut_patches, register_patches
+from boresight.estimators.slam.vision.point_trackers import (
+    AffineWarps,
+    MatchedImage,
+    Spline,
+    cut_patches,
+    local_flow,
+    register_patches,
+)
 from boresight.estimators.slam.vision.tracker import Tracker
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.spec.sequence import ImageVisionSpec

@@ -35,7 +35,7 @@ from boresight.estimators.slam.options import BundleOptions
 from boresight.renderers.images import open_product
 from boresight.renderers.images.pixels import read_image
 from boresight.renderers.images.posed_set import read_table
-from boresight.renderers.spice.instruments import INSTRUMENTS
+from boresight.renderers.spice import INSTRUMENTS
 from boresight.reports.published import parse as parse_published
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data.datasets import read_registry

@@ -10,9 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
-from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
 from boresight.campaign.kinds.crater_matching import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from boresight.campaign.kinds.crater_matching.pairs import PairSource, SimulatedPairs
@@ -29,7 +28,6 @@ from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.errors import BoresightError
 
 _ALIKE_DEG = (20.0, 10.0)
-
 
 _MOST_PAIRS = 60
 """Trials of matching that are recomputed: which crater each match is of is not stored."""

@@ -15,7 +15,12 @@ from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_
 from boresight.campaign.trial.methods import located, require_built
 from boresight.campaign.trial.runner import GaveUpError, TrialRunner
 from boresight.estimators.contract import NoProductError
-from boresight.estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
+from boresight.estimators.landmark.database import (
+    METHOD_VERSION,
+    DatabaseOptions,
+    LandmarkDatabaseBuild,
+    build_database,
+)
 from boresight.estimators.options import parse_options
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.spec.base import SpecModel

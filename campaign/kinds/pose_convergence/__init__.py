@@ -16,7 +16,7 @@ from boresight.campaign.trial.methods import located
 from boresight.campaign.trial.pose_score import pose_errors, view_columns
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import inverse_2x2
-from boresight.estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
+from boresight.estimators.landmark.pose.problem import MarquardtOptions
 from boresight.estimators.landmark.pose.stack import (
     NAME,
     VERSION,
@@ -38,7 +38,6 @@ from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.scenario import ScenarioSpec
 
 _MINIMUM = MarquardtOptions(parameters="minimal", tolerance=1e-12)
-
 
 LANDMARKS = 10
 _TESTED_AT_ONCE = 16

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from boresight.campaign.imaging.image_store import Imager
-from boresight.estimators.slam.vision.features import ImageFeatures, find_features
-from boresight.estimators.slam.vision.matching import match_descriptors
+from boresight.estimators.slam.vision.matching import ImageFeatures, find_features, match_descriptors
 from boresight.renderers.rectify import rectify
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.bodies import load_body

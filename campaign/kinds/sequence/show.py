@@ -7,9 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
-from boresight.campaign.inspection.recompute import Recomputed, recompute
+from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
 from boresight.campaign.inspection.show import (
     CaseFigures,
     CaseFiles,
@@ -21,7 +20,7 @@ from boresight.campaign.inspection.show import (
 from boresight.campaign.kinds.sequence import FollowedSequence, SequenceTrials
 from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame, track_axes
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.blocks import opened
+from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.slam.contract import SequenceEstimate

@@ -56,7 +56,6 @@ _RIGID = 1e-6
 _MOST_PX = 1e6
 _PARAMETERS = 6
 
-
 EstimatedImage = InspectedTrial[View, Observation, Estimate]
 """A trial of one estimator, for inspection; the true view of a real image is that of the reference pose."""
 

@@ -11,9 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.inspection.case import Case
 from boresight.campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
-from boresight.campaign.inspection.recompute import Recomputed
+from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
     CaseFigures,
     CaseFiles,
@@ -25,7 +24,7 @@ from boresight.campaign.inspection.show import (
 )
 from boresight.campaign.kinds.single_image import EstimatedImage, SingleImage
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.blocks import opened
+from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import Record
 from boresight.estimators.contract import Estimate

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
-from boresight.estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from boresight.estimators.landmark.pose.problem import PoseProblem
+from boresight.estimators.landmark.pose.problem import PoseProblem, minimal_jacobian
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.prior import floor_variances
 from boresight.scenarios.arrays import FloatArray

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from boresight.estimators.landmark.build import DatabaseOptions
-from boresight.estimators.landmark.pose.levenberg_marquardt import LAMBDA_MAX, LAMBDA_MIN, MarquardtOptions
+from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.estimators.landmark.pose.problem import (
+    LAMBDA_MAX,
+    LAMBDA_MIN,
+    MarquardtOptions,
     PoseProblem,
     image_jacobian,
     point_by_quaternion,
@@ -184,7 +186,7 @@ def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parame
     by_quaternion = point_by_quaternion(quats_wxyz, problems.points_body_m)
     step = _step(problems, poses, image_jacobian(problems.camera, points_cam_m, by_quaternion), damping)
     quats_wxyz, translations_m = quats_wxyz + step[:, :4], poses.translations_m + step[:, 4:]
-    # As in ``levenberg_marquardt._updated``: renormalising then leaves the image as it is.
+    # As in ``problem._updated``: renormalising then leaves the image as it is.
     if parameters == "quaternion":
         translations_m = translations_m / np.einsum("bi,bi->b", quats_wxyz, quats_wxyz)[:, None]
     return PoseStack(Rotation.from_quat(quats_wxyz, scalar_first=True).as_matrix(), translations_m)

@@ -20,16 +20,17 @@ from boresight.estimators.landmark.alignment import (
     centroid_residual_px,
     consistency_failure,
 )
-from boresight.estimators.landmark.build import DatabaseOptions
 from boresight.estimators.landmark.corners import CornerOptions, detect_corners
-from boresight.estimators.landmark.database import LandmarkDatabase
+from boresight.estimators.landmark.database import DatabaseOptions, LandmarkDatabase
 from boresight.estimators.landmark.matching import MatchedFrame, matched_table
 from boresight.estimators.landmark.pose.posterior import PosePrior
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import visible_landmarks
 from boresight.estimators.landmark.recognizer import POINT_PAIRS, landmark_database
-from boresight.estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
 from boresight.estimators.landmark.robust.search import (
+    Mixture,
+    MixtureEvaluation,
+    MixtureOptions,
     SearchOptions,
     best_hypotheses,
     refine_hypotheses,

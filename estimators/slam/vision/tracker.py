@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.estimators.slam.vision.features import ImageFeatures
 from boresight.estimators.slam.vision.matching import (
+    ImageFeatures,
     direction_inliers,
     fitted_direction,
     fundamental_inliers,

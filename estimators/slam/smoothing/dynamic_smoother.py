@@ -20,15 +20,13 @@ from boresight.estimators.slam.following import (
 )
 from boresight.estimators.slam.force_model import ForceModel, propagate
 from boresight.estimators.slam.options import DynamicOptions
-from boresight.estimators.slam.smoothing.dynamics.problem import (
+from boresight.estimators.slam.smoothing.dynamics import (
     Arcs,
     DynamicAdjustment,
+    DynamicOrdering,
     DynamicPrior,
     DynamicState,
     arc_information,
-)
-from boresight.estimators.slam.smoothing.dynamics.solver import (
-    DynamicOrdering,
     covariance_of,
     dynamic_equations,
     marginalise_dynamic,
