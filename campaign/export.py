@@ -29,7 +29,6 @@ from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_atomically, write_text
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, Pose
 
 _CAMERA = 1
 _NO_POINT = -1
@@ -114,8 +113,13 @@ def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
     lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
     for image, frame in enumerate(posed.frames, start=1):
         lines += _image(image, frame, posed, tracks)
+    camera = posed.camera
+    size, numbers = f"{camera.width_px} {camera.height_px}", (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
     texts = {
-        "cameras.txt": ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", _camera(posed.camera)],
+        "cameras.txt": [
+            "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+            f"{_CAMERA} PINHOLE {size} {_numbers(*numbers)}",
+        ],
         "images.txt": lines,
         "points3D.txt": [
             "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)",
@@ -125,11 +129,6 @@ def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
     for name, text in texts.items():
         write_text(folder / name, "\n".join(text) + "\n")
     return [folder / name for name in texts]
-
-
-def _camera(camera: Camera) -> str:
-    numbers = _numbers(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-    return f"{_CAMERA} PINHOLE {camera.width_px} {camera.height_px} {numbers}"
 
 
 def _image(image: int, frame: PosedFrame, posed: PosedFrames, tracks: dict[int, _Track]) -> list[str]:
@@ -162,14 +161,12 @@ def write_trajectory(name: str, frames: Sequence[PosedFrame], out: Path) -> list
     ordered = sorted(frames, key=lambda frame: frame.time_s)
     paths = [out / f"{name}.{what}.tum" for what in ("truth", "estimate")]
     for path, poses in zip(paths, zip(*[(f.true, f.estimated) for f in ordered], strict=True), strict=True):
-        lines = [_line(frame.time_s, pose) for frame, pose in zip(ordered, poses, strict=True)]
-        write_text(path, "# timestamp tx ty tz qx qy qz qw\n" + "".join(lines))
+        lines = ["# timestamp tx ty tz qx qy qz qw"]
+        for frame, T_cam_world in zip(ordered, poses, strict=True):
+            quat_xyzw = Rotation.from_matrix(T_cam_world.rotation.T).as_quat(canonical=True)
+            lines.append(_numbers(frame.time_s, *T_cam_world.camera_position_m, *quat_xyzw))
+        write_text(path, "\n".join(lines) + "\n")
     return paths
-
-
-def _line(time_s: float, T_cam_world: Pose) -> str:
-    quat_xyzw = Rotation.from_matrix(T_cam_world.rotation.T).as_quat(canonical=True)
-    return " ".join(f"{x:.17g}" for x in np.concatenate([[time_s], T_cam_world.camera_position_m, quat_xyzw])) + "\n"
 
 
 def write_tables(

@@ -167,7 +167,10 @@ class SpiceImageSet:
         if spec.spice is None:
             raise BoresightError("images.spice: missing: name instrument, kernels and body")
         spice = spec.spice
-        instrument = _instrument(spice)
+        if spice.instrument not in INSTRUMENTS:
+            known = ", ".join(sorted(INSTRUMENTS))
+            raise BoresightError(f"images.spice.instrument: {spice.instrument} is not known; these are: {known}")
+        instrument = INSTRUMENTS[spice.instrument]
         folder = find_data_folder(spec.folder, search_dirs, "images", "images.folder")
         paths = sorted(folder.glob(spice.files))
         if not paths:
@@ -225,13 +228,6 @@ class SpiceImageSet:
         """Read every image, so that a damaged one is found before a campaign starts."""
         for index in range(len(self)):
             self.image(index)
-
-
-def _instrument(spice: SpiceSpec) -> Instrument:
-    if spice.instrument not in INSTRUMENTS:
-        known = ", ".join(sorted(INSTRUMENTS))
-        raise BoresightError(f"images.spice.instrument: {spice.instrument} is not known; these are: {known}")
-    return INSTRUMENTS[spice.instrument]
 
 
 def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> None:

@@ -19,7 +19,8 @@ class _Plain(Console):
     """Ignores markup and control characters in printed text."""
 
     def print(self, *objects: Any, **how: Any) -> None:
-        super().print(*(_shown(one) if isinstance(one, str) else one for one in objects), **how)
+        shown = ("\n".join(map(printable, one.split("\n"))) if isinstance(one, str) else one for one in objects)
+        super().print(*shown, **how)
 
 
 def console() -> Console:
@@ -37,7 +38,3 @@ def writing(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise BoresightError(explain_write_error(error.filename or place, error)) from error
-
-
-def _shown(text: str) -> str:
-    return "\n".join(map(printable, text.split("\n")))

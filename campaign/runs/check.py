@@ -138,14 +138,11 @@ def _cost_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec, 
     time = "time not known before a first run here"
     if core_s is not None:
         time = f"{in_words(core_s * trials * len(scenarios) / cores())} on {cores()} core(s) by the last run here"
-    stored = sum(images_of(scenario.spec, trials) * _bytes_of_image(scenario) for scenario in scenarios)
+    specs = [scenario.spec for scenario in scenarios]
+    # Four bytes a pixel, uncompressed.
+    stored = sum(images_of(spec, trials) * 4 * spec.camera.width_px * spec.camera.height_px for spec in specs)
     size = f"; rendered images take {stored / 1e9:.2g} GB of the image store at most" if stored else ""
     return f"{count_of(trials, 'trial')} x {count_of(len(scenarios), 'scenario')}: {time}, data bases aside{size}"
-
-
-def _bytes_of_image(scenario: LoadedScenario) -> int:
-    camera = scenario.spec.camera
-    return 4 * camera.width_px * camera.height_px  # uncompressed
 
 
 def lengths_in_words(scenarios: Sequence[LoadedScenario], campaign: CampaignSpec) -> list[str]:

@@ -21,7 +21,7 @@ from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.estimators.landmark.recognizer import landmark_database
 from boresight.estimators.landmark.signal import observed_signal
 from boresight.estimators.options import parse_options
-from boresight.scenarios.geometry import Camera, TriangleMesh
+from boresight.scenarios.geometry import Camera
 from boresight.scenarios.observation import Frame, Observation
 from boresight.scenarios.spec.base import SpecModel
 
@@ -74,7 +74,10 @@ class PhotometricEstimator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and the onboard shape."""
         parsed = parse_options(PhotometricOptions, options, cls.name)
-        mesh = assets.shape() if parsed.shape == "onboard" else _landmark_mesh(parsed, assets)
+        if parsed.shape == "onboard":
+            mesh = assets.shape()
+        else:
+            mesh = landmark_database(parsed.database, assets, cls.name).mesh()
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
         available_gradient(parsed.gradient, renderer)
@@ -120,7 +123,3 @@ class PhotometricEstimator:
         levels = zip(self._options.levels, found.fits, strict=False)  # a failure may have ended it early
         fitted = (Stage(f"level-{level.reduction}", fit.T_cam_body) for level, fit in levels)
         return (Stage("alignment", found.shift.T_cam_body), *fitted)
-
-
-def _landmark_mesh(options: PhotometricOptions, assets: Assets) -> TriangleMesh:
-    return landmark_database(options.database, assets, PhotometricEstimator.name).mesh()

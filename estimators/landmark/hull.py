@@ -77,7 +77,11 @@ class _Solid:
     """Delaunay tetrahedra, of which some have been removed; always a topological ball."""
 
     def __init__(self, points_m: FloatArray) -> None:
-        self._points = _centred(points_m)
+        extent_m = float(np.ptp(points_m)) if len(points_m) else 0.0
+        if not extent_m > 0.0:
+            raise BoresightError(_no_volume(len(points_m)))
+        # Centred and scaled to unit extent, so that tolerances do not depend on the size of the body.
+        self._points: FloatArray = (points_m - points_m.mean(axis=0)) / extent_m
         try:
             delaunay, hull = Delaunay(self._points), ConvexHull(self._points)
         except QhullError as error:
@@ -213,15 +217,6 @@ class _Solid:
             across = across[across >= 0]
             level = across[~seen[across]]
         return None
-
-
-def _centred(points_m: FloatArray) -> FloatArray:
-    """Centre the points and scale them to unit extent, so that tolerances do not depend on the size of the body."""
-    extent_m = float(np.ptp(points_m)) if len(points_m) else 0.0
-    if not extent_m > 0.0:
-        raise BoresightError(_no_volume(len(points_m)))
-    centred: FloatArray = (points_m - points_m.mean(axis=0)) / extent_m
-    return centred
 
 
 def _no_volume(n_points: int) -> str:

@@ -1,4 +1,4 @@
-"""The batch filter: state, data arc, adjustment of a growing arc, splitting of landmark numbers, editing, acceptance."""
+"""The batch filter: state and data arc, adjustment of a growing arc, splitting of landmarks, editing, acceptance."""
 
 from __future__ import annotations
 

@@ -108,14 +108,10 @@ def parse_label(content: bytes, path: Path) -> Label:
     except _PARSER_FAULTS as error:
         reason = one_line(error)[:200] or type(error).__name__
         raise BoresightError(f"{path}: not a readable PDS3 label: {reason}") from error
-    return Label(path, _flattened(values))
-
-
-def _flattened(values: Mapping[str, object]) -> dict[str, object]:
-    """Move the keywords of an OBJECT = FILE to the top level, where other labels have them."""
+    # The keywords of an OBJECT = FILE go to the top level, where other labels have them.
     flat = dict(values)
     inner = flat.pop("FILE", None)
-    return {**flat, **dict(inner)} if isinstance(inner, Mapping) else flat
+    return Label(path, {**flat, **dict(inner)} if isinstance(inner, Mapping) else flat)
 
 
 def pixel_file(label: Label) -> Path:

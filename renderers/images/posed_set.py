@@ -138,17 +138,13 @@ def _files(rows: Sequence[_Row]) -> list[str]:
         name = (row.cells["file"] or "").strip()
         if not name:
             raise BoresightError(f"{row.place}: file: no file name")
-        if _leaves_folder(name):
+        paths = (PurePosixPath(name), PureWindowsPath(name))
+        if any(path.is_absolute() or path.drive or path.root or ".." in path.parts for path in paths):
             raise BoresightError(f"{row.place}: file: {name!r} leads out of the folder of the image set")
         if name in first:
             raise BoresightError(f"{row.place}: file: {name} appears twice, first at {first[name]}")
         first[name] = row.place
     return list(first)
-
-
-def _leaves_folder(name: str) -> bool:
-    paths = (PurePosixPath(name), PureWindowsPath(name))
-    return any(path.is_absolute() or path.drive or path.root or ".." in path.parts for path in paths)
 
 
 def _sun(row: _Row) -> FloatArray:

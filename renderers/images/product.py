@@ -67,7 +67,8 @@ def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: fl
     `BoresightError` if a time or an exposure time is invalid.
     """
     # Keywords of the file go before those of the object IMAGE.
-    flat = {**_inside(values, "IMAGE"), **values}
+    image = values.get("IMAGE")
+    flat = {**(image if isinstance(image, Mapping) else {}), **values}
     words = {name: _text(flat, keywords) for name, keywords in _KEYWORDS.items()}
     display = _text(flat, ("LINE_DISPLAY_DIRECTION",))
     return ImageMetadata(
@@ -76,11 +77,6 @@ def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: fl
         line_display={"UP": "up", "DOWN": "down"}.get((display or "").upper()),  # type: ignore[arg-type]
         **words,
     )
-
-
-def _inside(values: Mapping[str, object], name: str) -> Mapping[str, object]:
-    found = values.get(name)
-    return found if isinstance(found, Mapping) else {}
 
 
 def _first(values: Mapping[str, object], keywords: tuple[str, ...]) -> object:
