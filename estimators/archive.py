@@ -36,10 +36,8 @@ class Archive:
     def load(self, folder: Path, make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T]) -> T:
         """Read an archive written by ``save`` and construct the data base by ``make(head, arrays)``.
 
-        Raises
-        ------
-        BoresightError
-            If the file is missing, has another format or its content is wrong; the message gives its path.
+        Raise `BoresightError` if the file is missing, has another format or its content is wrong; the message gives its
+        path.
         """
         path = folder / self.file
         try:

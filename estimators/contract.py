@@ -72,10 +72,7 @@ class Assets(Protocol):
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product built beforehand from the scenario, by its kind (for example ``landmark-database``).
 
-        Raises
-        ------
-        NoProductError
-            If it cannot be built.
+        Raise `NoProductError` if it cannot be built.
         """
         ...
 
@@ -152,10 +149,7 @@ class Estimator(Protocol):
 def typed_product(assets: Assets, kind: str, options: SpecModel, expected: type[T], estimator: str) -> T:
     """Return the product of a kind that was built with ``options``, for the estimator of that name.
 
-    Raises
-    ------
-    BoresightError
-        If the product is not an object of the class ``expected``.
+    Raise `BoresightError` if the product is not an object of the class ``expected``.
     """
     product = assets.product(kind, options.model_dump(mode="json"))
     if not isinstance(product, expected):

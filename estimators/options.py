@@ -34,10 +34,7 @@ class OptionsError(BoresightError):
 def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:
     """Validate ``options`` by ``model``; options left out keep their default.
 
-    Raises
-    ------
-    OptionsError
-        With one line for each wrong option: estimator, dotted key, value and what is allowed.
+    Raise `OptionsError` with one line for each wrong option: estimator, dotted key, value and what is allowed.
     """
     try:
         return model.model_validate(on_defaults((model,), options))

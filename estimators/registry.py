@@ -43,10 +43,7 @@ class Registry(Generic[T]):
     def find(self, name: str) -> type[T]:
         """Import the class of a name, ``module:Class`` or ``file.py:Class``; our own names come before foreign ones.
 
-        Raises
-        ------
-        BoresightError
-            If the name is unknown, or a foreign class cannot be imported or lacks an attribute.
+        Raise `BoresightError` if the name is unknown, or a foreign class cannot be imported or lacks an attribute.
         """
         if name in self.own:
             module, attribute = self.own[name].split(":")
@@ -94,10 +91,7 @@ def file_of(name: str) -> Path | None:
 def source_digest(name: str) -> str | None:
     """Return the digest of the file of ``file.py:Class``; None for every other name.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Raise `OSError` if the file cannot be read.
     """
     file = file_of(name)
     return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
@@ -107,11 +101,7 @@ def class_at(name: str) -> object:
     """Import the attribute that ``module:Class`` or ``file.py:Class`` names.
 
     A file is a module by its content: one that was changed is imported again. What lies beside it can be imported.
-
-    Raises
-    ------
-    BoresightError
-        If it cannot be imported.
+    Raise `BoresightError` if it cannot be imported.
     """
     place, _, attribute = name.rpartition(":")
     file = file_of(name)
@@ -202,10 +192,7 @@ def with_bases(name: str, options: Mapping[str, object]) -> tuple[str, ...]:
 def built_base(name: str, options: Mapping[str, object], assets: Assets, section: str = "options") -> Estimator:
     """Build an estimator for another one that has its options in ``section``.
 
-    Raises
-    ------
-    BoresightError
-        If it cannot be built; errors of its options name the section.
+    Raise `BoresightError` if it cannot be built; errors of its options name the section.
     """
     try:
         return estimator_class(name).from_options(options, assets)

@@ -98,10 +98,7 @@ def write_images(path: Path, images: Mapping[int, StoredImage]) -> None:
 def read_images(path: Path) -> dict[int, StoredImage]:
     """Read all images of a file as read-only arrays.
 
-    Raises
-    ------
-    ValueError, KeyError, TypeError, OSError, or an error of pyarrow
-        If the file is damaged.
+    A damaged file raises ValueError, KeyError, TypeError, OSError, or an error of pyarrow.
     """
     images: dict[int, StoredImage] = {}
     for batch in _stored(path).to_batches():

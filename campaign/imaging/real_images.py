@@ -33,10 +33,7 @@ def open_images(scenario: LoadedScenario) -> ImageSet:
 def open_tracks(scenario: LoadedScenario) -> TrackTable | None:
     """Read the real tracks of a scenario; None if it has none.
 
-    Raises
-    ------
-    BoresightError
-        If a file is missing or wrong.
+    Raise `BoresightError` if a file is missing or wrong.
     """
     section = scenario.spec.sequence
     if section is None or section.tracks is None:

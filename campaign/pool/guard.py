@@ -99,10 +99,7 @@ def unmoved() -> Iterator[None]:
 def guarded(call: Call, work: Callable[[], T]) -> T:
     """Call a method under the current `Guard` and return its result.
 
-    Raises
-    ------
-    StoppedError
-        If it exceeds its time limit, or ended its process before.
+    Raise `StoppedError` if it exceeds its time limit, or ended its process before.
     """
     guard = _GUARD.get()
     if call in guard.lost:

@@ -178,12 +178,8 @@ class BuiltAssets:
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product, building it if it is missing and builds are allowed.
 
-        Raises
-        ------
-        NoProductError
-            If it cannot be built from the scenario; the reason is stored in place of the product.
-        MachineError
-            If the machine cannot build, store or read it.
+        Raise `NoProductError` if it cannot be built from the scenario; the reason is stored in place of the product.
+        Raise `MachineError` if the machine cannot build, store or read it.
         """
         product = product_kind(kind)
         wanted = with_database_seed(drafted(product.options.model_validate(options), self._draft), self._database)

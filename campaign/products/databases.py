@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from boresight.campaign.imaging.ranges import typical_range_m
+from boresight.campaign.imaging.preview import typical_range_m
 from boresight.renderers.mitsuba3 import renderer_version
 from boresight.scenarios.craters import shape_digest
 from boresight.scenarios.load import LoadedScenario, canonical_json

@@ -62,13 +62,7 @@ def check_campaign(campaign: ResolvedCampaign, trials: int) -> None:
 
 
 def check_data(campaign: ResolvedCampaign) -> None:
-    """Refuse a campaign if files of known data sets are missing.
-
-    Raises
-    ------
-    BoresightError
-        Naming all of them, and the commands that fetch them or do without.
-    """
+    """Raise `BoresightError` with all missing files of known data sets, and commands that bring them or do without."""
     absent: dict[str, str] = {}  # file or folder, as the scenario names it, to the data set that has it
     for scenario in campaign.scenarios:
         for need in needs_of_scenario(scenario):

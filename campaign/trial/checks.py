@@ -27,10 +27,7 @@ in which a method may compute."""
 def check_type(answer: object, kind: type) -> None:
     """Refuse what is no ``kind``, or of a subclass of it.
 
-    Raises
-    ------
-    ValueError
-        As all checks here, with what is wrong.
+    All checks here raise `ValueError` with what is wrong.
     """
     if type(answer) is not kind:
         raise ValueError(f"a {type(answer).__name__} is no {kind.__name__}")

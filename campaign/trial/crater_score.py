@@ -107,11 +107,8 @@ def ellipse_errors(found: Ellipses, true: Ellipses) -> dict[str, FloatArray]:
 def check_detections(found: CraterDetections) -> None:
     """Refuse detections that do not keep the contract.
 
-    Raises
-    ------
-    ValueError
-        If it is none, lengths differ, a number is not finite or of an impossible size, axes are not positive with the
-        longer first, or the confidence ascends.
+    Raise `ValueError` if it is none, lengths differ, a number is not finite or of an impossible size, axes are not
+    positive with the longer first, or the confidence ascends.
     """
     check_type(found, CraterDetections)
     check_type(found.ellipses, Ellipses)

@@ -152,10 +152,7 @@ class Trials(ABC):
     def build_methods(cls, campaign: ResolvedCampaign, scenario: LoadedScenario) -> Mapping[str, object]:
         """Build the methods that need no assets, by their labels.
 
-        Raises
-        ------
-        BoresightError
-            For options that cannot run, also of methods that `open` builds with their assets.
+        Raise `BoresightError` for options that cannot run, also of methods that `open` builds with their assets.
         """
 
     @classmethod

@@ -87,11 +87,8 @@ def try_build(
 def require_built(method: T | Unbuilt) -> T:
     """Return a method that was built.
 
-    Raises
-    ------
-    NoProductError
-        If it could not be built, with the traceback as a note. Each call raises a new exception: the traceback of one
-        that is raised again would grow with each trial.
+    Raise `NoProductError` if it could not be built, with the traceback as a note. Each call raises a new exception: the
+    traceback of one that is raised again would grow with each trial.
     """
     if not isinstance(method, Unbuilt):
         return method

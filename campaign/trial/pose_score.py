@@ -37,13 +37,10 @@ def nees(error: FloatArray, covariance: FloatArray | None) -> float | None:
 def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
     """Score T_cam_body against the truth.
 
-    Returns
-    -------
-    dict
-        ``position_error_m``: length of c_est - c_true, the camera's position in the body frame, m;
-        ``position_error_{x,y,z}_m``: R_true (c_est - c_true), the same in the true camera's axes;
-        ``attitude_error_deg``: angle of the rotation between the attitudes. This is the metric of
-        Rowell et al. (2015), section 3.4.4: an attitude error moves the camera about the body.
+    ``position_error_m`` is the length of c_est - c_true, the camera's position in the body frame, m;
+    ``position_error_{x,y,z}_m`` is R_true (c_est - c_true), the same in the true camera's axes. ``attitude_error_deg``
+    is the angle of the rotation between the attitudes. This is the metric of Rowell et al. (2015), section 3.4.4: an
+    attitude error moves the camera about the body.
     """
     in_body = estimated.camera_position_m - true.camera_position_m
     in_camera = true.rotate(in_body)

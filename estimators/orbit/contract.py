@@ -25,20 +25,11 @@ __all__ = [
 class Orbit:
     """A determined orbit, in inertial axes.
 
-    Parameters
-    ----------
-    state, covariance
-        (6,) and (6, 6) at the epoch: position, m, then velocity, m/s.
-    positions_m, velocities_m_s
-        (E, 3) at ``OrbitData.wanted_s``.
-    position_covariances_m2
-        (E, 3, 3).
-    numbers, points_body_m
-        (L',) and (L', 3) landmarks; a number that was split appears twice.
-    residuals_px
-        (K, 2) observed minus predicted, of every sighting; NaN where its landmark has no position.
-    used
-        (K,) sightings that were not edited.
+    ``state`` (6,) and ``covariance`` (6, 6) are at the epoch: position, m, then velocity, m/s. Positions and velocities
+    (E, 3), with ``position_covariances_m2`` (E, 3, 3), are at ``OrbitData.wanted_s``. ``numbers`` (L',) and
+    ``points_body_m`` (L', 3) are landmarks; a number that was split appears twice. ``residuals_px`` (K, 2) are observed
+    minus predicted, of every sighting; NaN where its landmark has no position. ``used`` (K,) tells which were not
+    edited.
     """
 
     state: FloatArray

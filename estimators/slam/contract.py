@@ -18,18 +18,10 @@ class LostError(Exception):
 class FrameEstimate:
     """Estimate right after a frame, from that frame and the ones before it.
 
-    Parameters
-    ----------
-    position_m
-        (3,) camera position, body frame.
-    covariance_m2
-        (3, 3) of its error; None where the method has none.
-    tracks, points_m
-        (n,) and (n, 3): the landmarks that the method holds at this frame, body frame.
-    seconds
-        Computing time of this frame.
-    velocity_m_s
-        (3,) velocity relative to the body's centre, inertial axes; None where the method has none.
+    ``position_m`` (3,) of the camera is in the body frame, with the covariance (3, 3) of its error, None where the
+    method has none. ``tracks`` (n,) and ``points_m`` (n, 3) are the landmarks that the method holds at this frame, body
+    frame. ``seconds`` is the computing time of this frame. ``velocity_m_s`` (3,) is relative to the body's centre, in
+    inertial axes; None where the method has none.
     """
 
     position_m: FloatArray

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={
-        "dead-reckoning": "boresight.estimators.slam.dead_reckoning:DeadReckoning",
+        "dead-reckoning": "boresight.estimators.slam.following:DeadReckoning",
         "ba-slam": "boresight.estimators.slam.keyframes.bundle:BundleSlam",
         "batch": "boresight.estimators.slam.smoothing.smoother:BatchAdjustment",
         "dynamic-smoother": "boresight.estimators.slam.smoothing.dynamic_smoother:DynamicSmoother",

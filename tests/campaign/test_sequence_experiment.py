@@ -19,7 +19,7 @@ from boresight.campaign.kinds.sequence.score import (
     summary,
 )
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
-from boresight.estimators.slam.dead_reckoning import DeadReckoning
+from boresight.estimators.slam.following import DeadReckoning
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.sequences import SphereGround, draw_sequence
 from boresight.scenarios.spec.sequence import SequenceSpec

@@ -12,8 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.imaging.preview import preview
-from boresight.campaign.imaging.ranges import typical_range_m
+from boresight.campaign.imaging.preview import preview, typical_range_m
 from boresight.campaign.imaging.world import check_bodies, open_world
 from boresight.campaign.products.database_images import database_images
 from boresight.campaign.runs.check import preflight

@@ -240,11 +240,8 @@ def unlisted_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.boo
 def check_matches(matches: CraterMatches | None, first: CraterImage, second: CraterImage) -> None:
     """Refuse matches that break the contract.
 
-    Raises
-    ------
-    ValueError
-        If they are none, name a detection that there is not, or one twice, or there are none and no reason, or some
-        and a reason.
+    Raise `ValueError` if they are none, name a detection that there is not, or one twice, or there are none and no
+    reason, or some and a reason.
     """
     if type(matches) is not CraterMatches:
         raise ValueError(f"a {type(matches).__name__} is no CraterMatches")

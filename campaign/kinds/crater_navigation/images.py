@@ -168,12 +168,8 @@ class NavigationTrial:
     ) -> NavigationTrial:
         """Plan the images by the a priori orbit, and fly the true one.
 
-        Raises
-        ------
-        OrbitLostError
-            If one of the two leads into the body.
-        BoresightError
-            If no ground is lit and in sight at any epoch.
+        Raise `OrbitLostError` if one of the two leads into the body, `BoresightError` if no ground is lit and in sight
+        at any epoch.
         """
         start = propagate_truth(world, np.zeros(0), seed, trial)
         knowledge, shape = draw_knowledge(world, start.wanted_states[0], seed, trial), apriori_shape(world)

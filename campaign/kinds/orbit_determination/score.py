@@ -37,11 +37,8 @@ _AXES = 3
 def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
     """Refuse an estimate that does not keep the contract.
 
-    Raises
-    ------
-    ValueError
-        If it is none, status or reason is none, an orbit is missing, or an array has another shape, is not finite or
-        of an impossible size.
+    Raise `ValueError` if it is none, status or reason is none, an orbit is missing, or an array has another shape, is
+    not finite or of an impossible size.
     """
     check_type(estimate, OrbitEstimate)
     check_status(estimate.status, estimate.reason)

@@ -160,10 +160,7 @@ class SequenceTrials(MethodRunner[SequenceEstimator, Seen | Watch, SequenceEstim
     def known(self, trial: int) -> tuple[CameraTrajectory, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
 
-        Raises
-        ------
-        OrbitLostError
-            If chance leads the orbit into the body.
+        Raise `OrbitLostError` if chance leads the orbit into the body.
         """
         if self.images is not None:
             watch = Watch(self.images, self.seed, trial)

@@ -37,11 +37,8 @@ _LEAST_MOTION = 1e-9  # of the distance, below which a motion is rounding
 def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
     """Refuse an estimate that does not keep the contract.
 
-    Raises
-    ------
-    ValueError
-        If it is none, the status or the reason is none, frames are too many or missing, or a number is not finite or of
-        an impossible size.
+    Raise `ValueError` if it is none, the status or the reason is none, frames are too many or missing, or a number is
+    not finite or of an impossible size.
     """
     check_type(estimate, SequenceEstimate)
     check_status(estimate.status, estimate.reason)

@@ -121,10 +121,7 @@ class Watch:
     def frame(self, index: int, prediction: Prediction | None) -> TrackFrame:
         """Return a frame; it is made when it is asked for first, after the one before.
 
-        Raises
-        ------
-        StopIteration
-            After the last.
+        Raise `StopIteration` after the last.
         """
         if index >= len(self._slots):
             raise StopIteration

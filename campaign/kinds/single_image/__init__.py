@@ -63,11 +63,8 @@ EstimatedImage = InspectedTrial[View, Observation, Estimate]
 def check(estimate: Estimate) -> None:
     """Refuse an estimate that does not keep the contract.
 
-    Raises
-    ------
-    ValueError
-        If it is none, the status or the reason is none, it is ok without a pose, or a number is not finite or of an
-        impossible size.
+    Raise `ValueError` if it is none, the status or the reason is none, it is ok without a pose, or a number is not
+    finite or of an impossible size.
     """
     check_type(estimate, Estimate)
     check_status(estimate.status, estimate.reason)

@@ -18,14 +18,8 @@ from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 class Envelope(NamedTuple):
     """Shape of the stored upper triangle of n block rows.
 
-    Parameters
-    ----------
-    reach
-        (n,) last block column of each block row.
-    width
-        (n,) stored length of each of its three rows: 3 (reach - i + 1).
-    begin
-        (n + 1,) index of its first stored value, and of the end.
+    ``reach`` (n,) is the last block column of each block row, ``width`` (n,) the stored length of each of its three
+    rows: 3 (reach - i + 1). ``begin`` (n + 1,) is the index of its first stored value, and of the end.
     """
 
     reach: IndexArray
