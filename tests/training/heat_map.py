@@ -166,8 +166,8 @@ def recall(network: HeatMap, images: Tensor, seen: Seen, false_share: float = 0.
         found, logit = found[rows], logit[rows]
         parts = (seen.x, seen.y, seen.radius, seen.clear, seen.doubtful)
         x, y, radius, clear, doubtful = (part[k].cpu().numpy() for part in parts)
-        clear &= (radius >= 4.0) & (radius <= 32.0)
-        there = clear | doubtful | (seen.clear[k].cpu().numpy())
+        there = clear | doubtful
+        clear = clear & (radius >= 4.0) & (radius <= 32.0)
         x, y, radius, clear = x[there], y[there], radius[there], clear[there]
         clear_total += int(clear.sum())
         taken = np.zeros(len(x), dtype=bool)
