@@ -15,14 +15,15 @@ Floats = NDArray[np.float32]
 _kernel = numba.njit(nogil=True, fastmath=True, error_model="numpy")
 
 SIDE = 384  # of a field
-TABLE = 768  # most craters of a field that are told to the training
-RADIUS_MIN = 2.5  # of those
+TABLE = 1536  # most craters of a field that are told to the training
+RADIUS_MIN = 1.7  # of those
 RINGS = np.linspace(0.1, 1.25, 8).astype(np.float32)  # in radii: where the profile of a crater is told
 COLUMNS = 4 + len(RINGS)  # of the table: x, y, radius, share of the rim that is cut, heights at the rings
 
 _FAMILIES, _WEARS, _STEPS = 16, 24, 128
 _FARTHEST = 3.2  # radii that a profile reaches
 _WEAR_MIN, _WEAR_MAX = 0.02, 1.6
+_CREST_MAX = 1.35  # radii of the fresh crater: what is worn further has no crest that could be seen
 
 
 def profiles() -> Floats:
@@ -67,6 +68,17 @@ def _profile(table: Floats, family: int, wear: float, r: float) -> float:
     one = table[family, k, i] * (1.0 - f) + table[family, k, i + 1] * f
     two = table[family, k + 1, i] * (1.0 - f) + table[family, k + 1, i + 1] * f
     return one * (1.0 - g) + two * g
+
+
+@_kernel
+def _crest_of(line: Floats) -> float:
+    """Return where a worn profile is highest, in radii of the fresh crater: diffusion moves the crest outwards."""
+    scale = (_STEPS - 1) / _FARTHEST
+    best = int(0.9 * scale)
+    for k in range(best, int(_CREST_MAX * scale)):
+        if line[k] > line[best]:
+            best = k
+    return best / scale
 
 
 @_kernel
@@ -181,6 +193,7 @@ def draw_field(rng: np.random.Generator, table: Floats, height: Floats, albedo: 
     rings = np.zeros((count, len(RINGS)), dtype=np.float32)
     shape = np.zeros(4, dtype=np.float32)
     line = np.zeros(_STEPS, dtype=np.float32)
+    crest = np.zeros(count, dtype=np.float32)
     for i in range(count):
         u = rng.random()
         radius = (least**-slope + u * (most**-slope - least**-slope)) ** (-1.0 / slope)
@@ -188,7 +201,7 @@ def draw_field(rng: np.random.Generator, table: Floats, height: Floats, albedo: 
         bowl[0], bowl[1] = rng.random() * (SIDE + 40.0) - 20.0, rng.random() * (SIDE + 40.0) - 20.0
         bowl[2], bowl[3] = radius, 2.0 * radius * deepest * (0.6 + 0.4 * rng.random())
         age = 1.0 - i / count
-        wear = 0.03 + 0.07 * rng.random() + diffusion * np.sqrt(age) / radius
+        wear = 0.04 + 0.12 * rng.random() + diffusion * np.sqrt(age) / radius
         if rng.random() < 0.35:
             wear += 0.8 * rng.random() ** 2
         family = int(rng.random() * _FAMILIES)
@@ -197,8 +210,9 @@ def draw_field(rng: np.random.Generator, table: Floats, height: Floats, albedo: 
             shape[k] = rng.normal() * uneven / (1.0 + (k > 1))
         for k in range(_STEPS):
             line[k] = _profile(table, family, wear, k * (_FARTHEST / (_STEPS - 1)))
+        crest[i] = _crest_of(line)
         for k in range(len(RINGS)):
-            rings[i, k] = bowl[3] * _profile(table, family, wear, RINGS[k])
+            rings[i, k] = bowl[3] * _profile(table, family, wear, RINGS[k] * crest[i])
         bright = 0.0
         if rays and wear < 0.25 and rng.random() < 0.4:
             bright = rng.random() * 0.5 - 0.12
@@ -214,6 +228,6 @@ def draw_field(rng: np.random.Generator, table: Floats, height: Floats, albedo: 
         hidden, cut = _is_hidden(bowls, i)
         if hidden or cut > 0.8:
             continue
-        told[n, :3], told[n, 3], told[n, 4:] = bowls[i, :3], cut, rings[i]
+        told[n, :2], told[n, 2], told[n, 3], told[n, 4:] = bowls[i, :2], bowls[i, 2] * crest[i], cut, rings[i]
         n += 1
     return n

@@ -19,7 +19,7 @@ from training.cratered_fields import RINGS
 SIDE = 256  # of an image
 WINDOW = 20.0  # standard deviation of the window that evens brightness and contrast out
 _ANGLES = 16
-_SUN_ERROR_DEG = 7.0
+_SUN_ERROR_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True)

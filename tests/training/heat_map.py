@@ -23,14 +23,15 @@ from typing import TextIO
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from training import cratered_fields as fields
 from training.field_images import Draw, Seen, draw_images
-from training.heat_map_network import BANDS_PX, STRIDE, HeatMap, Targets, folded, loss_of
+from training.heat_map_network import BANDS_PX, OUTPUTS, STRIDE, HeatMap, Layer, Targets, folded, loss_of
 
 _CHUNK = 16  # fields that a thread draws at a time
-_MOST_PEAKS = 500  # of an image of 256 x 256 pixels
+_MOST_PEAKS = 800  # of an image of 256 x 256 pixels
+_COUNTED_PX = (2.6, 32.0)  # radii of the craters that the recall is of
 _HELD_OUT = 900_000_000  # seeds of fields for the recall start here
 
 
@@ -167,11 +168,11 @@ def recall(network: HeatMap, images: Tensor, seen: Seen, false_share: float = 0.
         parts = (seen.x, seen.y, seen.radius, seen.clear, seen.doubtful)
         x, y, radius, clear, doubtful = (part[k].cpu().numpy() for part in parts)
         there = clear | doubtful
-        clear = clear & (radius >= 4.0) & (radius <= 32.0)
+        clear = clear & (radius >= _COUNTED_PX[0]) & (radius <= _COUNTED_PX[1])
         x, y, radius, clear = x[there], y[there], radius[there], clear[there]
         clear_total += int(clear.sum())
         taken = np.zeros(len(x), dtype=bool)
-        inside = (found[:, 2] >= 4.0) & (found[:, 2] <= 32.0)
+        inside = (found[:, 2] >= _COUNTED_PX[0]) & (found[:, 2] <= _COUNTED_PX[1])
         for one, value in zip(found[inside], logit[inside], strict=True):
             near = np.hypot(x - one[0], y - one[1]) / np.maximum(radius, 1e-6)
             right = (near < 0.5) & (np.abs(np.log(np.maximum(radius, 1e-6) / one[2])) < 0.5)
@@ -206,17 +207,57 @@ def held_out(course: Course, pool: Pool, device: torch.device) -> tuple[Tensor, 
     return images, seen
 
 
-def train(course: Course, out: Path, device: torch.device, workers: int) -> None:
-    """Train for the minutes of the course; the weights are written each minute and at the end."""
+@torch.no_grad()
+def start_from(network: HeatMap, path: Path, images: Tensor) -> None:
+    """Set a network to stored weights; normalisation is set to change nothing on images (batch, 2, rows, columns).
+
+    Bands of radii that the stored network lacks are those of the smallest that it has, with few craters.
+    """
+    stored = {name: torch.from_numpy(part.astype(np.float32)).to(images.device) for name, part in np.load(path).items()}
+
+    def unfold(norm: nn.BatchNorm2d, name: str, values: Tensor) -> None:
+        variance, mean = torch.var_mean(values, (0, 2, 3))
+        norm.running_mean.copy_(mean)
+        norm.running_var.copy_(variance)
+        norm.weight.copy_(torch.sqrt(variance + norm.eps))
+        norm.bias.copy_(mean + stored[f"{name}_bias"])
+
+    hooks = []
+    for name, part in network.named_children():
+        kernel, bias = stored[f"{name}_kernel"], stored[f"{name}_bias"]
+        if isinstance(part, Layer):
+            part[0].weight.copy_(kernel)
+            hooks.append(part[1].register_forward_pre_hook(lambda norm, x, name=name: unfold(norm, name, x[0])))
+            continue
+        if name == "head" and len(kernel) < len(part.weight):
+            new = (len(part.weight) - len(kernel)) // OUTPUTS
+            kernel = torch.cat([*[kernel[:OUTPUTS]] * new, kernel])
+            bias = torch.cat([*[bias[:OUTPUTS]] * new, bias])
+        part.weight.copy_(kernel)
+        part.bias.copy_(bias)
+    network.eval()
+    network(images)
+    for hook in hooks:
+        hook.remove()
+    network.train()
+
+
+def train(course: Course, out: Path, device: torch.device, workers: int, start: Path | None = None) -> None:
+    """Train for the minutes of the course; the weights are written each minute and at the end.
+
+    ``start`` are weights to begin with, in place of random ones.
+    """
     started = time.monotonic()
     torch.manual_seed(course.seed)
     torch.backends.cudnn.benchmark = True
     pool = Pool(course, device, workers)
     images, seen = held_out(course, pool, device)
     network = HeatMap().to(device, memory_format=torch.channels_last)
+    draw = Draw(course.seed, device)
+    if start is not None:
+        start_from(network, start, draw_images(draw, *pool.draw(draw, course.batch))[0])
     mean = copy.deepcopy(network).eval()
     optimiser = torch.optim.AdamW(network.parameters(), lr=course.rate, weight_decay=course.decay)
-    draw = Draw(course.seed, device)
     say(f"ready after {time.monotonic() - started:.0f} s on {device}, {workers} threads")
     log = (out / "loss.csv").open("w", encoding="utf-8")
     log.write("step,seconds,focal,place,recall,threshold,waited_s\n")
@@ -296,11 +337,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--fresh", type=int, default=Course().fresh)
     parser.add_argument("--held-out", type=int, default=Course().held_out)
     parser.add_argument("--workers", type=int, default=max((os.cpu_count() or 2) - 2, 1))
+    parser.add_argument("--rate", type=float, default=Course().rate)
+    parser.add_argument("--weights", type=Path, help="weights to start from, as written by an earlier run")
     told = parser.parse_args(arguments)
     told.out.mkdir(parents=True, exist_ok=True)
-    course = Course(told.seed, told.minutes, told.batch, told.pool, told.fresh, held_out=told.held_out)
+    course = Course(
+        told.seed, told.minutes, told.batch, told.pool, told.fresh, told.rate, held_out=told.held_out
+    )
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    train(course, told.out, device, told.workers)
+    train(course, told.out, device, told.workers, told.weights)
     return 0
 
 

@@ -14,15 +14,16 @@ from torch import Tensor, nn
 from training.field_images import SIDE, Seen
 
 STRIDE = 2  # pixels of the image for one of the heat map
-BANDS_PX = (4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
+BANDS_PX = (2.5, 4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
 STEP = float(np.log(1.8))  # between the logarithms of the bands
-RADIUS_PX = (3.3, 36.0)  # taught; craters a little beyond are neither right nor wrong
-DOUBTFUL_PX = (2.4, 52.0)
+RADIUS_PX = (2.1, 36.0)  # taught; craters a little beyond are neither right nor wrong
+DOUBTFUL_PX = (1.6, 52.0)
+DOUBTFUL_WEIGHT = 0.1  # of a doubtful crater where it is called none: the less plain, the lower the logit
 OUTPUTS = 6  # of each band: logit, place along x and y, log radius, elongation along and across
 _REACH = 5  # cells on either side of a centre that targets reach
 
 
-class Block(nn.Sequential):
+class Layer(nn.Sequential):
     """A convolution of 3 x 3, normalisation and rectification."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
@@ -36,13 +37,13 @@ class HeatMap(nn.Module):
     def __init__(self, widths: tuple[int, int, int, int] = (24, 48, 64, 96)) -> None:
         super().__init__()
         a, b, c, d = widths
-        self.stem = Block(8, a)
-        self.second = Block(a, a)
-        self.down4, self.quarter = Block(a, b, 2), Block(b, b)
-        self.down8, self.eighth = Block(b, c, 2), Block(c, c)
-        self.down16, self.deep1, self.deep2 = Block(c, d, 2), Block(d, d), Block(d, d)
+        self.stem = Layer(8, a)
+        self.second = Layer(a, a)
+        self.down4, self.quarter = Layer(a, b, 2), Layer(b, b)
+        self.down8, self.eighth = Layer(b, c, 2), Layer(c, c)
+        self.down16, self.deep1, self.deep2 = Layer(c, d, 2), Layer(d, d), Layer(d, d)
         self.side8, self.side4, self.side2 = nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
-        self.up8, self.up4, self.up2 = Block(c, c), Block(b, b), Block(a, 2 * a)
+        self.up8, self.up4, self.up2 = Layer(c, c), Layer(b, b), Layer(a, 2 * a)
         self.head = nn.Conv2d(2 * a, len(BANDS_PX) * OUTPUTS, 1)
         with torch.no_grad():
             self.head.bias.view(len(BANDS_PX), OUTPUTS)[:, 0] = -4.0
@@ -66,8 +67,8 @@ class HeatMap(nn.Module):
 class Targets:
     """What the network is to return for the craters of images.
 
-    ``heat`` (batch, bands, cells, cells) is 1 in the cell of a centre and falls off around it, ``weight`` is 0 around
-    doubtful craters. ``cells`` (m,) of the flat heat map have ``values`` (m, OUTPUTS - 1).
+    ``heat`` (batch, bands, cells, cells) is 1 in the cell of a centre and falls off around it, ``weight`` is small
+    around doubtful craters. ``cells`` (m,) of the flat heat map have ``values`` (m, OUTPUTS - 1).
     """
 
     def __init__(self, seen: Seen) -> None:
@@ -79,7 +80,8 @@ class Targets:
         heat, weight = torch.zeros(size, device=device), torch.ones(size, device=device)
 
         unsure = _Windows(seen, (seen.doubtful & near) | (seen.clear & near & ~taught))
-        weight[unsure.flat[unsure.inside & (unsure.apart < 0.5 * unsure.radius) & (unsure.share > 0.1)]] = 0.0
+        unsure_cells = unsure.flat[unsure.inside & (unsure.apart < 0.5 * unsure.radius) & (unsure.share > 0.1)]
+        weight[unsure_cells] = DOUBTFUL_WEIGHT
 
         sure = _Windows(seen, seen.clear & taught)
         spread = (0.18 * sure.radius).clamp(1.2, 4.4)
@@ -142,7 +144,7 @@ def folded(network: HeatMap) -> dict[str, np.ndarray]:
     """Return the convolutions' kernels and biases by name, normalisation folded in, in half precision."""
     weights = {}
     for name, part in network.named_children():
-        if isinstance(part, Block):
+        if isinstance(part, Layer):
             norm = part[1]
             gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
             kernel, bias = part[0].weight * gain[:, None, None, None], norm.bias - norm.running_mean * gain
