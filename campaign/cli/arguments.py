@@ -64,6 +64,16 @@ def _share(text: str) -> float:
     return share
 
 
+def _angle_deg(text: str) -> float:
+    try:
+        angle = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not -360.0 <= angle <= 360.0:
+        raise argparse.ArgumentTypeError(f"{text} is not from -360 to 360")
+    return angle
+
+
 def _a(name: str, text: str | None, kind: dict[str, Any] | None = None, **how: Any) -> _Argument:
     """Describe an argument: its name, its help, the kind of its value, and what else argparse is told of it."""
     return name, {"help": text, **(kind or {}), **how}
@@ -197,8 +207,14 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
            _POSITIVE),
         _EMBEDDED, *_FETCH,
     ),
-    "craters": ("craters:craters_command", "detect craters in a real image of Eros by NEAR's MSI",
-        _a("image", "label or FITS file (default: the one in BORESIGHT_DATA)", _FILE, nargs="?"),
+    "craters": ("craters:craters_command", "detect craters in a picture, or in an image of Eros by NEAR's MSI",
+        _a("image", "picture (PNG, TIFF, PGM, ...), or label or FITS file of MSI (default: the one in BORESIGHT_DATA)",
+           _FILE, nargs="?"),
+        _a("--sun", "of a picture: direction towards the Sun, deg from its columns' direction, clockwise as seen"
+           " (default: estimated from the craters)", type=_angle_deg, metavar="DEG"),
+        _a("--truth", "of a picture: table of labelled boxes, circles or ellipses to score the detections against", _FILE,
+           metavar="TABLE"),
+        _a("--columns", "names of the columns of a TABLE without a first line, as x,y,diameter", default=""),
         _a("--detector", "crater-classic (default), crater-learned, or a detector of an installed package",
            default="crater-classic"),
         _a("--out", "folder of figures and tables", _FILE, default=Path("figures/craters")),

@@ -280,7 +280,13 @@ def channels(image: Tensor, ground: Tensor) -> Tensor:
 
 
 def draw_images(draw: Draw, height: Tensor, albedo: Tensor, craters: Tensor) -> tuple[Tensor, Seen]:
-    """Draw images (batch, SIDE, SIDE) in the network's channels of fields (batch, side, side), and their craters.
+    """Draw images of fields as `draw_views` does, and return them in the network's channels (batch, 2, SIDE, SIDE)."""
+    image, ground, seen = draw_views(draw, height, albedo, craters)
+    return channels(image, ground), seen
+
+
+def draw_views(draw: Draw, height: Tensor, albedo: Tensor, craters: Tensor) -> tuple[Tensor, Tensor, Seen]:
+    """Draw images (batch, SIDE, SIDE) of fields (batch, side, side), where there is ground in them, and their craters.
 
     ``craters`` (batch, n, columns) are those of `training.cratered_fields.draw_field`, 0 in unused rows.
     """
@@ -312,4 +318,4 @@ def draw_images(draw: Draw, height: Tensor, albedo: Tensor, craters: Tensor) -> 
         align_corners=False,
     )[:, 0, 0] > 0.5  # fmt: skip
     seen = Seen(seen.x, seen.y, seen.radius, seen.along, seen.across, seen.clear & on, seen.doubtful & on)
-    return channels(image, ground), seen
+    return image, ground, seen

@@ -14,7 +14,7 @@ import numpy as np
 from boresight.scenarios.arrays import FloatArray, Image
 
 STRIDE = 2  # pixels of the image for one of the heat map
-BANDS_PX = (4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
+BANDS_PX = (2.5, 4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
 OUTPUTS = 6  # of each band: logit, place along x and y, log radius, elongation along and across
 DEEPEST = 16  # pixels of the image for one of the coarsest layer: sides are multiples of it
 WINDOW_PX = 20.0  # standard deviation of the window that evens brightness and contrast out
