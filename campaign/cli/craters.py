@@ -6,7 +6,7 @@ import argparse
 
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.data.crater_labels import PICTURES
-from boresight.campaign.data.crater_pictures import detect_in_picture, write_picture
+from boresight.campaign.data.crater_pictures import OPTIONS, detect_in_picture, write_picture
 from boresight.campaign.data.named_craters import detect_real, write_real
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.scenarios.errors import BoresightError
@@ -14,11 +14,13 @@ from boresight.scenarios.errors import BoresightError
 
 def craters_command(arguments: argparse.Namespace) -> int:
     """Detect craters in a real image, and write figures and tables."""
-    detector = crater_detector_class(arguments.detector).from_options({})
+    pictured = arguments.image is not None and arguments.image.suffix.lower() in PICTURES
+    options = OPTIONS.get(arguments.detector, {}) if pictured else {}
+    detector = crater_detector_class(arguments.detector).from_options(options)
     out = console()
     if arguments.columns and arguments.truth is None:
         raise BoresightError("--columns: names the columns of a table, which --truth gives")
-    if arguments.image is not None and arguments.image.suffix.lower() in PICTURES:
+    if pictured:
         picture = detect_in_picture(detector, arguments.image, arguments.sun, arguments.truth, arguments.columns)
         with writing(arguments.out):
             written = write_picture(picture, arguments.out)

@@ -16,8 +16,8 @@ PICTURES = (".png", ".pgm", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _MOST_PX = 1e6
 
 _ALIKE = {
-    "u": "u", "u_px": "u", "c_x": "u", "cx": "u", "x_px": "u", "v": "v", "v_px": "v", "c_y": "v", "cy": "v", "y_px": "v",
-    "x": "x", "y": "y", "w": "width", "width": "width", "h": "height", "height": "height",
+    "u": "u", "u_px": "u", "c_x": "u", "cx": "u", "x_px": "u", "v": "v", "v_px": "v", "c_y": "v", "cy": "v",
+    "y_px": "v", "x": "x", "y": "y", "w": "width", "width": "width", "h": "height", "height": "height",
     "diameter": "diameter", "diameter_px": "diameter", "d": "diameter", "radius": "radius", "radius_px": "radius",
     "r": "radius", "a": "a", "a_px": "a", "b": "b", "b_px": "b", "angle": "angle", "angle_deg": "angle",
 }  # fmt: skip
@@ -54,7 +54,8 @@ def read_labels(path: Path, columns: str = "") -> Ellipses:
     lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip() and line[0] != "#"]
     rows = [(k, next(csv.reader([line.replace("\t", ",").replace(";", ",")]))) for k, line in lines]
     names = columns.split(",") if columns else rows.pop(0)[1] if rows else []
-    place = {_ALIKE[name.strip().lower()]: i for i, name in reversed(list(enumerate(names))) if name.strip().lower() in _ALIKE}
+    meant = [_ALIKE.get(name.strip().lower(), "") for name in names]
+    place = {name: meant.index(name) for name in meant if name}
     wanted = _kind_of(path, set(place), names)
     if not rows:
         raise BoresightError(f"{path}: the table has no craters")
@@ -69,8 +70,8 @@ def _kind_of(path: Path, there: set[str], names: list[str]) -> list[str]:
         if there.issuperset(kind):
             return kind
     raise BoresightError(
-        f"{path}: line 1: columns {', '.join(name.strip() for name in names) or 'none'} are no boxes (x, y, w, h), circles"
-        " (x, y, radius or diameter) or ellipses (u, v, a, b, angle_deg): name the columns by --columns"
+        f"{path}: line 1: columns {', '.join(name.strip() for name in names) or 'none'} are no boxes (x, y, w, h),"
+        " circles (x, y, radius or diameter) or ellipses (u, v, a, b, angle_deg): name the columns by --columns"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from boresight.estimators.craters.learned.detector import packaged_heat_map
 from boresight.estimators.craters.learned.sunward import estimate_sun
 from boresight.reports.figures.craters import draw_detections
 from boresight.reports.figures.style import save_figure
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import BoolArray, FloatArray, Image
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
@@ -26,6 +27,8 @@ _FOV_RAD = 0.1  # detectors use the size of the camera alone
 _RANGE_M = 1e5
 _SUN_ELEVATION_RAD = np.radians(30.0)  # above the image plane: unknown, and of little effect on detectors
 RADIUS_MIN_PX = 4.0  # of labels that are scored
+OPTIONS: Mapping[str, Mapping[str, object]] = {"crater-learned": {"radius_min_px": 3.0}}
+"""Options of detectors in pictures: labels are made down to smaller craters than the truth of rendered images has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +45,11 @@ class PictureDetection:
         """Match the detections with the labels."""
         return match_labels(self.detections, self.labels or Ellipses.none(), self.image, RADIUS_MIN_PX)
 
+    def above_threshold(self, matches: LabelMatches) -> BoolArray:
+        """Say which of the matched detections are above the detector's threshold."""
+        sure = self.detections.confidence
+        return np.asarray(matches.confidence >= (sure[-1] if len(sure) else np.inf))
+
     def summary(self) -> list[str]:
         """Return lines on the Sun, and on recall and quality of the labels if there are any."""
         angle = np.degrees(np.arctan2(self.sun_px[1], self.sun_px[0]))
@@ -49,11 +57,11 @@ class PictureDetection:
         if self.labels is None:
             return lines
         matches = self.matches()
-        above = matches.confidence >= (self.detections.confidence[-1] if len(self.detections.confidence) else np.inf)
-        n, label = len(matches.radius_px), matches.label[above]
+        n, label = len(matches.radius_px), matches.label[self.above_threshold(matches)]
         found, false = int(np.sum(label >= 0)), int(np.sum(label == -1))
         lines.append(
-            f"{found} of {n} labels from {RADIUS_MIN_PX:g} px radius found; {false} of {len(label)} detections fit no label"
+            f"{found} of {n} labels from {RADIUS_MIN_PX:g} px radius found;"
+            f" {false} of {len(label)} detections fit no label"
         )
         return [*lines, label_quality(matches)]
 

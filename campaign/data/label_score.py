@@ -1,8 +1,9 @@
-"""Scores of detections against labels of real craters: recall by false alarms, size and contrast; quality of the labels."""
+"""Scores of detections against labels of real craters: recall by false alarms, size and contrast."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -130,7 +131,7 @@ def score_table(matches: LabelMatches) -> pd.DataFrame:
     """Tabulate the recall at shares of false alarms: of all labels, by radius, by contrast and of isolated ones."""
     n = len(matches.radius_px)
     groups: list[tuple[str, BoolArray]] = [("all", np.ones(n, dtype=bool)), ("isolated", matches.isolated)]
-    for low, high in zip(SIZES_PX[:-1], SIZES_PX[1:], strict=True):
+    for low, high in pairwise(SIZES_PX):
         name = f"radius {low:g} to {high:g} px" if np.isfinite(high) else f"radius from {low:g} px"
         groups.append((name, (matches.radius_px >= low) & (matches.radius_px < high)))
     thirds = np.nanquantile(matches.contrast, [1 / 3, 2 / 3]) if n else np.zeros(2)

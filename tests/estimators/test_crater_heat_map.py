@@ -72,9 +72,7 @@ def test_a_turned_image_shows_its_points_where_it_says(angle_deg):
     well = np.all((places > 2.0) & (places < np.array([88.0, 68.0])), axis=1)
     assert well.sum() > 5000
     for k, stored in enumerate((columns, rows)):
-        np.testing.assert_allclose(
-            turn.apply(stored.astype(np.float32)).ravel()[well], places[well, k], atol=0.05
-        )
+        np.testing.assert_allclose(turn.apply(stored.astype(np.float32)).ravel()[well], places[well, k], atol=0.05)
     assert all(size % 16 == 0 for size in turn.size)
     np.testing.assert_allclose(turn.rotation @ sun, [1.0, 0.0], atol=1e-12)
 

@@ -341,9 +341,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--weights", type=Path, help="weights to start from, as written by an earlier run")
     told = parser.parse_args(arguments)
     told.out.mkdir(parents=True, exist_ok=True)
-    course = Course(
-        told.seed, told.minutes, told.batch, told.pool, told.fresh, told.rate, held_out=told.held_out
-    )
+    course = Course(told.seed, told.minutes, told.batch, told.pool, told.fresh, told.rate, held_out=told.held_out)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     train(course, told.out, device, told.workers, told.weights)
     return 0

@@ -35,7 +35,7 @@ from boresight.estimators.craters.learned.network import (
 )
 from boresight.estimators.craters.learned.search import search
 from boresight.estimators.options import parse_options
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses
 from boresight.scenarios.observation import Frame
@@ -162,12 +162,12 @@ class CraterLearned:
 
     It fails when
     -------------
-    The image is refused as by ``crater-classic``. About 10 % of its detections are false; raise ``confidence_min`` where
-    fewer are needed.
+    The image is refused as by ``crater-classic``. About 10 % of its detections are false: raise ``confidence_min``
+    where fewer are needed.
 
     Cost
     ----
-    COST
+    1.05 s of one core for an image of 537 x 412 pixels (mean of 7, on a busy machine; version 3: 0.53 s).
 
     Source
     ------
@@ -205,9 +205,12 @@ class CraterLearned:
         keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
         seen, odds = seen[keep], odds[keep]
         rows = suppress_duplicates(seen, odds, 0.6, 1.6)
+        seen, odds = seen[rows], odds[rows]
+        # Rims are placed best from nearby, and few are left: they are corrected once more.
+        seen = rims_from_outputs(seen, self._network_outputs(source, seen)[:, 1:], source.sun_px)
         # The logistic function of the log odds.
-        sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        rims = blend_with_gradient(seen[rows], picture, o.blend_from_px, ClassicOptions())
+        sure = 1.0 / (1.0 + np.exp(-odds))
+        rims = blend_with_gradient(seen, picture, o.blend_from_px, ClassicOptions())
         return CraterDetections.above(o.confidence_min, rims, sure)
 
     def _network_outputs(self, source: PatchSource, seen: Ellipses) -> FloatArray:

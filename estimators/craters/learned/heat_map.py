@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import Image
 
 STRIDE = 2  # pixels of the image for one of the heat map
 BANDS_PX = (2.5, 4.5, 8.1, 14.6, 26.2)  # radii in the middle of each band
