@@ -13,7 +13,7 @@ from boresight.campaign.data.crater_labels import open_picture, read_labels
 from boresight.campaign.data.label_score import LabelMatches, label_quality, match_labels, score_table
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.detection.preparation import check_image
-from boresight.estimators.craters.learned.detector import packaged_heat_map
+from boresight.estimators.craters.learned.heat_map_detector import packaged_heat_map
 from boresight.estimators.craters.learned.sunward import estimate_sun
 from boresight.reports.figures.craters import draw_detections
 from boresight.reports.figures.style import save_figure
@@ -27,7 +27,10 @@ _FOV_RAD = 0.1  # detectors use the size of the camera alone
 _RANGE_M = 1e5
 _SUN_ELEVATION_RAD = np.radians(30.0)  # above the image plane: unknown, and of little effect on detectors
 RADIUS_MIN_PX = 4.0  # of labels that are scored
-OPTIONS: Mapping[str, Mapping[str, object]] = {"crater-learned": {"radius_min_px": 3.0}}
+OPTIONS: Mapping[str, Mapping[str, object]] = {
+    "crater-heat-map": {"radius_min_px": 3.0},
+    "crater-learned": {"radius_min_px": 3.0, "proposals": 8000},
+}
 """Options of detectors in pictures: labels are made down to smaller craters than the truth of rendered images has."""
 
 

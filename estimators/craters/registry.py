@@ -8,6 +8,7 @@ from boresight.estimators.registry import Registry
 DETECTORS: Registry[CraterDetector] = Registry(
     own={
         "crater-classic": "boresight.estimators.craters.detection.classic:CraterClassic",
+        "crater-heat-map": "boresight.estimators.craters.learned.heat_map_detector:CraterHeatMap",
         "crater-learned": "boresight.estimators.craters.learned.detector:CraterLearned",
     },
     group="boresight.crater_detectors",

@@ -73,7 +73,7 @@ _METHODS = {
     SKY: "whole-image minimal-sets batch",
     ORANGE: "landmark-ransac ekf-slam gtsam-fixed-lag crater-learned hybrid",
     PURPLE: "photometric consistent-ekf-slam correlation",
-    GREEN: "lmaps fixed-lag vote",
+    GREEN: "lmaps fixed-lag vote crater-heat-map",
     VERMILION: "landmark-altimeter landmark-sift iterated-ekf-slam gtsam-isam2 invariants",
     BROWN: "landmark-orb dynamic-smoother",
     VIOLET: "crater-pose centroid loop-smoother",

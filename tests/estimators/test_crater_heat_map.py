@@ -9,8 +9,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate2d
 
 from boresight.estimators.craters.detection.preparation import prepare_image
-from boresight.estimators.craters.learned.detector import packaged_heat_map
 from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork, contrast_channels
+from boresight.estimators.craters.learned.heat_map_detector import packaged_heat_map
 from boresight.estimators.craters.learned.search import Turn, search
 from boresight.estimators.craters.learned.sunward import estimate_sun
 

@@ -20,8 +20,8 @@ from threadpoolctl import threadpool_limits
 
 import boresight.estimators.craters.learned as learned
 from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
-from boresight.estimators.craters.learned.detector import WEIGHTS
-from boresight.estimators.craters.learned.network import SHAPES, Network, PatchSource, cut_patches, rims_from_outputs
+from boresight.estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
+from boresight.estimators.craters.learned.network import SHAPES, Network, PatchSource
 from boresight.estimators.craters.learned.proposals import propose
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
@@ -30,8 +30,7 @@ from training.network_training import Lessons, Schedule, fresh_network, train
 from training.sight import CAMERA, Lesson, draw_lesson
 
 NOTE = "weights.json"
-_WINDOW_PX, _LEVELS, _MERIT_MIN = 20.0, 5, 0.3
-_PROPOSALS = 800  # of each picture
+_PROPOSALS = 800  # of each picture: as dense as the detector takes them on images of its usual size
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +64,16 @@ class Seen:
     proposals: Ellipses
 
 
-def see(seed: int, number: int) -> Seen | None:
+def see(seed: int, number: int, options: LearnedOptions) -> Seen | None:
     """Draw a picture by its own stream; None where its ground lies in the dark."""
     lesson = draw_lesson(np.random.default_rng([seed, number]))
     try:
-        picture = prepare_image(lesson.frame, CAMERA, _WINDOW_PX)
+        picture = prepare_image(lesson.frame, CAMERA, options.window_px)
     except BoresightError:
         return None
     noise = noise_level(lesson.frame.image, picture.ground)
     source = PatchSource.of(lesson.frame.image, picture, lesson.frame.sun_dir_cam, noise)
-    proposals = propose(picture, _LEVELS, _MERIT_MIN, _PROPOSALS).ellipses
+    proposals = propose(picture, options.levels, options.merit_min, options.proposals).ellipses
     return Seen(lesson, source, proposals)
 
 
@@ -86,8 +85,8 @@ def lessons_from(seen: list[Seen], course: Course, rng: np.random.Generator, net
         plain = rims[weight > 0.0]
         looks = [one.proposals, *(displaced(plain, one.source.sun_px, s, rng) for s in course.spreads)]
         if network is not None:
-            outputs = network.forward(*cut_patches(one.source, one.proposals))
-            looks.append(rims_from_outputs(one.proposals, outputs[:, 1:], one.source.sun_px))
+            detector = CraterLearned(LearnedOptions(rounds=1, mirror=False), network)
+            looks.append(detector.refine_proposals(one.source, one.proposals)[0])
         parts += [lessons_of(one.source, look, rims, weight) for look in looks if len(look)]
     return joined(parts)
 
@@ -96,7 +95,7 @@ def run_course(course: Course, say: Callable[[str], None]) -> Network:
     """Draw pictures and train."""
     seen = []
     for number in range(course.pictures):
-        one = see(course.seed, number)
+        one = see(course.seed, number, LearnedOptions(proposals=_PROPOSALS))
         seen += [] if one is None else [one]
         if number % 10 == 9:
             say(f"{number + 1} pictures")

@@ -1,0 +1,142 @@
+"""A crater detector for real images: a heat map proposes rims, and the network of ``crater-learned`` verifies them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import as_file, files
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field
+
+from boresight.estimators.craters.contract import CraterDetections
+from boresight.estimators.craters.detection.classic import ClassicOptions
+from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
+from boresight.estimators.craters.detection.refinement import suppress_duplicates
+from boresight.estimators.craters.learned.detector import (
+    CraterLearned,
+    LearnedOptions,
+    blend_with_gradient,
+    packaged_network,
+    read_weights,
+)
+from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork
+from boresight.estimators.craters.learned.network import PatchSource, rims_from_outputs
+from boresight.estimators.craters.learned.search import search
+from boresight.estimators.options import parse_options
+from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.geometry import Camera
+from boresight.scenarios.observation import Frame
+from boresight.scenarios.spec.base import SpecModel
+
+WEIGHTS = "heat_map.npz"
+
+_REGRESSION = (-1.058, 0.306, 1.028)
+
+
+def log_odds(verdict: FloatArray, heat: FloatArray) -> FloatArray:
+    """Combine the network's log odds (n,) with the heat map's logits (n,), by a logistic regression.
+
+    It was fitted on both kinds of synthetic ground that tests/training draws.
+    """
+    constant, of_verdict, of_heat = _REGRESSION
+    return np.asarray(constant + of_verdict * np.clip(verdict, -8.0, 12.0) + of_heat * heat, dtype=np.float64)
+
+
+class HeatMapOptions(SpecModel):
+    """Options of the detector by a heat map."""
+
+    window_px: float = Field(20.0, gt=2.0, description="Standard deviation of the window that evens contrast out.")
+    logit_min: float = Field(
+        -2.5, ge=-10.0, le=5.0, description="Least logit of the heat map's maxima that are proposed."
+    )
+    proposals: int = Field(
+        4000, ge=1, description="Most maxima of the heat map at each resolution, a factor of 4 apart."
+    )
+    radius_min_px: float = Field(4.5, gt=1.0, description="Least mean radius of a crater.")
+    mirror: bool = Field(True, description="Average the network's outputs over mirror images of the patches.")
+    blend_from_px: float = Field(
+        8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
+    )
+    ground_min: float = Field(0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
+    confidence_min: float = Field(
+        0.43,
+        ge=0.0,
+        lt=1.0,
+        description="Least probability of a crater: that with about 10 % of false alarms in several worlds.",
+    )
+
+
+@lru_cache(maxsize=1)
+def packaged_heat_map() -> HeatMapNetwork:
+    """Load the network of the heat map in this package; raise BoresightError if it is damaged."""
+    with as_file(files(__package__ or "") / WEIGHTS) as path:
+        return HeatMapNetwork(read_weights(path, SHAPES))
+
+
+@dataclass(frozen=True, slots=True)
+class CraterHeatMap:
+    """Finds craters by a heat map of their centres and sizes; the network of ``crater-learned`` verifies the rims.
+
+    Both were trained on synthetic ground of their own; their weights are part of the package.
+
+    Use it when
+    -----------
+    Images are real, with craters of a few pixels that overlap, are worn or full of shadow.
+
+    It fails when
+    -------------
+    The image is refused as by ``crater-classic``. About 10 % of its detections are false, and more where much of the
+    ground has no label: raise ``confidence_min`` where fewer are needed. Rims of rendered images lie 0.353 px off
+    (median of 155 in 7 images), those of ``crater-learned`` 0.319 px (of 150).
+
+    Cost
+    ----
+    1.05 s of one core for an image of 537 x 412 pixels (mean of 7, on a busy machine; ``crater-learned``: 0.53 s).
+
+    Source
+    ------
+    Ours; large rims are also refined by equations (2) to (4) of Cheng et al. (2003).
+    """
+
+    name: ClassVar[str] = "crater-heat-map"
+    version: ClassVar[int] = 1
+    options_model: ClassVar[type[SpecModel]] = HeatMapOptions
+
+    options: HeatMapOptions
+    heat_map: HeatMapNetwork
+    verifier: CraterLearned
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
+        parsed = parse_options(HeatMapOptions, options, cls.name)
+        return cls(parsed, packaged_heat_map(), CraterLearned(LearnedOptions(), packaged_network()))
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        """Find rims, the most probable first; the confidence is a probability to the accuracy of the training.
+
+        Raise BoresightError as `prepare_image` does.
+        """
+        o, outputs_of = self.options, self.verifier.network_outputs
+        picture = prepare_image(frame, camera, o.window_px)
+        source = PatchSource.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
+        ground = picture.ground.astype(np.float32)
+        seen, logit = search(self.heat_map, frame.image, ground, picture.sun_px, o.logit_min, o.proposals)
+        rows = suppress_duplicates(seen, logit, 0.3, 1.3)
+        seen, logit = seen[rows], logit[rows]
+        outputs = outputs_of(source, seen, o.mirror)
+        seen = rims_from_outputs(seen, outputs[:, 1:], source.sun_px)
+        odds = log_odds(outputs[:, 0], logit)
+        keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
+        seen, odds = seen[keep], odds[keep]
+        rows = suppress_duplicates(seen, odds, 0.6, 1.6)
+        seen, odds = seen[rows], odds[rows]
+        # Rims are placed best from nearby, and few are left: they are corrected once more.
+        seen = rims_from_outputs(seen, outputs_of(source, seen, o.mirror)[:, 1:], source.sun_px)
+        # The logistic function of the log odds.
+        sure = 1.0 / (1.0 + np.exp(-odds))
+        rims = blend_with_gradient(seen, picture, o.blend_from_px, ClassicOptions())
+        return CraterDetections.above(o.confidence_min, rims, sure)
