@@ -89,7 +89,7 @@ def _numbers(path: Path, line: int, row: list[str], places: list[int], names: li
 
 def _rims(columns: dict[str, FloatArray]) -> Ellipses:
     """Build ellipses; the longer axis comes first."""
-    centre = np.stack([columns.get("u", columns.get("x")), columns.get("v", columns.get("y"))], axis=1)  # type: ignore[arg-type]
+    centre = np.stack([columns[name] for name in ("uv" if "u" in columns else "xy")], axis=1)
     angle = np.radians(columns.get("angle", np.zeros(len(centre))))
     if "width" in columns:
         axes = 0.5 * np.stack([columns["width"], columns["height"]], axis=1)

@@ -27,7 +27,9 @@ _CONVOLUTIONS = {
     "side8": (96, 64, 1), "side4": (64, 48, 1), "side2": (48, 24, 1),
     "up8": (64, 64, 3), "up4": (48, 48, 3), "up2": (24, 48, 3), "head": (48, len(BANDS_PX) * OUTPUTS, 1),
 }  # fmt: skip
-SHAPES = {f"{name}_kernel": (outputs, inputs, size, size) for name, (inputs, outputs, size) in _CONVOLUTIONS.items()}
+SHAPES: dict[str, tuple[int, ...]] = {
+    f"{name}_kernel": (outputs, inputs, size, size) for name, (inputs, outputs, size) in _CONVOLUTIONS.items()
+}
 SHAPES |= {f"{name}_bias": (outputs,) for name, (_, outputs, _) in _CONVOLUTIONS.items()}
 
 
@@ -89,7 +91,8 @@ def contrast_channels(image: Image, ground: Image) -> Image:
 
     def local_mean(values: Image) -> Image:
         reach = 2 * int(3.0 * WINDOW_PX) + 1
-        return cv2.GaussianBlur(values, (reach, reach), WINDOW_PX, borderType=cv2.BORDER_REFLECT_101)
+        blurred = cv2.GaussianBlur(values, (reach, reach), WINDOW_PX, borderType=cv2.BORDER_REFLECT_101)
+        return np.asarray(blurred, dtype=np.float32)
 
     share = np.maximum(local_mean(ground), 1e-3)
     mean = local_mean(image * ground) / share

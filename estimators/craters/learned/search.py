@@ -15,7 +15,7 @@ from boresight.estimators.craters.learned.heat_map import (
     contrast_channels,
 )
 from boresight.estimators.craters.learned.proposals import halved
-from boresight.scenarios.arrays import FloatArray, Image
+from boresight.scenarios.arrays import FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Ellipses
 
 LEVEL_STEP = 2  # halvings between resolutions: a factor of 4 in radius, within the range of 3.3 to 36 px of the network
@@ -100,7 +100,7 @@ def _search_level(
     return np.concatenate([turn.back(place), rims], axis=1), logit
 
 
-def _maxima(logit: FloatArray, least: float) -> tuple[FloatArray, ...]:
+def _maxima(logit: FloatArray, least: float) -> tuple[IndexArray, ...]:
     """Return bands, rows and columns of maxima within 3 x 3 cells of each band (bands, H, W) that exceed ``least``."""
     top = np.stack([cv2.dilate(one, np.ones((3, 3), np.uint8)) for one in logit])
     return np.nonzero((logit >= top) & (logit > least))
