@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from boresight.estimators.contract import Assets, Estimate, Estimator, Stage
 from boresight.estimators.landmark.pose.posterior import GaussianPose
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import floor_variances
+from boresight.estimators.prior import floor_variances, free_directions
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import Observation
@@ -40,10 +40,12 @@ class ConsensusOptions(SpecModel):
 class Agreement:
     """How well two answers agree, and what follows from both.
 
-    ``distance2`` is the squared Mahalanobis distance of the two, ``weight`` that of the first in the fused pose.
+    ``distance2`` is the squared Mahalanobis distance of the two, of ``freedom`` degrees: six, less the directions in
+    which neither has an error. ``weight`` is that of the first in the fused pose.
     """
 
     distance2: float
+    freedom: int
     weight: float
     fused: GaussianPose
 
@@ -53,9 +55,9 @@ def agreement(first: GaussianPose, second: GaussianPose) -> Agreement:
 
     With d the pose of the second less that of the first, [rotation_rad, translation_m] in camera axes, the distance is
     d^T (P_1 + P_2)^-1 d. Both answers rest on one image, prior and shape, so their errors are correlated, and nobody
-    knows by how much: P^-1 = w P_1^-1 + (1 - w) P_2^-1 is a true covariance for any correlation if both are. The
-    weight w in [0, 1] makes det(P) least. Julier and Uhlmann (1997), A non-divergent estimation algorithm in the
-    presence of unknown correlations.
+    knows by how much: P^-1 = w P_1^-1 + (1 - w) P_2^-1 is not below the true covariance for any correlation if both
+    are true. The weight w in [0, 1] makes det(P) least. Julier and Uhlmann (1997), A non-divergent estimation algorithm
+    in the presence of unknown correlations.
     """
     offset = first.offset(second.T_cam_body)
     one, two = floor_variances(first.covariance), floor_variances(second.covariance)
@@ -71,15 +73,19 @@ def agreement(first: GaussianPose, second: GaussianPose) -> Agreement:
     covariance = np.linalg.inv(weight * ours + (1.0 - weight) * theirs) * np.outer(sigmas, sigmas)
     step: FloatArray = sigmas * (covariance / np.outer(sigmas, sigmas) @ ((1.0 - weight) * theirs @ (offset / sigmas)))
     distance2 = float(offset @ np.linalg.solve(one + two, offset))
-    return Agreement(distance2, weight, GaussianPose(first.T_cam_body.perturbed(step[:3], step[3:]), covariance))
+    freedom = free_directions(first.covariance + second.covariance)
+    return Agreement(
+        distance2, freedom, weight, GaussianPose(first.T_cam_body.perturbed(step[:3], step[3:]), covariance)
+    )
 
 
 class ConsensusEstimator:
     """Two estimators, whose answers are fused where they agree. Where they do not, the image is not solved.
 
-    They contradict each other where the squared Mahalanobis distance of their poses is above the quantile of a
-    chi-square with 6 degrees of freedom. A method that is wrong and sure of itself is found by that, if the other one
-    does not err in the same way.
+    They contradict each other where the squared Mahalanobis distance of their poses is above a quantile of a
+    chi-square. A method that is wrong and sure of itself is found by that if the other one is as sure and does not err
+    in the same way. The test takes the errors for independent: what both have from the prior makes contradictions
+    rarer.
 
     Use it when
     -----------
@@ -88,7 +94,8 @@ class ConsensusEstimator:
 
     It fails when
     -------------
-    Either base fails, gives no covariance, or contradicts the other.
+    Either base fails, gives no covariance, or contradicts the other. A wrong answer passes where the other base knows
+    little more than the prior.
 
     Cost
     ----
@@ -107,7 +114,7 @@ class ConsensusEstimator:
 
     def __init__(self, bases: Mapping[str, Estimator], significance: float) -> None:
         self._bases = bases
-        self._most = float(chi2.isf(significance, 6))
+        self._significance = significance
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
@@ -137,7 +144,7 @@ class ConsensusEstimator:
         stages = tuple(Stage(name, pose.T_cam_body) for name, pose in found.items())
         both = agreement(*found.values())
         diagnostics = {"disagreement": both.distance2, "weight_of_first": both.weight}
-        if both.distance2 > self._most:
+        if both.distance2 > chi2.isf(self._significance, max(both.freedom, 1)):
             reason = f"{' and '.join(found)} contradict each other"
             return Estimate("failed", reason, stages=stages, diagnostics=diagnostics)
         fused = both.fused

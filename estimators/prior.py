@@ -37,6 +37,13 @@ def floor_variances(covariance: FloatArray) -> FloatArray:
     return covariance
 
 
+def free_directions(covariance: FloatArray) -> int:
+    """Count the directions in which a covariance (6, 6) leaves an error."""
+    free = np.diag(covariance) > 0.0
+    sigmas = np.sqrt(np.diag(covariance)[free])
+    return int((np.linalg.eigvalsh(covariance[np.ix_(free, free)] / np.outer(sigmas, sigmas)) > 1e-9).sum())
+
+
 class PriorOptions(SpecModel):
     """``prior`` has no options."""
 

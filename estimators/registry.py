@@ -178,7 +178,7 @@ def bases_of(name: str, options: Mapping[str, object]) -> tuple[Base, ...]:
     found = []
     for key, section in (("base", "options"), ("second", "second_options")):
         default, given = _said_by(name, key, None), options.get(section)
-        if default is not None:
+        if isinstance(default, str):
             of_base = cast("Mapping[str, object]", given) if isinstance(given, Mapping) else {}
             found.append(Base(key, str(options.get(key, default)), section, of_base))
     return tuple(found)

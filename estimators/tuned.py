@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from boresight.estimators.contract import Assets, Estimate, Estimator, NoProductError, typed_product
 from boresight.estimators.options import parse_options
-from boresight.estimators.prior import floor_variances
+from boresight.estimators.prior import floor_variances, free_directions
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import CameraSigma, Observation
@@ -134,13 +134,6 @@ def _shares(covariance: FloatArray, prior_covariance: FloatArray) -> tuple[Float
     return np.asarray(shares), np.asarray(axes)
 
 
-def _freedom(covariance: FloatArray) -> int:
-    """Count the directions in which a covariance (6, 6) leaves an error."""
-    free = np.diag(covariance) > 0.0
-    sigmas = np.sqrt(np.diag(covariance)[free])
-    return int((np.linalg.eigvalsh(covariance[np.ix_(free, free)] / np.outer(sigmas, sigmas)) > 1e-9).sum())
-
-
 def _tuned(shares: FloatArray, factor: float) -> FloatArray:
     # 1 / share = 1 + information of the image.
     return np.where(shares < 1.0, factor / (1.0 - shares + factor * shares), 1.0) * shares
@@ -151,7 +144,7 @@ def fit_factor(rehearsed: Sequence[Rehearsed]) -> float:
 
     It has 6 degrees of freedom, less those in which the prior has no error. The factor is within 1e-8 and 1e8.
     """
-    freedom = float(np.mean([_freedom(one.prior_covariance) for one in rehearsed]))
+    freedom = float(np.mean([free_directions(one.prior_covariance) for one in rehearsed]))
     parts = [(_shares(one.covariance, one.prior_covariance), one.error) for one in rehearsed]
     shares = np.array([of for (of, _), _ in parts])
     squares = np.array([(axes.T @ error) ** 2 for (_, axes), error in parts])

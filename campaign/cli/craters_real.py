@@ -18,7 +18,11 @@ MOON = {
     "choices": ("M115143943", "M1183658592", "M1231933714", "M1275410097", "M161142858", "M161149639"),
     "report": ("M1155395732", "M1229577647", "M1266003170", "M134022629", "M180000082", "M180007222"),
 }
-"""Images of LROC NAC: which of them choices may look at, and those of the report. Named before the training."""
+"""Images of LROC NAC: which of them choices may look at, and those of the report. Named before the training.
+
+They alternate in the order of their names, and images of successive orbits, which may show the same ground, stay
+together. No network is trained on any of them, nor on their labels.
+"""
 
 MARS, MARS_COLUMNS = ("hrsc_mars_craters/tile1_24.pgm", "hrsc_mars_craters/1_24_gt.csv"), "x,y,diameter"
 
@@ -46,7 +50,8 @@ def craters_real_command(arguments: argparse.Namespace) -> int:
         label = matches.label[np.concatenate(kept)]
         out.print(
             f"{ground}: {int((label >= 0).sum())} of {len(matches.radius_px)} labels from {RADIUS_MIN_PX:g} px radius"
-            f" found, {int((label == -1).sum())} of {len(label)} detections false; {label_quality(matches)}"
+            f" found, {int((label == -1).sum())} of {matches.large[np.concatenate(kept)].sum()} detections of that size"
+            f" false; {label_quality(matches)}"
         )
         tables.append(score_table(matches).assign(ground=ground))
     scores = pd.concat(tables).round(4)

@@ -13,6 +13,7 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses
 
 PICTURES = (".png", ".pgm", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_MOST_PIXELS = 20_000_000  # of a picture: the layers of a heat map take 100 bytes a pixel
 _MOST_PX = 1e6
 
 _ALIKE = {
@@ -35,6 +36,10 @@ def open_picture(path: Path) -> Image:
         raise BoresightError(f"{path}: cannot be read: {error}") from error
     if found is None:
         raise BoresightError(f"{path}: no image of a known format ({', '.join(PICTURES)})")
+    if found.size > _MOST_PIXELS:
+        raise BoresightError(
+            f"{path}: {found.size / 1e6:.0f} megapixels are more than {_MOST_PIXELS / 1e6:.0f}: cut it"
+        )
     return np.asarray(found, dtype=np.float32)
 
 
@@ -52,7 +57,10 @@ def read_labels(path: Path, columns: str = "") -> Ellipses:
     except (OSError, UnicodeDecodeError) as error:
         raise BoresightError(f"{path}: cannot be read: {error}") from error
     lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip() and line[0] != "#"]
-    rows = [(k, next(csv.reader([line.replace("\t", ",").replace(";", ",")]))) for k, line in lines]
+    try:
+        rows = [(k, next(csv.reader([line.replace("\t", ",").replace(";", ",")]))) for k, line in lines]
+    except csv.Error as error:
+        raise BoresightError(f"{path}: not readable as a table: {error}") from error
     names = columns.split(",") if columns else rows.pop(0)[1] if rows else []
     meant = [_ALIKE.get(name.strip().lower(), "") for name in names]
     place = {name: meant.index(name) for name in meant if name}

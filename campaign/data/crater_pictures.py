@@ -12,7 +12,7 @@ import pandas as pd
 from boresight.campaign.data.crater_labels import open_picture, read_labels
 from boresight.campaign.data.label_score import LabelMatches, label_quality, match_labels, score_table
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
-from boresight.estimators.craters.detection.preparation import check_image
+from boresight.estimators.craters.detection.preparation import check_image, lit_ground
 from boresight.estimators.craters.learned.heat_map_detector import packaged_heat_map
 from boresight.estimators.craters.learned.sunward import estimate_sun
 from boresight.reports.figures.craters import draw_detections
@@ -64,7 +64,7 @@ class PictureDetection:
         found, false = int(np.sum(label >= 0)), int(np.sum(label == -1))
         lines.append(
             f"{found} of {n} labels from {RADIUS_MIN_PX:g} px radius found;"
-            f" {false} of {len(label)} detections fit no label"
+            f" {false} of {matches.large[self.above_threshold(matches)].sum()} detections of that size fit no label"
         )
         return [*lines, label_quality(matches)]
 
@@ -75,21 +75,26 @@ def detect_in_picture(
     """Detect craters in a picture.
 
     ``sun_deg`` is the direction towards the Sun, from the columns' direction towards greater rows; None: it is
-    estimated from the image. ``truth`` is a table for `read_labels`.
+    estimated from the image. ``truth`` is a table for `read_labels`; labels with their centre outside are left out.
 
     Raise BoresightError if a file is missing or invalid, or the image shows nothing.
     """
     image = open_picture(path)
     labels = read_labels(truth, columns) if truth is not None else None
     camera = Camera.from_fov(image.shape[1], image.shape[0], _FOV_RAD)
-    if sun_deg is None:
-        check_image(image, camera)
-        sun_px = estimate_sun(packaged_heat_map(), image, np.ones_like(image))
-    else:
-        sun_px = np.array([np.cos(np.radians(sun_deg)), np.sin(np.radians(sun_deg))])
-    sun = np.array([*(np.cos(_SUN_ELEVATION_RAD) * sun_px), -np.sin(_SUN_ELEVATION_RAD)])
-    frame = Frame(image, sun, Pose(np.eye(3), np.array([0.0, 0.0, _RANGE_M])), np.eye(6))
+    if labels is not None:
+        inside = np.all((labels.centre_px >= 0.0) & (labels.centre_px <= image.shape[::-1]), axis=1)
+        if not inside.any():
+            raise BoresightError(f"{truth}: no crater has its centre in {path}")
+        labels = labels[np.flatnonzero(inside)]
     try:
+        if sun_deg is None:
+            check_image(image, camera)
+            sun_px = estimate_sun(packaged_heat_map(), image, lit_ground(image).astype(np.float32))
+        else:
+            sun_px = np.array([np.cos(np.radians(sun_deg)), np.sin(np.radians(sun_deg))])
+        sun = np.array([*(np.cos(_SUN_ELEVATION_RAD) * sun_px), -np.sin(_SUN_ELEVATION_RAD)])
+        frame = Frame(image, sun, Pose(np.eye(3), np.array([0.0, 0.0, _RANGE_M])), np.eye(6))
         return PictureDetection(path.name, image, sun_px, detector.detect(frame, camera), labels)
     except BoresightError as error:
         raise BoresightError(f"{path}: {error}") from error

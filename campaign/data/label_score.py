@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
@@ -26,12 +27,14 @@ class LabelMatches:
     """Detections (m,) of one or several images, the most confident first within each, against labels (n,).
 
     ``label`` is the row of the label that a detection stands for, ``NONE`` for a false alarm and ``REPEATED`` where a
-    more confident detection has that label. ``radius_px``, ``contrast`` and ``isolated`` are of the labels;
-    ``log_ratio`` and ``offset_radii`` (m, 2) compare a detection with its label, NaN if it has none.
+    more confident detection has that label. ``large`` (m,) are detections of at least the least radius of labels: the
+    false ones are a share of these. ``log_ratio`` and ``offset_radii`` (m, 2) compare a detection with its label, NaN
+    if it has none. ``radius_px``, ``contrast`` and ``isolated`` are of the labels.
     """
 
     confidence: FloatArray
     label: IndexArray
+    large: BoolArray
     log_ratio: FloatArray
     offset_radii: FloatArray
     radius_px: FloatArray
@@ -46,6 +49,7 @@ class LabelMatches:
         fields = ("log_ratio", "offset_radii", "radius_px", "contrast", "isolated")
         return cls(
             np.concatenate([part.confidence for part in parts]), np.concatenate(label),
+            np.concatenate([part.large for part in parts]),
             *(np.concatenate([getattr(part, name) for part in parts]) for name in fields),
         )  # fmt: skip
 
@@ -76,10 +80,11 @@ def match_labels(found: CraterDetections, labels: Ellipses, image: Image, radius
     number = np.where(big, np.cumsum(big) - 1, REPEATED)
     label = np.where(label >= 0, number[np.maximum(label, 0)], label)
     # A false alarm below the least size could be a crater that nobody labelled: it has no say.
-    counted = (label != NONE) | (rims.radius_px >= radius_min_px)
+    large = rims.radius_px >= radius_min_px
+    counted = (label != NONE) | large
     isolated = _isolated(labels)
     return LabelMatches(
-        confidence[counted], label[counted], ratio[counted], offset[counted], labels.radius_px[big],
+        confidence[counted], label[counted], large[counted], ratio[counted], offset[counted], labels.radius_px[big],
         _contrast(image, labels)[big], isolated[big],
     )  # fmt: skip
 
@@ -93,9 +98,9 @@ def _with_rejected(found: CraterDetections) -> CraterDetections:
 
 def _isolated(labels: Ellipses) -> BoolArray:
     """Say which labels (n,) have no other label's centre within two of their radii."""
-    apart = np.linalg.norm(labels.centre_px[:, None] - labels.centre_px[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart.min(axis=1, initial=np.inf) > _ISOLATED_RADII * labels.radius_px)
+    # The second nearest, as each is its own nearest; infinitely far where there is no other.
+    apart = np.asarray(cKDTree(labels.centre_px).query(labels.centre_px, k=2)[0])[:, 1]
+    return np.asarray(apart > _ISOLATED_RADII * labels.radius_px)
 
 
 def _contrast(image: Image, labels: Ellipses) -> FloatArray:
@@ -110,13 +115,13 @@ def _contrast(image: Image, labels: Ellipses) -> FloatArray:
 
 
 def recall_at(matches: LabelMatches, false_share: float, chosen: BoolArray | None = None) -> tuple[float, float]:
-    """Return the recall of labels where at most a share of all detections is false, and that threshold.
+    """Return the recall of labels where at most a share of the large detections is false, and that threshold.
 
     ``chosen`` (n,) are the labels that the recall is of; the threshold is that of all. NaN if no threshold is so good.
     """
     order = np.argsort(-matches.confidence, kind="stable")
     label, confidence = matches.label[order], matches.confidence[order]
-    share = np.cumsum(label == NONE) / np.arange(1, len(label) + 1)
+    share = np.cumsum(label == NONE) / np.maximum(np.cumsum(matches.large[order]), 1)
     # Of equal confidences all or none are above a threshold.
     last = np.append(np.diff(confidence) < 0.0, [True] * (len(confidence) > 0))
     allowed = np.flatnonzero((share <= false_share) & last)
@@ -154,6 +159,6 @@ def label_quality(matches: LabelMatches) -> str:
     ratio = np.exp(-np.median(matches.log_ratio[good]))
     u, v = -np.median(matches.offset_radii[good], axis=0)
     return (
-        f"labels are {ratio:.2f} times as large as the {good.sum()} rims found for them, and lie ({u:+.2f}, {v:+.2f})"
-        " radii from them (medians)"
+        f"labels are {ratio:.2f} times as large as the {good.sum()} rims for them, likely or not, and lie"
+        f" ({u:+.2f}, {v:+.2f}) radii from them (medians)"
     )

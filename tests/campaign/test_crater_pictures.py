@@ -81,13 +81,17 @@ def test_scores_are_those_counted_by_hand():
     image = np.ones((100, 100), dtype=np.float32)
     matches = match_labels(CraterDetections(found, sure), labels, image, 4.0)
     assert matches.label.tolist() == [0, -2, -1, -2, -1, 2]
+    # All six detections have the least size of labels: false is one of three, of four, of five, of six.
     assert recall_at(matches, 0.34) == (pytest.approx(2 / 3), 0.4)
     assert recall_at(matches, 0.25) == (pytest.approx(1 / 3), 0.6)
-    assert np.isnan(recall_at(LabelMatches.joined([matches]), -0.1)[0])
+    assert np.isnan(recall_at(matches, -0.1)[0])
+    both = LabelMatches.joined([matches, matches])
+    assert both.label.tolist() == [0, -2, -1, -2, -1, 2, 3, -2, -1, -2, -1, 5]
+    assert recall_at(both, 0.34)[0] == pytest.approx(2 / 3)
     table = score_table(matches).set_index("labels")
     assert table.loc["radius 8 to 16 px", "n"] == 2
     assert table.loc["radius 4 to 8 px", "recall_2"] == 0.0
-    assert "labels are 1.07 times as large as the 2 rims" in label_quality(matches)
+    assert "labels are 1.07 times as large as the 2 rims for them" in label_quality(matches)
 
 
 def test_as_many_labels_are_found_as_an_optimal_assignment_pairs():

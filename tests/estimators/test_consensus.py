@@ -79,7 +79,14 @@ def test_the_better_of_two_decides():
 def test_a_pose_without_error_of_attitude_is_compared_by_its_position():
     fixed = np.diag([0.0, 0.0, 0.0, 4.0, 4.0, 9.0])
     apart = agreement(answer(np.zeros(6), fixed), answer(np.array([0, 0, 0, 2.0, 0, 0]), fixed))
-    assert apart.distance2 == pytest.approx(0.5, rel=1e-6)
+    assert (apart.distance2, apart.freedom) == (pytest.approx(0.5, rel=1e-6), 3)
+    # The quantile of a chi-square with 3 degrees of freedom at 0.1 % is 16.27.
+    for offset_m, status in ((11.40, "ok"), (11.42, "failed")):
+        answers = (
+            Estimate("ok", pose=TRUTH.perturbed(np.zeros(3), np.array([d, 0, 0])), covariance=fixed)
+            for d in (0, offset_m)
+        )
+        assert both(*answers).status == status, f"{offset_m**2 / 8.0:.2f}"
 
 
 class Told:

@@ -8,9 +8,9 @@ from crater_scenes import CAMERA, crests, frame_of, image_of, scattered
 from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate2d
 
-from boresight.estimators.craters.detection.preparation import prepare_image
+from boresight.estimators.craters.detection.preparation import lit_ground, prepare_image
 from boresight.estimators.craters.learned.heat_map import SHAPES, HeatMapNetwork, contrast_channels
-from boresight.estimators.craters.learned.heat_map_detector import packaged_heat_map
+from boresight.estimators.craters.learned.heat_map_detector import CraterHeatMap, packaged_heat_map
 from boresight.estimators.craters.learned.search import Turn, search
 from boresight.estimators.craters.learned.sunward import estimate_sun
 
@@ -89,6 +89,34 @@ def test_the_heat_map_finds_every_bowl():
     found = np.any((apart < 0.3) & (ratio < 0.36), axis=1)
     assert found.mean() >= 0.95
     assert np.all(logit > -1.0)
+
+
+def test_the_detector_finds_the_bowls_and_nothing_else():
+    bowls = scattered(np.random.default_rng(3), 20)
+    frame = frame_of(image_of(bowls, AZIMUTH, INCIDENCE, noise=0.02), AZIMUTH, INCIDENCE)
+    found, truth = CraterHeatMap.from_options({}).detect(frame, CAMERA), crests(bowls)
+    apart = np.linalg.norm(truth.centre_px[:, None] - found.ellipses.centre_px, axis=2) / truth.radius_px[:, None]
+    assert np.mean(apart.min(axis=1) < 0.2) >= 0.95
+    assert np.mean(apart.min(axis=0) < 0.2) >= 0.9
+    assert np.all(np.diff(found.confidence) <= 0.0) and found.confidence[-1] >= 0.43
+
+
+@pytest.mark.parametrize("options", [{"radius_min_px": 100.0}, {"logit_min": 5.0}])
+def test_an_image_in_which_no_rim_is_left_has_no_craters(options):
+    bowls = scattered(np.random.default_rng(3), 4)
+    frame = frame_of(image_of(bowls, AZIMUTH, INCIDENCE, noise=0.02), AZIMUTH, INCIDENCE)
+    assert len(CraterHeatMap.from_options(options).detect(frame, CAMERA).ellipses) == 0
+
+
+@pytest.mark.parametrize("azimuth_deg", [-20.0, 75.0])
+def test_black_sky_does_not_turn_the_sun(azimuth_deg):
+    bowls = scattered(np.random.default_rng(4), 24)
+    image = image_of(bowls, np.radians(azimuth_deg), INCIDENCE, noise=0.02)
+    rows, columns = np.indices(image.shape)
+    sky = columns + 0.4 * rows > 0.9 * image.shape[1]
+    image[sky] = 0.0
+    sun = estimate_sun(packaged_heat_map(), image, lit_ground(image).astype(np.float32))
+    assert abs(np.degrees(np.angle(complex(*sun) * np.exp(-1j * np.radians(azimuth_deg))))) < 25.0
 
 
 @pytest.mark.parametrize("azimuth_deg", [-20.0, 75.0, 200.0])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import hashlib
 import json
 import math
 import os
@@ -286,12 +287,12 @@ def train(course: Course, out: Path, device: torch.device, workers: int, start: 
         if time.monotonic() - spoken > 60.0:
             report(log, step, time.monotonic() - started, sums, recall(mean, images, seen), pool.waited_s)
             sums.zero_()
-            write(mean, course, step, out)
+            write(mean, course, step, out, start)
             spoken = time.monotonic()
     report(log, step, time.monotonic() - started, sums, recall(mean, images, seen), pool.waited_s)
     log.close()
     pool.close()
-    write(mean, course, step, out)
+    write(mean, course, step, out, start)
 
 
 @torch.no_grad()
@@ -318,10 +319,13 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
-def write(network: HeatMap, course: Course, step: int, out: Path) -> None:
+def write(network: HeatMap, course: Course, step: int, out: Path, start: Path | None) -> None:
     """Write the weights and how they were made."""
     np.savez_compressed(out / "heat_map.npz", **folded(network))
     note = {"course": asdict(course), "steps": step, "torch": torch.__version__, "numpy": np.__version__}
+    if start is not None:
+        note["start"] = {"sha256": hashlib.sha256(start.read_bytes()).hexdigest()}
+    note["sha256"] = hashlib.sha256((out / "heat_map.npz").read_bytes()).hexdigest()
     note["device"] = torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu"
     (out / "heat_map.json").write_text(json.dumps(note, indent=1) + "\n", encoding="utf-8")
 

@@ -23,6 +23,7 @@ from boresight.estimators.craters.detection.refinement import (
     suppress_duplicates,
 )
 from boresight.estimators.craters.learned.network import (
+    OUTPUTS,
     SHAPES,
     Network,
     PatchSource,
@@ -144,8 +145,8 @@ class CraterLearned:
     It fails when
     -------------
     The image is refused as by ``crater-classic``. Large craters are missed: in 500 images of ``cheng2003-detection`` it
-    finds 92.0 % of 11,572 detectable craters, but 75.3 % of those over 60 pixels across. All training and test images
-    are rendered: how it does on real images is not known.
+    finds 92.0 % of 11,572 detectable craters, but 75.3 % of those over 60 pixels across. All training images
+    are rendered: of real craters it finds 0.31 (Moon) and 0.37 (Mars) at 10 % false alarms, `crater-heat-map` more.
 
     Cost
     ----
@@ -208,6 +209,8 @@ class CraterLearned:
 
     def network_outputs(self, source: PatchSource, seen: Ellipses, mirror: bool) -> FloatArray:
         """Return the outputs (n, OUTPUTS); with ``mirror`` the mean over the patches and their mirror images."""
+        if len(seen) == 0:
+            return np.zeros((0, OUTPUTS))
         pixels, scalars = cut_patches(source, seen)
         outputs = self.network.forward(pixels, scalars).astype(np.float64)
         if not mirror:

@@ -20,7 +20,6 @@ DEEPEST = 16  # pixels of the image for one of the coarsest layer: sides are mul
 WINDOW_PX = 20.0  # standard deviation of the window that evens brightness and contrast out
 _AT_ONCE = 4096  # places of a layer that are multiplied at once: their inputs fit the cache
 
-_WIDTHS = (24, 48, 64, 96)
 _CONVOLUTIONS = {
     "stem": (8, 24, 3), "second": (24, 24, 3), "down4": (24, 48, 3), "quarter": (48, 48, 3), "down8": (48, 64, 3),
     "eighth": (64, 64, 3), "down16": (64, 96, 3), "deep1": (96, 96, 3), "deep2": (96, 96, 3),

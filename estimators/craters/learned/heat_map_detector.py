@@ -39,7 +39,8 @@ _REGRESSION = (-1.058, 0.306, 1.028)
 def log_odds(verdict: FloatArray, heat: FloatArray) -> FloatArray:
     """Combine the network's log odds (n,) with the heat map's logits (n,), by a logistic regression.
 
-    It was fitted on both kinds of synthetic ground that tests/training draws.
+    Its three numbers were fitted once, on both kinds of synthetic ground that tests/training draws; no script of the
+    repository fits them.
     """
     constant, of_verdict, of_heat = _REGRESSION
     return np.asarray(constant + of_verdict * np.clip(verdict, -8.0, 12.0) + of_heat * heat, dtype=np.float64)
@@ -65,7 +66,7 @@ class HeatMapOptions(SpecModel):
         0.43,
         ge=0.0,
         lt=1.0,
-        description="Least probability of a crater: that with about 10 % of false alarms in several worlds.",
+        description="Least probability of a crater: that with 7 to 13 % of false alarms on rendered and field ground.",
     )
 
 
@@ -88,8 +89,9 @@ class CraterHeatMap:
 
     It fails when
     -------------
-    The image is refused as by ``crater-classic``. About 10 % of its detections are false, and more where much of the
-    ground has no label: raise ``confidence_min`` where fewer are needed. Rims of rendered images lie 0.353 px off
+    The image is refused as by ``crater-classic``, or has a side below 48 pixels. Of its detections 7 % are false in
+    rendered images, more in real ones, as many craters there have no label (docs/papers/craters-real.md): raise
+    ``confidence_min`` where fewer are needed. Rims of rendered images lie 0.353 px off
     (median of 155 in 7 images), those of ``crater-learned`` 0.319 px (of 150).
 
     Cost

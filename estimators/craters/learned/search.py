@@ -18,7 +18,7 @@ from boresight.estimators.craters.learned.proposals import halved
 from boresight.scenarios.arrays import FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import Ellipses
 
-LEVEL_STEP = 2  # halvings between resolutions: a factor of 4 in radius, within the range of 3.3 to 36 px of the network
+LEVEL_STEP = 2  # halvings between resolutions: a factor of 4 in radius, within the range of 2.1 to 36 px of the network
 _LEAST_SIDE_PX = 48
 _LONGEST_ELONGATION = 0.45
 

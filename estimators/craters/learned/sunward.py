@@ -33,7 +33,7 @@ def estimate_sun(network: HeatMapNetwork, image: Image, ground: Image) -> FloatA
     axis = _axis(image, ground)
 
     def count(angle: float) -> float:
-        """Return the expected number of craters, for the Sun in a direction."""
+        """Return the sum of the probabilities of all maxima, for the Sun in a direction."""
         sun_px = np.array([np.cos(angle), np.sin(angle)])
         logits = search(network, image, ground, sun_px, _LEAST_LOGIT, most=4000)[1]
         return float(np.sum(1.0 / (1.0 + np.exp(-logits))))
@@ -48,7 +48,9 @@ def estimate_sun(network: HeatMapNetwork, image: Image, ground: Image) -> FloatA
 
 def _axis(image: Image, ground: Image) -> float:
     """Return the angle, rad, of the axis along which the brightness over its local mean varies most."""
-    mean = np.maximum(cv2.GaussianBlur(image, (0, 0), 20.0), 1e-6)
+    # Normalised convolution, as in `prepare_image`: black sky does not enter the means.
+    share = np.maximum(cv2.GaussianBlur(ground, (0, 0), 20.0), 1e-3)
+    mean = np.maximum(cv2.GaussianBlur(image * ground, (0, 0), 20.0) / share, 1e-6)
     even = cv2.GaussianBlur(image, (0, 0), 1.5) / mean
     along_u, along_v = (cv2.Sobel(even, cv2.CV_32F, 1 - k, k) * ground for k in (0, 1))
     return float(0.5 * np.arctan2(2.0 * np.sum(along_u * along_v), np.sum(along_u**2 - along_v**2)))
