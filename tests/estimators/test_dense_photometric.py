@@ -106,9 +106,10 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image, pl
     assert plain.diagnostics["masked_share"] == 0.0
 
 
-def test_the_mesh_is_brought_into_place_for_recognition(renderer, image):
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
     """The alignment estimates translation and rotation, and gives the first points of the shift for drawing."""
-    start = frame(image)
+    start = frame(image, seed)
     clock = Stopwatch()
     found = registration_aligner(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
     assert not found.failure
@@ -120,10 +121,11 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image):
 @pytest.mark.skipif(
     not choose_variant().is_wavefront, reason="the Mitsuba variant of this machine gives no derivatives"
 )
-def test_both_gradients_lead_to_the_same_pose(renderer, image):
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_both_gradients_lead_to_the_same_pose(renderer, image, seed):
     """Differences of twelve renderings include all shadows; the renderer's derivatives must give the same pose."""
     poses = [
-        estimate(renderer, frame(image), OPTIONS.model_copy(update={"gradient": gradient})).pose
+        estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).pose
         for gradient in ("autodiff", "differences")
     ]
     assert np.linalg.norm(poses[0].translation_m[:2] - poses[1].translation_m[:2]) < 0.5

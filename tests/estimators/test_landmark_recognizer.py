@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
+from boresight.estimators.contract import Estimate
 from boresight.estimators.dense.whole_image import WholeImageRecognizer
-from boresight.estimators.landmark.database import DatabaseOptions, database_from_candidates, extract_candidates
-from boresight.estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer
+from boresight.estimators.landmark.database import (
+    DatabaseOptions,
+    LandmarkDatabase,
+    database_from_candidates,
+    extract_candidates,
+)
+from boresight.estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
 from boresight.estimators.landmark.robust.estimator import ConsensusOptions
 from boresight.estimators.landmark.signal import extract_signal
 from boresight.estimators.registry import estimator_class
@@ -234,6 +240,19 @@ def test_a_prior_that_looks_past_the_body_fails_with_a_reason(world):
     assert estimate(recogniser(world, alignment="none"), lost).status == "failed"
 
 
+def same(first: Estimate, second: Estimate) -> bool:
+    a, b = first.pose, second.pose
+    poses = np.array_equal(a.rotation, b.rotation) and np.array_equal(a.translation_m, b.translation_m)
+    return poses and dict(first.diagnostics) == dict(second.diagnostics) and first.status == second.status
+
+
+def test_the_prior_is_returned_as_it_is(world):
+    _, frame = world.frame(3)
+    result = estimate(estimator_class("prior").from_options({}, world), frame)
+    assert result.pose is frame.prior_T_cam_body
+    assert result.covariance is frame.prior_covariance
+
+
 def test_the_data_base_is_asked_for_by_its_options(world):
     world.asked.clear()
     recogniser(world)
@@ -254,6 +273,26 @@ def test_a_product_of_another_kind_is_refused(world):
 
     with pytest.raises(BoresightError, match="is a dict"):
         LandmarkRecognizer.from_options({}, Wrong())
+
+
+def test_wrong_options_name_estimator_key_and_value(world):
+    with pytest.raises(
+        BoresightError, match=r"estimator landmark-harris: database\.corners\.k: 7 is not in \(0, 0\.25\)"
+    ):
+        LandmarkRecognizer.from_options({"database": {"corners": {"k": 7}}}, world)
+    with pytest.raises(BoresightError, match="alignment"):
+        LandmarkRecognizer.from_options({"alignment": "sideways"}, world)
+
+
+def test_a_saved_data_base_recognises_the_same(world, tmp_path):
+    world.database.save(tmp_path)
+    again = LandmarkDatabase.load(tmp_path)
+    _, frame = world.frame(1)
+    options = LandmarkOptions(database=DATABASE)
+    aligner = translation_aligner(options)
+    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, aligner)
+    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, aligner)
+    assert same(estimate(first, frame), estimate(second, frame))
 
 
 @pytest.mark.parametrize("name", ["landmark-harris", "landmark-ransac"])

@@ -1,10 +1,13 @@
 """Maplets from the image to the pose, on images of a body that is finer than the shape on board."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 from boulder_worlds import BoulderWorld, boulder_mesh, errors
 
 from boresight.estimators.maplets.build import build_maplets
+from boresight.estimators.maplets.database import MapletDatabase
 from boresight.estimators.maplets.matching import body_mask, visible_windows
 from boresight.estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
 from boresight.renderers.mitsuba3 import MitsubaRenderer
@@ -160,3 +163,13 @@ def test_wrong_input_is_refused(world, navigator):
     world_of_dict = type("Wrong", (), {"camera": CAMERA, "product": lambda self, kind, options: {}})()
     with pytest.raises(BoresightError, match="is a dict"):
         MapletNavigator.from_options({}, world_of_dict)
+
+
+def test_a_stored_data_base_gives_the_same_pose(world, navigator, tmp_path):
+    world.database.save(tmp_path)
+
+    stored = copy(world)
+    stored.database = MapletDatabase.load(tmp_path)
+    _, frame = world.frame(1)
+    first, second = (estimate(e, frame).pose for e in (navigator, MapletNavigator.from_options(OPTIONS, stored)))
+    assert np.degrees(first.angle_to(second)) < 0.03

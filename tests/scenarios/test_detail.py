@@ -321,3 +321,11 @@ def test_no_features_leave_the_smooth_surface():
     np.testing.assert_array_equal(
         add_detail(ball(), none)[0].vertices_m, add_detail(ball(), DetailSpec(facets=5000))[0].vertices_m
     )
+
+
+@pytest.mark.parametrize(("name", "value"), [("sigma", 0.2), ("wavelength_m", 50.0)])
+def test_the_albedo_leaves_the_shape_as_it_is(rubble, name, value):
+    albedo = RUBBLE.albedo.model_copy(update={name: value})
+    mesh, _ = add_detail(EMBEDDED["contact-binary"](), RUBBLE.model_copy(update={"albedo": albedo}))
+    assert np.array_equal(mesh.vertices_m, rubble.vertices_m)
+    assert not np.array_equal(mesh.albedo, rubble.albedo)

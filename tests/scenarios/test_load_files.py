@@ -535,3 +535,8 @@ def test_tables_that_cannot_be_used_are_one_line(tmp_path, law, said):
     with pytest.raises(BoresightError, match=said) as caught:
         load_scenario(str(tmp_path / "scene.yaml"))
     assert all("scene.yaml:2: pose_error.position_cam_m.choice" in line for line in str(caught.value).splitlines())
+
+
+def test_null_takes_an_optional_section_away():
+    assert load_scenario("quickstart", ["detector.bits=8"]).spec.detector.bits == 8
+    assert load_scenario("quickstart", ["detector.bits=8", "detector=null"]).spec.detector is None
