@@ -38,7 +38,7 @@ class ConsensusOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How well two answers agree, and what follows from both.
+    """The distance between two answers, and the pose fused from both.
 
     ``distance2`` is the squared Mahalanobis distance of the two, of ``freedom`` degrees: six, less the directions in
     which neither has an error. ``weight`` is that of the first in the fused pose.

@@ -74,30 +74,52 @@ def blend_with_gradient(seen: Ellipses, picture: PreparedImage, from_px: float, 
     return Ellipses(centre, axes, angle)
 
 
-class LearnedOptions(SpecModel):
-    """Options of the learned detector."""
+class VerifierOptions(SpecModel):
+    """Options of detectors whose rims the network verifies."""
 
     window_px: float = Field(
         default=20.0, gt=2.0, description="Standard deviation of the window that evens contrast out."
     )
+    radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
+    blend_from_px: float = Field(
+        default=8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
+    )
+    ground_min: float = Field(default=0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
+    confidence_min: float
+
+
+class LearnedOptions(VerifierOptions):
+    """Options of the learned detector."""
+
     levels: int = Field(
         default=5, ge=1, le=6, description="Levels of the pyramid of templates; each doubles the radii."
     )
     merit_min: float = Field(default=0.3, ge=0.0, lt=1.0, description="Least merit of a ring template's proposal.")
     proposals: int = Field(default=1600, ge=1, description="Most proposals passed to the network.")
     rounds: int = Field(default=3, ge=1, description="How often the network is applied to the remaining proposals.")
-    radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
     mirror: bool = Field(default=True, description="In the last round, average over mirror images of the patches.")
-    blend_from_px: float = Field(
-        default=8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
-    )
-    ground_min: float = Field(default=0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
     confidence_min: float = Field(
         default=0.9848,
         ge=0.0,
         lt=1.0,
         description="Least probability of a crater: that with 4 % of false alarms in tests/training/thresholds.py.",
     )
+
+
+def each_once(
+    seen: Ellipses, odds: FloatArray, picture: PreparedImage, options: VerifierOptions
+) -> tuple[Ellipses, FloatArray]:
+    """Return the rims that are large enough and on lit ground, each crater once, the most probable first."""
+    keep = (seen.radius_px >= options.radius_min_px) & (picture.on_ground(seen) >= options.ground_min)
+    seen, odds = seen[keep], odds[keep]
+    rows = suppress_duplicates(seen, odds, 0.6, 1.6)
+    return seen[rows], odds[rows]
+
+
+def detections(seen: Ellipses, odds: FloatArray, picture: PreparedImage, options: VerifierOptions) -> CraterDetections:
+    """Return the rims with their probabilities, the logistic function of the log odds (n,); large rims are blended."""
+    rims = blend_with_gradient(seen, picture, options.blend_from_px, ClassicOptions())
+    return CraterDetections.above(options.confidence_min, rims, 1.0 / (1.0 + np.exp(-odds)))
 
 
 @lru_cache(maxsize=1)
@@ -180,13 +202,7 @@ class CraterLearned:
         source = PatchSource.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
         seen = propose(picture, o.levels, o.merit_min, o.proposals).ellipses
         seen, odds = self.refine_proposals(source, seen)
-        keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
-        seen, odds = seen[keep], odds[keep]
-        rows = suppress_duplicates(seen, odds, 0.6, 1.6)
-        # The logistic function of the log odds.
-        sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        rims = blend_with_gradient(seen[rows], picture, o.blend_from_px, ClassicOptions())
-        return CraterDetections.above(o.confidence_min, rims, sure)
+        return detections(*each_once(seen, odds, picture, o), picture, o)
 
     def refine_proposals(self, source: PatchSource, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
         """Apply the network repeatedly, each time to the rims that it returned; return the rims, and log odds (n,).

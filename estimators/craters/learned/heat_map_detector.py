@@ -12,13 +12,14 @@ import numpy as np
 from pydantic import Field
 
 from boresight.estimators.craters.contract import CraterDetections
-from boresight.estimators.craters.detection.classic import ClassicOptions
 from boresight.estimators.craters.detection.preparation import noise_level, prepare_image
 from boresight.estimators.craters.detection.refinement import suppress_duplicates
 from boresight.estimators.craters.learned.detector import (
     CraterLearned,
     LearnedOptions,
-    blend_with_gradient,
+    VerifierOptions,
+    detections,
+    each_once,
     packaged_network,
     read_weights,
 )
@@ -46,22 +47,16 @@ def log_odds(verdict: FloatArray, heat: FloatArray) -> FloatArray:
     return np.asarray(constant + of_verdict * np.clip(verdict, -8.0, 12.0) + of_heat * heat, dtype=np.float64)
 
 
-class HeatMapOptions(SpecModel):
+class HeatMapOptions(VerifierOptions):
     """Options of the detector by a heat map."""
 
-    window_px: float = Field(20.0, gt=2.0, description="Standard deviation of the window that evens contrast out.")
     logit_min: float = Field(
         -2.5, ge=-10.0, le=5.0, description="Least logit of the heat map's maxima that are proposed."
     )
     proposals: int = Field(
         4000, ge=1, description="Most maxima of the heat map at each resolution, a factor of 4 apart."
     )
-    radius_min_px: float = Field(4.5, gt=1.0, description="Least mean radius of a crater.")
     mirror: bool = Field(True, description="Average the network's outputs over mirror images of the patches.")
-    blend_from_px: float = Field(
-        8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
-    )
-    ground_min: float = Field(0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
     confidence_min: float = Field(
         0.43,
         ge=0.0,
@@ -131,14 +126,7 @@ class CraterHeatMap:
         seen, logit = seen[rows], logit[rows]
         outputs = outputs_of(source, seen, o.mirror)
         seen = rims_from_outputs(seen, outputs[:, 1:], source.sun_px)
-        odds = log_odds(outputs[:, 0], logit)
-        keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
-        seen, odds = seen[keep], odds[keep]
-        rows = suppress_duplicates(seen, odds, 0.6, 1.6)
-        seen, odds = seen[rows], odds[rows]
+        seen, odds = each_once(seen, log_odds(outputs[:, 0], logit), picture, o)
         # Rims are placed best from nearby, and few are left: they are corrected once more.
         seen = rims_from_outputs(seen, outputs_of(source, seen, o.mirror)[:, 1:], source.sun_px)
-        # The logistic function of the log odds.
-        sure = 1.0 / (1.0 + np.exp(-odds))
-        rims = blend_with_gradient(seen, picture, o.blend_from_px, ClassicOptions())
-        return CraterDetections.above(o.confidence_min, rims, sure)
+        return detections(seen, odds, picture, o)

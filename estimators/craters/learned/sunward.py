@@ -11,7 +11,7 @@ from boresight.scenarios.arrays import FloatArray, Image
 from boresight.scenarios.errors import BoresightError
 
 _SIDE_PX = 512  # of the part in the middle that is looked at
-_BESIDE_RAD = 0.35  # to either side of the axis
+_TURN_RAD = 0.35  # to either side of the axis
 _LEAST_LOGIT = -1.0
 
 
@@ -19,8 +19,8 @@ def estimate_sun(network: HeatMapNetwork, image: Image, ground: Image) -> FloatA
     """Return the unit vector (2,) towards the Sun along columns and rows.
 
     The brightness varies most along the Sun's direction, which leaves two opposite ones. Of these, and of directions
-    20 degrees beside the better one, that is returned in which the heat map shows most craters. ``image`` and
-    ``ground`` (H, W) are those of `search`.
+    20 degrees to either side of the better one, that is returned in which the heat map shows most craters. ``image``
+    and ``ground`` (H, W) are those of `search`.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def estimate_sun(network: HeatMapNetwork, image: Image, ground: Image) -> FloatA
     number, angle = max((count(axis + turn), axis + turn) for turn in (0.0, np.pi))
     if number == 0.0:
         raise BoresightError("no crater shows where the Sun stands: give its direction by --sun")
-    beside = [(count(angle + turn), angle + turn) for turn in (-_BESIDE_RAD, _BESIDE_RAD)]
-    _, angle = max([(number, angle), *beside])
+    others = [(count(angle + turn), angle + turn) for turn in (-_TURN_RAD, _TURN_RAD)]
+    _, angle = max([(number, angle), *others])
     return np.array([np.cos(angle), np.sin(angle)])
 
 
