@@ -60,7 +60,7 @@ def _least_width(grid: Grid, column: int) -> int:
     if not _wraps(grid, column):
         return whole
     words = [word for text in texts for word in text.split()]
-    return min(whole, max(_READABLE, *map(cell_len, words)))
+    return min(whole, max([_READABLE, *map(cell_len, words)]))
 
 
 def _table(grid: Grid, least: list[int]) -> Table:

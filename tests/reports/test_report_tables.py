@@ -184,6 +184,11 @@ def test_reasons_are_counted_for_the_console_the_most_frequent_first(builder):
     assert reason_lines(read_run(solved.write())) == []
 
 
+def test_a_column_of_text_without_a_word_is_printed():
+    grid = Grid("Sensitivity", ("key", "index", ""), (("camera.fov_deg", "0.50", ""),), frozenset({0, 2}))
+    assert any(line.split() == ["camera.fov_deg", "0.50"] for line in printed_lines([grid]))
+
+
 def test_a_method_that_solved_nothing_is_said_with_its_reasons_in_report_and_console(builder):
     for trial, reason in enumerate(("no landmarks in view",) * 3 + ("the image is black",)):
         builder.trial(trial, ([10, 0, 0], 1), None, reason=reason)
