@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.table import Table
 
-from boresight.campaign.cli.arguments import PEERS
+from boresight.campaign.cli.main import PEERS
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, benchmark
 from boresight.campaign.runs.check import check_campaign

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from boresight.campaign.cli.arguments import COMPARISONS
+from boresight.campaign.cli.main import COMPARISONS
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders

@@ -11,8 +11,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.cli.arguments import ALL_PAPERS
 from boresight.campaign.cli.fetch import bring_missing
+from boresight.campaign.cli.main import ALL_PAPERS
 from boresight.campaign.cli.progress import NamedLines, ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.machine import sharing_cores

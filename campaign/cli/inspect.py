@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from boresight.campaign.cli.arguments import WORST
+from boresight.campaign.cli.main import WORST
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case, order_of

@@ -17,8 +17,7 @@ from benchmarks.ratio import HISTORY, REGRESSION, Absent, Ratio, SpeedTable, che
 from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
 from benchmarks.timing import Seconds, Settings, in_turn, timed
 
-from boresight.campaign.cli.arguments import PEERS
-from boresight.campaign.cli.main import main
+from boresight.campaign.cli.main import PEERS, main
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, TriangleMesh, View, look_at
