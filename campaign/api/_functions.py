@@ -10,8 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from boresight.campaign.cli.catalog import as_yaml
-from boresight.campaign.cli.printed import source_of
-from boresight.campaign.cli.report import write
+from boresight.campaign.cli.report import source_of, write
 from boresight.campaign.papers.page import paper_called, paper_page
 from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.read import CampaignFiles, is_campaign, read_campaign

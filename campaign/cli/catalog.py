@@ -1,13 +1,15 @@
-"""``list``, ``show``, ``validate`` and ``schema``: print or check campaigns and scenarios before they run."""
+"""``list``, ``init``, ``show``, ``validate``, ``schema``: what campaigns and scenarios there are, and their files."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
 import json
+import shlex
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatch
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +21,8 @@ from boresight.campaign.cli.terminal import console
 from boresight.campaign.machine import cores
 from boresight.campaign.runs.read import CATALOG, CampaignFiles, campaign_names, is_campaign, read_campaign
 from boresight.campaign.trial.kind import kind_names
-from boresight.scenarios.errors import BoresightError, printable
+from boresight.scenarios.atomic import explain_write_error
+from boresight.scenarios.errors import BoresightError, display, printable
 from boresight.scenarios.load import (
     LoadedCampaign,
     LoadedScenario,
@@ -54,6 +57,9 @@ _GAP = "  "
 
 _WIDEST = 100
 """Characters of a line at most, however wide the terminal is."""
+
+FILES = ("scenario.yaml", "campaign.yaml")
+"""What ``init`` writes."""
 
 
 def list_command(arguments: argparse.Namespace) -> int:
@@ -119,6 +125,31 @@ def _print_row(out: Console, row: Sequence[str], widths: Sequence[int]) -> None:
     if out.is_terminal and len(line) > out.width:
         line = f"{line[: out.width - 3]}..."
     out.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def init_command(arguments: argparse.Namespace) -> int:
+    """Write both files into a folder, which is made if it is missing; a file that is there is never changed."""
+    folder: Path = arguments.folder
+    texts = {
+        folder / name: resources.files(__package__ or "").joinpath(f"init_{name}").read_text(encoding="utf-8")
+        for name in FILES
+    }
+    present = [display(file) for file in texts if file.exists() or file.is_symlink()]
+    if present:
+        raise BoresightError(f"{present[0]}: is there already, and init changes no file: choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in texts.items():
+            # Fails, instead of writing over it, if another program made the file in the meantime.
+            with file.open("x", encoding="utf-8") as stream:
+                stream.write(text)
+    except OSError as error:
+        reason = explain_write_error(error.filename or folder, error)
+        raise BoresightError(reason.removesuffix(" with --out")) from error
+    scenario, campaign = map(display, texts)
+    console().print(f"{scenario}: a body, a camera, the errors\n{campaign}: estimators on trials of it")
+    console().print(f"next: {shlex.join(['boresight', 'run', campaign])}")
+    return 0
 
 
 def show_command(arguments: argparse.Namespace) -> int:

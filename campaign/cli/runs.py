@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import shlex
 
-from boresight.campaign.cli.printed import print_report, printed_before, source_of
 from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.cli.report import report_after_run
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.request import Cluster
 from boresight.campaign.runs.start import start
-from boresight.campaign.store import RunFolder
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display
 
@@ -49,20 +48,8 @@ def run_command(arguments: argparse.Namespace) -> int:
         if arguments.no_report:
             out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
-            _report(folder, arguments.worst, arguments.pdf)
+            report_after_run(folder, arguments.worst, arguments.pdf)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
-
-
-def _report(folder: RunFolder, worst: int, pdf: bool) -> None:
-    """Write the report and print its tables; one that would be the same is not made again."""
-    source = source_of(folder, worst, pdf)
-    printed = printed_before(folder, source)
-    if printed is None:
-        # Matplotlib and the reports, 1 s to import, are needed only here.
-        from boresight.campaign.cli.report import write
-
-        printed = write(folder, worst, pdf, source)
-    print_report(printed, folder)
 
 
 def _cluster(arguments: argparse.Namespace) -> Cluster | None:

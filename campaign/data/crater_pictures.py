@@ -1,15 +1,16 @@
-"""Detection of craters in a picture of which nothing else is known, and scores against somebody's labels."""
+"""Detection of craters in a picture of which nothing else is known, and the labels that somebody gave them."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.data.crater_labels import open_picture, read_labels
 from boresight.campaign.data.label_score import LabelMatches, label_quality, match_labels, score_table
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.detection.preparation import check_image, lit_ground
@@ -23,6 +24,17 @@ from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose
 from boresight.scenarios.observation import Frame
 
+PICTURES = (".png", ".pgm", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_MOST_PIXELS = 20_000_000  # of a picture: the layers of a heat map take 100 bytes a pixel
+_MOST_PX = 1e6
+
+_ALIKE = {
+    "u": "u", "u_px": "u", "c_x": "u", "cx": "u", "x_px": "u", "v": "v", "v_px": "v", "c_y": "v", "cy": "v",
+    "y_px": "v", "x": "x", "y": "y", "w": "width", "width": "width", "h": "height", "height": "height",
+    "diameter": "diameter", "diameter_px": "diameter", "d": "diameter", "radius": "radius", "radius_px": "radius",
+    "r": "radius", "a": "a", "a_px": "a", "b": "b", "b_px": "b", "angle": "angle", "angle_deg": "angle",
+}  # fmt: skip
+
 _FOV_RAD = 0.1  # detectors use the size of the camera alone
 _RANGE_M = 1e5
 _SUN_ELEVATION_RAD = np.radians(30.0)  # above the image plane: unknown, and of little effect on detectors
@@ -32,6 +44,94 @@ OPTIONS: Mapping[str, Mapping[str, object]] = {
     "crater-learned": {"radius_min_px": 3.0, "proposals": 8000},
 }
 """Options of detectors in pictures: labels are made down to smaller craters than the truth of rendered images has."""
+
+
+def open_picture(path: Path) -> Image:
+    """Read an image (H, W) of 8 or 16 bits as float32; colours become grey.
+
+    Raise BoresightError if the file is missing or no image.
+    """
+    try:
+        stored = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        found = cv2.imdecode(stored, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(stored) else None
+    except (OSError, cv2.error) as error:
+        raise BoresightError(f"{path}: cannot be read: {error}") from error
+    if found is None:
+        raise BoresightError(f"{path}: no image of a known format ({', '.join(PICTURES)})")
+    if found.size > _MOST_PIXELS:
+        raise BoresightError(
+            f"{path}: {found.size / 1e6:.0f} megapixels are more than {_MOST_PIXELS / 1e6:.0f}: cut it"
+        )
+    return np.asarray(found, dtype=np.float32)
+
+
+def read_labels(path: Path, columns: str = "") -> Ellipses:
+    """Read a table of boxes, circles or ellipses, separated by commas, semicolons or tabs, as rims.
+
+    Its first line names the columns: ``x, y, w, h`` of boxes with x and y at their upper left corner; ``x, y`` (or
+    ``u, v``) and ``radius`` or ``diameter`` of circles; ``u, v, a, b, angle_deg`` of ellipses with semi-axes a and b.
+    All are continuous pixels. ``columns`` are the names for a table without such a line.
+
+    Raise BoresightError, with file and line, if the table is none of these or a number is impossible.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BoresightError(f"{path}: cannot be read: {error}") from error
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip() and line[0] != "#"]
+    try:
+        rows = [(k, next(csv.reader([line.replace("\t", ",").replace(";", ",")]))) for k, line in lines]
+    except csv.Error as error:
+        raise BoresightError(f"{path}: not readable as a table: {error}") from error
+    names = columns.split(",") if columns else rows.pop(0)[1] if rows else []
+    meant = [_ALIKE.get(name.strip().lower(), "") for name in names]
+    place = {name: meant.index(name) for name in meant if name}
+    wanted = _kind_of(path, set(place), names)
+    if not rows:
+        raise BoresightError(f"{path}: the table has no craters")
+    numbers = np.array([_numbers(path, k, row, [place[name] for name in wanted], wanted) for k, row in rows])
+    return _rims(dict(zip(wanted, numbers.T, strict=True)))
+
+
+def _kind_of(path: Path, there: set[str], names: list[str]) -> list[str]:
+    """Return the columns of the first kind of shape that are all there."""
+    kinds = [[*centre, *size] for size in (["a", "b", "angle"], ["radius"], ["diameter"]) for centre in ("uv", "xy")]
+    for kind in [*kinds[:2], ["x", "y", "width", "height"], *kinds[2:]]:
+        if there.issuperset(kind):
+            return kind
+    raise BoresightError(
+        f"{path}: line 1: columns {', '.join(name.strip() for name in names) or 'none'} are no boxes (x, y, w, h),"
+        " circles (x, y, radius or diameter) or ellipses (u, v, a, b, angle_deg): name the columns by --columns"
+    )
+
+
+def _numbers(path: Path, line: int, row: list[str], places: list[int], names: list[str]) -> FloatArray:
+    try:
+        values = np.array([float(row[i]) for i in places])
+    except (ValueError, IndexError):
+        raise BoresightError(f"{path}: line {line}: {', '.join(names)} are not all numbers") from None
+    sizes = [value for name, value in zip(names, values, strict=True) if name not in ("u", "v", "x", "y", "angle")]
+    if not np.all(np.abs(values) < _MOST_PX) or min(sizes) <= 0.0:
+        shown = ", ".join(f"{name} {value:g}" for name, value in zip(names, values, strict=True))
+        raise BoresightError(f"{path}: line {line}: {shown} cannot be a crater in an image")
+    return values
+
+
+def _rims(columns: dict[str, FloatArray]) -> Ellipses:
+    """Build ellipses; the longer axis comes first."""
+    centre = np.stack([columns[name] for name in ("uv" if "u" in columns else "xy")], axis=1)
+    angle = np.radians(columns.get("angle", np.zeros(len(centre))))
+    if "width" in columns:
+        axes = 0.5 * np.stack([columns["width"], columns["height"]], axis=1)
+        centre = centre + axes
+    elif "a" in columns:
+        axes = np.stack([columns["a"], columns["b"]], axis=1)
+    else:
+        radius = columns["radius"] if "radius" in columns else 0.5 * columns["diameter"]
+        axes = np.stack([radius, radius], axis=1)
+    swap = axes[:, 1] > axes[:, 0]
+    axes = np.where(swap[:, None], axes[:, ::-1], axes)
+    return Ellipses(centre, axes, (angle + np.where(swap, 0.5 * np.pi, 0.0)) % np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +207,17 @@ def write_picture(found: PictureDetection, folder: Path) -> list[Path]:
     title = f"{found.name}: detected craters" + (", and labels (dashed)" if found.labels is not None else "")
     figure = draw_detections(found.image, found.detections.ellipses, labels, [""] * len(labels), title)
     written = list(save_figure(figure, folder / "detections"))
-    rims = found.detections.ellipses
-    numbers = np.column_stack([rims.centre_px, rims.semi_axes_px, np.degrees(rims.angle_rad)])
-    table = pd.DataFrame(numbers, columns=["u_px", "v_px", "a_px", "b_px", "angle_deg"]).map("{:.2f}".format)
-    table["confidence"] = [f"{value:.4f}" for value in found.detections.confidence]
-    tables = {"detections.csv": table}
+    tables = {"detections.csv": detections_table(found.detections)}
     if found.labels is not None:
         tables["scores.csv"] = score_table(found.matches()).round(4)
     for name, one in tables.items():
         write_text(folder / name, one.to_csv(index=False, lineterminator="\n"))
     return [*written, *(folder / name for name in tables)]
+
+
+def detections_table(found: CraterDetections) -> pd.DataFrame:
+    """Tabulate detections in words, the most confident first: centre and semi-axes, px, angle, deg, and confidence."""
+    rims = found.ellipses
+    numbers = np.column_stack([rims.centre_px, rims.semi_axes_px, np.degrees(rims.angle_rad)])
+    table = pd.DataFrame(numbers, columns=["u_px", "v_px", "a_px", "b_px", "angle_deg"]).map("{:.2f}".format)
+    return table.assign(confidence=[f"{value:.4f}" for value in found.confidence])

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import spiceypy
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from boresight.campaign.data.crater_pictures import detections_table
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.detection.classic import CraterClassic, DetectionStages
 from boresight.renderers.images import open_product
@@ -276,16 +276,8 @@ def write_real(found: RealDetection, folder: Path) -> list[Path]:
         arcs = {"shaded": [a.uv_px for a in found.stages.shaded], "lit": [a.uv_px for a in found.stages.lit]}
         figure = draw_stages(picture, small.mask | large.mask, arcs, found.detections.ellipses)
         written += save_figure(figure, folder / "stages")
-    write_text(folder / "detections.csv", _table(found))
-    return [*written, folder / "detections.csv"]
-
-
-def _table(found: RealDetection) -> str:
-    """CSV of the detections by decreasing confidence, with the named crater matched with each."""
+    # With the named crater matched with each detection.
     names = {int(row): name for row, name in zip(found.nearest, found.predicted.names, strict=True) if row >= 0}
-    rims = found.detections.ellipses
-    numbers = np.column_stack([rims.centre_px, rims.semi_axes_px, np.degrees(rims.angle_rad)])
-    table = pd.DataFrame(numbers, columns=["u_px", "v_px", "a_px", "b_px", "angle_deg"]).map("{:.2f}".format)
-    table["confidence"] = [f"{value:.4f}" for value in found.detections.confidence]
-    table["name"] = [names.get(k, "") for k in range(len(rims))]
-    return table.to_csv(index=False, lineterminator="\n")
+    table = detections_table(found.detections).assign(name=lambda rows: [names.get(k, "") for k in rows.index])
+    write_text(folder / "detections.csv", table.to_csv(index=False, lineterminator="\n"))
+    return [*written, folder / "detections.csv"]

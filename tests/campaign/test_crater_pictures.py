@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from boresight.campaign.cli import main
-from boresight.campaign.data.crater_labels import open_picture, read_labels
+from boresight.campaign.data.crater_pictures import open_picture, read_labels
 from boresight.campaign.data.label_score import LabelMatches, label_quality, match_labels, recall_at, score_table
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.scenarios.errors import BoresightError

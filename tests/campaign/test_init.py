@@ -7,7 +7,7 @@ import re
 import pandas as pd
 import pytest
 
-from boresight.campaign.cli.init import FILES
+from boresight.campaign.cli.catalog import FILES
 from boresight.campaign.cli.main import main
 
 SMALLER = ["--set", "camera.width_px=128", "--set", "camera.height_px=128", "--set", "body.detail.facets=20000"]

@@ -10,7 +10,7 @@ import pytest
 from tiny_campaign import run
 
 from boresight import campaign
-from boresight.campaign.cli import printed
+from boresight.campaign.cli import report as printed
 from boresight.campaign.store import RunFolder
 from boresight.scenarios.errors import BoresightError
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pyarrow as pa
 from fuzz import recipes
 
-from boresight.campaign.cli.printed import MADE, Printed, print_report, printed_before
+from boresight.campaign.cli.report import MADE, Printed, print_report, printed_before
 from boresight.campaign.cli.status import status_command
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.papers.gather import finished_runs
