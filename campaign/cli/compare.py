@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from boresight.campaign.cli.main import COMPARISONS
+from boresight.campaign.cli.main import COMPARISONS, EXIT_IN_PART
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.papers.gather import run_folders
@@ -15,7 +15,7 @@ from boresight.campaign.runs.newest import find_run, newest_first
 from boresight.campaign.runs.request import RUNS, RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.sensitivity import analyse, make_design, parse_over
-from boresight.campaign.runs.until import CONTROLS, STATISTICS
+from boresight.campaign.runs.until import STATISTICS
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.compare import compare_runs
@@ -27,10 +27,10 @@ from boresight.reports.pages.comparison import write_comparison, write_sensitivi
 from boresight.reports.pages.rich_tables import rich_parts
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import short_line
+from boresight.reports.schema.records import CONTROLS
 from boresight.reports.schema.tables import kind_schema
 from boresight.scenarios.errors import BoresightError, display
 
-_IN_PART = 3
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 """Columns that the files have and the terminal has no room for."""
 
@@ -71,7 +71,7 @@ def board_command(arguments: argparse.Namespace) -> int:
     for line in refused:
         out.print(f"not read: {line}")
     out.print(f"board of {len(folders) - len(refused)} of {len(folders)} runs: {display(page)}")
-    return _IN_PART if refused else 0
+    return EXIT_IN_PART if refused else 0
 
 
 def sensitivity_command(arguments: argparse.Namespace) -> int:

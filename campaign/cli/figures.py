@@ -12,7 +12,7 @@ from pathlib import Path
 
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.fetch import bring_missing
-from boresight.campaign.cli.main import ALL_PAPERS
+from boresight.campaign.cli.main import ALL_PAPERS, EXIT_IN_PART
 from boresight.campaign.cli.progress import NamedLines, ProgressListener
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.machine import sharing_cores
@@ -33,9 +33,6 @@ from boresight.reports.schema.records import count_of
 from boresight.reports.verdicts import verdict_tally
 from boresight.scenarios.errors import BoresightError, display
 from boresight.scenarios.load import load_campaign
-
-_IN_PART = 3
-"""Exit code: done, without the runs that could not be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +103,7 @@ def figures_command(arguments: argparse.Namespace) -> int:
         among = [folders] if scale < 1.0 else [{name: folder} for name, folder in folders.items()]
         written = [one for papers in among for one in _of_papers(papers, arguments)]
         console().print(f"all papers: {value_tally([line for one in written for line in one.lines])}")
-    return _IN_PART if any(one.refused for one in written) else 0
+    return EXIT_IN_PART if any(one.refused for one in written) else 0
 
 
 def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> list[_Written]:

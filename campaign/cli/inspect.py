@@ -7,9 +7,9 @@ import argparse
 from boresight.campaign.cli.main import WORST
 from boresight.campaign.cli.terminal import console, writing
 from boresight.campaign.imaging.image_store import store_switched
-from boresight.campaign.inspection.build import inspect_case, order_of
-from boresight.campaign.inspection.look import look_of
+from boresight.campaign.inspection.build import inspect_case
 from boresight.campaign.inspection.recompute import ORDER, Choice, chosen_rows, named_cases, reopened, worst_cases
+from boresight.campaign.inspection.show import look_of
 from boresight.campaign.runs.newest import find_run
 from boresight.reports.figures.named import file_stem
 from boresight.reports.pages.view3d import write_view3d
@@ -51,10 +51,10 @@ def _cases(arguments: argparse.Namespace) -> int:
     if ranked_by is not None:
         printer.print(f"worst first: {ORDER} {ranked_by}")
     out = arguments.out or folder.path / "inspect"
-    same = True
+    same, scenarios = True, list(dict.fromkeys(case.scenario for case in cases))
     # Images are rendered anew: one that is kept would prove nothing.
     with store_switched(False):
-        for case in order_of(cases):
+        for case in sorted(cases, key=lambda case: scenarios.index(case.scenario)):  # each world is built once
             with writing(out):
                 found, page = inspect_case(campaign, folder, case, out, arguments.pdf)
             same = same and not found.comparison.differences

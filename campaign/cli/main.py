@@ -17,7 +17,7 @@ from boresight.campaign.runs.request import RUNS
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 
-EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
+EXIT_OK, EXIT_USER_ERROR, EXIT_IN_PART, EXIT_INTERRUPTED = 0, 2, 3, 130
 ALL_PAPERS = "all"
 COMPARISONS = Path("comparisons")
 WORST = 5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 
+from boresight.campaign.cli.main import EXIT_IN_PART
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.report import report_after_run
 from boresight.campaign.cli.terminal import console
@@ -49,7 +50,7 @@ def run_command(arguments: argparse.Namespace) -> int:
             out.print(f"stored; {shlex.join(['boresight', 'report', display(folder.path)])} writes the report")
         else:
             report_after_run(folder, arguments.worst, arguments.pdf)
-    return 3 if (folder.table("rows")["status"] == "error").any() else 0
+    return EXIT_IN_PART if (folder.table("rows")["status"] == "error").any() else 0
 
 
 def _cluster(arguments: argparse.Namespace) -> Cluster | None:

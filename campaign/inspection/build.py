@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.campaign.inspection.recompute import CONTROLS, ORDER, Case, Choice, Recomputed, recompute, worst_cases
+from boresight.campaign.inspection.recompute import ORDER, Case, Choice, Recomputed, recompute, worst_cases
 from boresight.campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
@@ -23,7 +23,7 @@ from boresight.reports.pages.build import LEAD
 from boresight.reports.pages.document import CasePage, write_document
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import NO_VALUE, Grid, number
-from boresight.reports.schema.records import as_title
+from boresight.reports.schema.records import CONTROLS, as_title
 from boresight.reports.schema.tables import TABLES, measure_label, schema
 from boresight.scenarios.atomic import write_atomically, write_text
 
@@ -137,9 +137,3 @@ def _cell(value: object) -> str:
     if value is None:
         return NO_VALUE
     return number(value) if isinstance(value, float) else str(value)
-
-
-def order_of(cases: Sequence[Case]) -> list[Case]:
-    """Sort cases by scenario, so that each world is built once."""
-    scenarios = list(dict.fromkeys(case.scenario for case in cases))
-    return sorted(cases, key=lambda case: scenarios.index(case.scenario))

@@ -26,11 +26,9 @@ from boresight.reports.compare.trials import choose_metric, metric_values, misse
 from boresight.reports.figures.named import file_stem
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.column import Measure
+from boresight.reports.schema.records import CONTROLS
 from boresight.reports.schema.tables import TABLES, schema
 from boresight.scenarios.errors import BoresightError
-
-CONTROLS = ("prior", "dead-reckoning")
-"""Baseline estimators that use no measurement, whose worst cases are of no interest."""
 
 ORDER = "estimators that raised, then failures by their prior error, then solved trials by"
 MISSED_OR_WRONG = "n_missed_or_wrong"

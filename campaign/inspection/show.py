@@ -1,4 +1,7 @@
-"""Displays of a kind of trial: figures and files of a case, a three-dimensional view of a run, poses for export."""
+"""Displays of a kind of trial: figures and files of a case, poses for export, and a three-dimensional view of a run.
+
+The view has a coarse body, landmarks by their rate of recognition, and cameras by outcome.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +12,26 @@ from importlib.util import find_spec
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.recompute import Case, Recomputed
+from boresight.campaign.inspection.recompute import Case, Choice, Recomputed, unknown, worst_cases
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import module_of
 from boresight.reports.figures.named import NamedFigure
-from boresight.reports.pages.view3d import View3D
-from boresight.reports.run.data import RunData
+from boresight.reports.pages.view3d import BAD, FAILED, GOOD, CameraSet, PointSet, View3D
+from boresight.reports.run.data import RunData, select
+from boresight.reports.schema.records import CONTROLS
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.errors import BoresightError
+from boresight.scenarios.geometry import Camera, Pose, TriangleMesh
+
+_FINER = 1.25
+
+MOST_FACES = 40_000
+_NEAR = 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,3 +127,141 @@ def show_of(kind: str) -> Show | None:
     """Return the displays of a kind of trial; None if it has none."""
     module = f"{module_of(kind)}.show"
     return None if find_spec(module) is None else cast("Show", import_module(module).SHOW)
+
+
+def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> View3D:
+    """Collect the view of one scenario and estimator.
+
+    Raise BoresightError if the choice leaves several scenarios or estimators, or the kind of trial has no such view.
+    """
+    scenario, label = _one(run, choice)
+    kind = campaign.spec.experiment
+    show = show_of(kind)
+    if show is None or show.look is None:
+        raise BoresightError(f"{folder.path}: --look: trials of {kind} have no camera to look at: leave it out")
+    return show.look(EstimatorRun(campaign, folder, run, scenario, label))
+
+
+def _one(run: RunData, choice: Choice) -> list[str]:
+    """Return one scenario and one estimator: those named, or the only ones apart from `CONTROLS`."""
+    chosen = []
+    for column, wanted, left_out in (("scenario", choice.scenario, ()), ("estimator", choice.estimator, CONTROLS)):
+        there = list(dict.fromkeys(run.rows[column].astype(str)))
+        rest = [name for name in there if name not in left_out] or there
+        if wanted is not None and wanted not in there:
+            raise unknown(column, wanted, there, str(run.folder))
+        if wanted is None and len(rest) > 1:
+            raise BoresightError(f"--look shows one {column}: give --{column}, one of {', '.join(there)}")
+        chosen.append(wanted or rest[0])
+    return chosen
+
+
+def camera_sets(
+    rows: pd.DataFrame, badness: FloatArray, describe: Callable[[float], str], places: Callable[[int], FloatArray]
+) -> list[CameraSet]:
+    """Group the cameras of trials: good, bad (``badness`` above the median), and without an estimate.
+
+    ``badness`` (n,) is the error measure of each of the rows, one for each trial, and ``describe`` formats it.
+    ``places`` returns the camera positions (n, 3) of a trial.
+    """
+    values = pd.Series(badness, index=rows.index)
+    solved = rows["status"] == "ok"
+    good = solved & (values <= values[solved].median())
+    sets = (("good trials", GOOD, good), ("bad trials", BAD, solved & ~good), ("no estimate", FAILED, ~solved))
+    found = []
+    for name, colour, which in sets:
+        texts, points = [], [np.zeros((0, 3))]
+        keys = rows.loc[which, ["trial", "status", "reason"]].itertuples(index=False, name=None)
+        for (trial, status, reason), value in zip(keys, values[which], strict=True):
+            points.append(np.reshape(places(int(trial)), (-1, 3)))
+            text = f"trial {trial}<br>" + (describe(value) if status == "ok" else f"{status}: {reason}")
+            texts += [text] * len(points[-1])
+        if texts:
+            found.append(CameraSet(name, colour, np.concatenate(points), texts))
+    return found
+
+
+def camera_scale(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
+    """Return the factor by which cameras (n, 3) are drawn nearer than they are, and a sentence about it.
+
+    At 2 km a body of 300 m would be a dot: cameras at the median range are drawn at 1.8 radii of the body.
+    """
+    middle = float(np.median(np.linalg.norm(places_m, axis=1))) if len(places_m) else 0.0
+    factor = max(middle / (_NEAR * radius_m), 1.0)
+    return (factor, f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else "")
+
+
+def finite_or_dash(value: float, unit: str) -> str:
+    """Format a number with its unit, or a dash for NaN."""
+    return "-" if np.isnan(value) else f"{value:.3g} {unit}"
+
+
+def middle_and_worst(scene: EstimatorRun) -> Iterable[tuple[str, str, Case]]:
+    """Return the median and the worst trial with names and colours; once if they are the same."""
+    every = len(select(scene.run.rows, scene.scenario, scene.label))
+    ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
+    cases = list(dict.fromkeys([ranked[len(ranked) // 2], ranked[0]]))
+    return list(zip(("middle", "worst"), (GOOD, BAD), cases, strict=False))
+
+
+def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str, str, str]) -> PointSet:
+    """Colour craters by their share of hits; ``words`` name the share, the chances and the hits."""
+    chances, hits = (outcomes[name].to_numpy(dtype=np.float64) for name in ("chances", "hits"))
+    share = np.where(chances > 0, 100.0 * hits / np.maximum(chances, 1.0), np.nan)
+    texts = [
+        f"crater {number}<br>{words[1]}: {c:.0f} times<br>{words[2]}: {h:.0f} ({finite_or_dash(s, '%')})"
+        for number, c, h, s in zip(outcomes.index, chances, hits, share, strict=True)
+    ]
+    return PointSet(words[0], places_m, share, texts, "%")
+
+
+def crater_look(
+    scene: EstimatorRun,
+    rows: pd.DataFrame,
+    marks: list[PointSet],
+    mesh: TriangleMesh,
+    trials: tuple[dict[int, FloatArray], str, pd.Series | None],
+) -> View3D:
+    """Compose the view of craters; ``trials`` are cameras by trial, the name of faults, and their number by row."""
+    views, called, faults = trials
+    body = coarsened(mesh, MOST_FACES)
+    factor, scale_note = camera_scale(np.concatenate(list(views.values())), body.radius_m)
+    badness = np.full(len(rows), np.nan) if faults is None else faults[rows.index].to_numpy(dtype=np.float64)
+    middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
+    note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{scale_note}"
+    cameras = camera_sets(rows, badness, lambda value: f"{value:.0f} {called}", lambda trial: views[trial] / factor)
+    return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+
+
+def places_of(centre_m: FloatArray, numbers: IndexArray, outcomes: pd.DataFrame) -> FloatArray:
+    """Return the centres of the craters that index ``outcomes``."""
+    return pd.DataFrame(centre_m, index=numbers).loc[outcomes.index].to_numpy(dtype=np.float64)
+
+
+def coarsened(mesh: TriangleMesh, most_faces: int) -> TriangleMesh:
+    """Merge the vertices of each cube of a grid into their mean until no more than ``most_faces`` facets are left.
+
+    Degenerate facets are removed. The result is only for display.
+    """
+    if len(mesh.faces) <= most_faces:
+        return mesh
+    # A closed surface of area A in cubes of edge a crosses about A / a^2 of them, with two facets for each vertex.
+    area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+    edge_m = float(np.sqrt(2.0 * area_m2 / most_faces))
+    while True:
+        coarse = _merged(mesh, edge_m)
+        if len(coarse.faces) <= most_faces:
+            return coarse
+        edge_m *= _FINER
+
+
+def _merged(mesh: TriangleMesh, edge_m: float) -> TriangleMesh:
+    cubes = np.floor(mesh.vertices_m / edge_m).astype(np.int64)
+    _, which, counts = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
+    which = which.ravel()
+    sums = np.stack([np.bincount(which, mesh.vertices_m[:, axis]) for axis in range(3)], axis=1)
+    faces = which[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return TriangleMesh(sums / counts[:, None], faces[np.sort(first)].astype(np.int32))

@@ -31,7 +31,7 @@ from boresight.reports.compare.trials import metric_values
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, read_run
 from boresight.reports.schema.column import Measure
-from boresight.reports.schema.records import CONTROL
+from boresight.reports.schema.records import CONTROLS
 from boresight.reports.schema.tables import kind_schema, measure_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
 from boresight.scenarios.errors import BoresightError
@@ -39,7 +39,6 @@ from boresight.scenarios.errors import BoresightError
 STATISTICS: Mapping[str, Statistic] = MappingProxyType(
     {"median": MEDIAN, "mean": MEAN, "rms": RMS, "p75": P75, "p95": P95, "p99": P99}
 )
-CONTROLS = frozenset({CONTROL, "dead-reckoning"})
 _FIRST_LOOK = 30
 _GROWTH = 1.25
 _WRITTEN = re.compile(

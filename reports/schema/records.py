@@ -10,6 +10,8 @@ from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""
+CONTROLS = (CONTROL, "dead-reckoning")
+"""Estimators that use no measurement of what they estimate."""
 FAILURES_AT_PRIOR = "failures-at-prior"
 """Stage in which a trial without an estimate counts with the error of its prior."""
 DERIVED = "derived"

@@ -17,8 +17,8 @@ from tiny_campaign import Heard, run
 from undrawn import undrawn
 
 from boresight.campaign.cli import main
-from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import Choice, reopened
+from boresight.campaign.inspection.show import look_of
 from boresight.campaign.kinds import crater_detection
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign

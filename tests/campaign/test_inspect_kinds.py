@@ -11,8 +11,8 @@ from tiny_campaign import compute
 from tiny_pairs import PAIRS
 
 from boresight.campaign.cli import main
-from boresight.campaign.inspection.look import look_of
 from boresight.campaign.inspection.recompute import Case, Choice, recompute, reopened
+from boresight.campaign.inspection.show import look_of
 from boresight.campaign.kinds.crater_matching.show import draw_pair_case
 from boresight.campaign.kinds.sequence.show import followed_of, last_seen, lives_of
 from boresight.campaign.store import RunFolder

@@ -12,8 +12,8 @@ from browser import needs_chromium, opened
 from tiny_campaign import compute
 
 from boresight.campaign.cli import main
-from boresight.campaign.inspection.look import camera_sets, coarsened, look_of
 from boresight.campaign.inspection.recompute import Choice, reopened
+from boresight.campaign.inspection.show import camera_sets, coarsened, look_of
 from boresight.campaign.kinds.single_image.show import landmark_marks
 from boresight.campaign.store import RunFolder
 from boresight.reports.run.data import read_run

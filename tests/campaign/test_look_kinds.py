@@ -11,8 +11,8 @@ import pytest
 from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
-from boresight.campaign.inspection.look import camera_scale
 from boresight.campaign.inspection.recompute import Case
+from boresight.campaign.inspection.show import camera_scale
 from boresight.campaign.kinds.crater_matching.show import pair_outcomes
 from boresight.campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
 from boresight.campaign.trial.kind import InspectedTrial

@@ -8,9 +8,16 @@ from typing import cast
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
-from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.inspection.show import (
+    CaseFigures,
+    CaseFiles,
+    EstimatorRun,
+    Show,
+    crater_look,
+    outcome_marks,
+    places_of,
+)
 from boresight.campaign.kinds.crater_detection import CraterDetection, DetectedImage
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder

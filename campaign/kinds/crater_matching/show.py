@@ -10,9 +10,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.look import crater_look, outcome_marks, places_of
 from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
-from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.inspection.show import (
+    CaseFigures,
+    CaseFiles,
+    EstimatorRun,
+    Show,
+    crater_look,
+    outcome_marks,
+    places_of,
+)
 from boresight.campaign.kinds.crater_matching import CraterMatching, MatchedPair, right_matches, unlisted_matches
 from boresight.campaign.kinds.crater_matching.pairs import PairSource, SimulatedPairs
 from boresight.campaign.resolved import ResolvedCampaign

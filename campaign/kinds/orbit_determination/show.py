@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.inspection.look import MOST_FACES, camera_scale, coarsened, finite_or_dash, middle_and_worst
 from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
-from boresight.campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, Show
+from boresight.campaign.inspection.show import (
+    MOST_FACES,
+    CaseFigures,
+    CaseFiles,
+    EstimatorRun,
+    Show,
+    camera_scale,
+    coarsened,
+    finite_or_dash,
+    middle_and_worst,
+)
 from boresight.campaign.kinds.orbit_determination import DeterminedOrbit
 from boresight.campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
 from boresight.estimators.orbit.contract import Orbit

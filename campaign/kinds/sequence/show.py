@@ -7,15 +7,17 @@ from typing import cast
 
 import numpy as np
 
-from boresight.campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
 from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
 from boresight.campaign.inspection.show import (
+    MOST_FACES,
     CaseFigures,
     CaseFiles,
     EstimatorRun,
     PosedFrame,
     PosedFrames,
     Show,
+    coarsened,
+    middle_and_worst,
 )
 from boresight.campaign.kinds.sequence import FollowedSequence, SequenceTrials
 from boresight.campaign.kinds.sequence.score import known_from_true, orbit_frame, track_axes

@@ -11,15 +11,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.observe import observe
-from boresight.campaign.inspection.look import MOST_FACES, camera_scale, camera_sets, coarsened, finite_or_dash
 from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
+    MOST_FACES,
     CaseFigures,
     CaseFiles,
     EstimatorRun,
     PosedFrame,
     PosedFrames,
     Show,
+    camera_scale,
+    camera_sets,
+    coarsened,
+    finite_or_dash,
     plain_pose,
 )
 from boresight.campaign.kinds.single_image import EstimatedImage, SingleImage
