@@ -1,6 +1,7 @@
-"""The run folder: Parquet tables in blocks of trials, a manifest, a lock.
+"""Run folders: Parquet tables in blocks of trials, a manifest, a lock; and the search for them, the newest first.
 
-A block's detail tables are written before its rows, and only a block whose rows are complete counts as done.
+A block's detail tables are written before its rows, and only a block whose rows are complete counts as done. The
+newest run is that of the last start: starts are counted, which does not depend on the clock.
 """
 
 from __future__ import annotations
@@ -8,9 +9,10 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shlex
 import shutil
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -21,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field
 
+from boresight.campaign import RUNS
 from boresight.reports.schema.tables import TABLES, layout, refuse_older, schema
 from boresight.scenarios import checksums
 from boresight.scenarios.atomic import make_folder, write_atomically, write_text
@@ -33,6 +36,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Records = Sequence[Mapping[str, object]]
+
+KEY = "start"
+"""Entry of a manifest: the number of the last start of the run."""
 
 _ROUND_BLOCKS = 50
 
@@ -264,3 +270,52 @@ class RunFolder:
             return schema(name).empty_table()
         wanted = {"scenario": scenario, "trial": trial, "estimator": estimator}
         return read_where(files[later - 1], layout(name), wanted)
+
+
+def run_folders(runs: Path) -> list[Path]:
+    """Return the folders below ``runs`` that contain a manifest, by name."""
+    return sorted(path.parent for path in runs.glob("*/manifest.json"))
+
+
+def next_start(folder: Path) -> int:
+    """Return the number of the start of a run: one more than that of any other run in the folder."""
+    return 1 + max(map(start_of, run_folders(folder.absolute().parent)), default=0)
+
+
+def start_of(folder: Path) -> int:
+    """Return the number of a run's last start; 0 where its manifest has none, as in earlier versions."""
+    try:
+        manifest = plain_json(folder / "manifest.json")
+        return int(manifest.get(KEY, 0))
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError):
+        return 0
+
+
+def newest_first(folders: Iterable[Path]) -> list[Path]:
+    """Sort run folders by their last start; those of earlier versions come after, by when they changed last."""
+    return sorted(folders, key=lambda path: (start_of(path), path.stat().st_mtime), reverse=True)
+
+
+def run_words(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the words of the command that started a run, ``boresight run ...``; none if it was started otherwise."""
+    try:
+        words = shlex.split(manifest.get("command") or "")
+    except ValueError:  # a quotation that has no end
+        return []
+    return words if words[:2] == ["boresight", "run"] else []
+
+
+def find_run(name: str) -> RunFolder:
+    """Find a run by its folder, or by a campaign's name under ``runs/`` (the newest of several).
+
+    Raise BoresightError if there is none, or it has no manifest that this version of boresight reads.
+    """
+    prefix = f"{name}-"
+    named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []
+    candidates = [Path(name), *newest_first(named)]
+    for candidate in candidates:
+        if (candidate / "manifest.json").exists():
+            folder = RunFolder(candidate)
+            folder.read_manifest()
+            return folder
+    raise BoresightError(f"{name}: no run there, nor in {RUNS}/ as {prefix}...: give a run folder, or run it first")

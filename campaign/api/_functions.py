@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pandas as pd
 
+from boresight.campaign import RUNS
 from boresight.campaign.cli.catalog import as_yaml
 from boresight.campaign.cli.report import source_of, write
 from boresight.campaign.papers.page import paper_called, paper_page
-from boresight.campaign.runs.newest import find_run
 from boresight.campaign.runs.read import CampaignFiles, is_campaign, read_campaign
-from boresight.campaign.runs.request import RUNS
+from boresight.campaign.store import find_run
 from boresight.reports.compare import compare_runs
 from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
 from boresight.reports.papers.page import write_paper

@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+from boresight.campaign import RUNS
 from boresight.campaign.cli.main import COMPARISONS, EXIT_IN_PART
 from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.terminal import console, writing
-from boresight.campaign.papers.gather import run_folders
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.newest import find_run, newest_first
-from boresight.campaign.runs.request import RUNS, RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.sensitivity import analyse, make_design, parse_over
 from boresight.campaign.runs.until import STATISTICS
+from boresight.campaign.store import find_run, newest_first, run_folders
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.compare import compare_runs

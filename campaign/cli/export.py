@@ -20,9 +20,13 @@ from boresight.campaign.export import (
     write_tables,
     write_trajectory,
 )
-from boresight.campaign.inspection.recompute import Case, Choice, cases_of, checked_trials, chosen_rows, reopened
-from boresight.campaign.runs.newest import find_run
-from boresight.campaign.store import RunFolder
+from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
+from boresight.campaign.resolved import ResolvedCampaign
+from boresight.campaign.store import RunFolder, find_run
+from boresight.campaign.trial.pose_score import pose_of
+from boresight.reports.figures.named import file_stem
+from boresight.reports.kinds import report_grids
+from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
 from boresight.scenarios.errors import BoresightError
 

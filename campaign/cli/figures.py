@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+from boresight.campaign import RUNS
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.fetch import bring_missing
 from boresight.campaign.cli.main import ALL_PAPERS, EXIT_IN_PART
@@ -21,8 +22,8 @@ from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign, as_draft, kept
 from boresight.campaign.runs.check import check_campaign, check_data
 from boresight.campaign.runs.execute import run_campaign
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.read import CATALOG, sources
-from boresight.campaign.runs.request import RUNS, RunRequest
 from boresight.campaign.runs.requirements import needs
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.threads import workers

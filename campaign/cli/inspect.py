@@ -10,7 +10,7 @@ from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case
 from boresight.campaign.inspection.recompute import ORDER, Choice, chosen_rows, named_cases, reopened, worst_cases
 from boresight.campaign.inspection.show import look_of
-from boresight.campaign.runs.newest import find_run
+from boresight.campaign.store import find_run
 from boresight.reports.figures.named import file_stem
 from boresight.reports.pages.view3d import write_view3d
 from boresight.reports.run.data import read_run

@@ -12,8 +12,8 @@ from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
+from boresight.campaign import RUNS
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.runs.request import RUNS
 from boresight.scenarios.atomic import explain_write_error
 from boresight.scenarios.errors import BoresightError
 

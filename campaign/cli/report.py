@@ -14,8 +14,7 @@ from rich.console import Group
 
 from boresight import campaign
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.runs.newest import find_run
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, find_run
 from boresight.reports.pages.rich_tables import rich_parts
 from boresight.reports.schema.grid import Grid
 from boresight.scenarios import checksums

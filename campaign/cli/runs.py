@@ -11,7 +11,7 @@ from boresight.campaign.cli.report import report_after_run
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.runs.check import preflight
-from boresight.campaign.runs.request import Cluster
+from boresight.campaign.runs.manifest import Cluster
 from boresight.campaign.runs.start import start
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.errors import BoresightError, display

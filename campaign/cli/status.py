@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from boresight.campaign.cli.terminal import console
-from boresight.campaign.runs.newest import find_run, run_words
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, find_run, run_words
 from boresight.scenarios.errors import BoresightError, display
 
 _COUNTED = ("scenario", "estimator", "trial", "status")

@@ -18,9 +18,8 @@ import pyarrow as pa
 from boresight.campaign.pool.guard import STOPPED, Call, Loss, guarding
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import trials_of
-from boresight.campaign.runs.newest import run_words
 from boresight.campaign.runs.resolve import reload, unlike
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, run_words
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.reports.compare.trials import choose_metric, metric_values, missed_or_wrong, trial_numbers
 from boresight.reports.figures.named import file_stem

@@ -22,10 +22,9 @@ from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign, kind_of
 from boresight.campaign.runs.execute import build_products
-from boresight.campaign.runs.newest import find_run
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import of_scenario
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, find_run
 from boresight.campaign.trial.kind import InspectedTrial
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.figures.named import NamedFigure

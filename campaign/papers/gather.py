@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.newest import start_of
 from boresight.campaign.runs.read import campaign_names
 from boresight.campaign.runs.resolve import reload
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, start_of
 from boresight.reports.kinds import Content
 from boresight.reports.pages.content import content_of
 from boresight.reports.published import load_published
@@ -149,8 +148,3 @@ def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:
     rows = folder.table("rows")
     wanted = int(manifest["trials"]) * len(manifest["scenarios"])
     return len(rows[["scenario", "trial"]].drop_duplicates()) >= wanted
-
-
-def run_folders(runs: Path) -> list[Path]:
-    """Return the folders below ``runs`` that contain a manifest, by name."""
-    return sorted(path.parent for path in runs.glob("*/manifest.json"))

@@ -9,11 +9,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
+from boresight.campaign import RUNS
 from boresight.campaign.catalog import PAPERS
-from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
+from boresight.campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs
 from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.request import RUNS
 from boresight.campaign.runs.requirements import needs
+from boresight.campaign.store import run_folders
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts
 from boresight.reports.pages.document import Document
 from boresight.reports.papers.page import (

@@ -20,7 +20,7 @@ from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.machine import describe, package_versions
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.trial.kind import Records, kind_named
 from boresight.reports.schema.common import FRESH_IMAGE
 from boresight.scenarios.errors import BoresightError

@@ -26,7 +26,7 @@ from boresight.campaign.machine import cores
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import Losses, run_block
-from boresight.campaign.runs.request import Cluster
+from boresight.campaign.runs.manifest import Cluster
 from boresight.campaign.store import Block
 from boresight.campaign.trial.kind import Records, WorkerContext, kind_named
 from boresight.scenarios.bodies import EMBEDDED

@@ -20,7 +20,7 @@ from boresight.campaign.pool.workers import in_order, no_replacement
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.requirements import remember
 from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
 from boresight.campaign.threads import use_threads

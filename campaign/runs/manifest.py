@@ -1,11 +1,11 @@
-"""The manifest of a run: what was asked, from which versions, on which machine."""
+"""The request of a run, and its manifest: what was asked, from which versions, on which machine."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,7 @@ from boresight.campaign.machine import describe, package_versions
 from boresight.campaign.products import BuiltProduct, MissingProduct
 from boresight.campaign.products.assets import product_kind
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.newest import KEY, next_start
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.store import KEY, next_start
 from boresight.reports.schema.tables import FORMAT_VERSION
 from boresight.scenarios.load import canonical_json
 
@@ -25,6 +24,36 @@ _DRAFT = (
     " than are meant."
 )
 _EMBEDDED = "On embedded bodies, which give values but no verdicts"
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """A Dask cluster: the address of a scheduler, or a number of worker processes on this machine."""
+
+    scheduler: str = ""
+    local: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """Settings of a run. Of them only ``trials``, and ``limit_s`` if a method exceeds it, change the stored rows.
+
+    ``out`` is kept as an absolute path, because a method may change the working directory. ``trials`` are those of each
+    scenario, ``jobs`` worker processes. ``command`` is the command line, for the manifest. Without a ``cluster``,
+    processes of this machine run the trials. An estimator that works at a trial for ``limit_s`` is stopped, which is an
+    error; None: no limit.
+    """
+
+    out: Path
+    trials: int
+    jobs: int
+    keep_images: bool = False
+    command: str = ""
+    cluster: Cluster | None = None
+    limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "out", self.out.absolute())
 
 
 def make_manifest(

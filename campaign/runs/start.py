@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from boresight.campaign import RUNS
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.execute import Listener, run_campaign
-from boresight.campaign.runs.request import RUNS, Cluster, RunRequest
+from boresight.campaign.runs.manifest import Cluster, RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.threads import workers

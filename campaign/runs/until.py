@@ -24,7 +24,7 @@ import numpy as np
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.execute import Listener, run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.compare.trials import metric_values

@@ -22,7 +22,7 @@ from boresight.campaign.inspection.show import look_of
 from boresight.campaign.kinds import crater_detection
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterDetections

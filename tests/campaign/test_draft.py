@@ -8,7 +8,7 @@ from tiny_campaign import Heard
 
 from boresight.campaign.resolved import as_draft, drafted, kept
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant

@@ -25,7 +25,7 @@ from boresight.campaign.kinds.sequence.images import OrbitImages
 from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial import runner

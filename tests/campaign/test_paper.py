@@ -18,12 +18,12 @@ from tiny_campaign import SCENE, compute, write_campaign
 from boresight.campaign.cli import main
 from boresight.campaign.cli.figures import Wanted, run_missing
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.papers.gather import finished_runs, run_folders
+from boresight.campaign.papers.gather import finished_runs
 from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
 from boresight.campaign.papers.rowell2015 import broadside_view, built_again, cluster_view, surface_view
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, run_folders
 from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.figures.named import NamedFigure

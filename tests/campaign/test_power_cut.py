@@ -28,7 +28,7 @@ from tiny_sequences import write_sequences
 from boresight.campaign.kinds.sequence import KIND
 from boresight.campaign.pool import workers as parallel
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import BlockState, RunFolder, blocks
 from boresight.scenarios import atomic
@@ -119,7 +119,7 @@ SERVER = f"""
 import os, sys
 from pathlib import Path
 import boresight.campaign.kinds.sequence
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.execute import run_campaign
 campaign = resolve(sys.argv[1])

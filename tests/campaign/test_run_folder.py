@@ -27,9 +27,9 @@ from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import SingleImage
-from boresight.campaign.papers.gather import finished_runs, run_folders
+from boresight.campaign.papers.gather import finished_runs
 from boresight.campaign.runs.resolve import reload, resolve
-from boresight.campaign.store import RunFolder
+from boresight.campaign.store import RunFolder, run_folders
 from boresight.campaign.trial.pose_score import pose_error
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.schema.tables import columns_of

@@ -11,7 +11,7 @@ import pytest
 from tiny_campaign import Heard
 
 from boresight.campaign.runs import until as module
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.runs.until import looks, parse_until, run_until, widest
 from boresight.renderers.mitsuba3 import choose_variant

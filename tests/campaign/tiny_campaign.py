@@ -17,7 +17,7 @@ import pandas as pd
 from boresight.campaign.cli import main
 from boresight.campaign.kinds.single_image import Records
 from boresight.campaign.runs.execute import run_campaign
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.renderers.mitsuba3 import choose_variant

@@ -18,11 +18,9 @@ from boresight.campaign.cli.report import MADE, Printed, print_report, printed_b
 from boresight.campaign.cli.status import status_command
 from boresight.campaign.inspection.recompute import reopened
 from boresight.campaign.papers.gather import finished_runs
-from boresight.campaign.runs.manifest import make_manifest
-from boresight.campaign.runs.newest import newest_first
-from boresight.campaign.runs.request import RunRequest
+from boresight.campaign.runs.manifest import RunRequest, make_manifest
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.store import Block, RunFolder
+from boresight.campaign.store import Block, RunFolder, newest_first
 from boresight.reports.run.clusters import clusters_of, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.run.limits import known_lines
