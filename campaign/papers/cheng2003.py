@@ -8,8 +8,7 @@ from functools import partial
 
 from boresight.campaign.kinds.crater_detection.show import detected, stages_of
 from boresight.campaign.kinds.crater_matching.show import matching_example
-from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Paper, PaperFigure
+from boresight.campaign.papers.page import FinishedRun, Paper, PaperFigure
 from boresight.estimators.craters.planning import PLANNER
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.kinds import report_grids

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Paper, PaperFigure
+from boresight.campaign.papers.page import FinishedRun, Paper, PaperFigure
 from boresight.reports.figures.named import NamedFigure
 from boresight.reports.figures.sequences import LANDMARKS, POSITION, draw_sightings
 from boresight.reports.kinds.designs import design_grids

@@ -23,8 +23,7 @@ from boresight.campaign.kinds.single_image.show import (
     median_trial,
     second_look,
 )
-from boresight.campaign.papers.gather import FinishedRun
-from boresight.campaign.papers.page import Paper, PaperFigure
+from boresight.campaign.papers.page import FinishedRun, Paper, PaperFigure
 from boresight.campaign.products.landmark_database import KIND as DATABASE
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.threads import workers

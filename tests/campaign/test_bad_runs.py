@@ -12,7 +12,7 @@ import pytest
 from stored_runs import seal
 
 from boresight.campaign.cli import main
-from boresight.campaign.papers.gather import finished_runs, gather_runs
+from boresight.campaign.papers.page import finished_runs, gather_runs
 from boresight.campaign.store import run_folders
 
 COMMANDS = {

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from boresight.campaign.cli import main
-from boresight.campaign.papers.gather import finished_runs, gather_runs
-from boresight.campaign.papers.page import paper_called, paper_page
+from boresight.campaign.papers.page import finished_runs, gather_runs, paper_called, paper_page
 from boresight.campaign.runs.read import campaign_names, read_campaign
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.reports.figures.named import run_label

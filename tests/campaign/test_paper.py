@@ -18,8 +18,7 @@ from tiny_campaign import SCENE, compute, write_campaign
 from boresight.campaign.cli import main
 from boresight.campaign.cli.figures import Wanted, run_missing
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.papers.gather import finished_runs
-from boresight.campaign.papers.page import PaperFigure, drawn, gather, paper_called, paper_campaigns
+from boresight.campaign.papers.page import PaperFigure, drawn, finished_runs, gather, paper_called, paper_campaigns
 from boresight.campaign.papers.rowell2015 import broadside_view, built_again, cluster_view, surface_view
 from boresight.campaign.runs.read import CATALOG, sources
 from boresight.campaign.runs.resolve import resolve

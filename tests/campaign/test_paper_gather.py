@@ -15,7 +15,7 @@ from tiny_campaign import compute
 from tiny_sequences import SCENE
 
 from boresight.campaign.cli import main
-from boresight.campaign.papers.gather import FinishedRun
+from boresight.campaign.papers.page import FinishedRun
 from boresight.campaign.store import RunFolder
 from boresight.scenarios.errors import BoresightError
 

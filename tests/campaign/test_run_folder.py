@@ -27,7 +27,7 @@ from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import SingleImage
-from boresight.campaign.papers.gather import finished_runs
+from boresight.campaign.papers.page import finished_runs
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.campaign.store import RunFolder, run_folders
 from boresight.campaign.trial.pose_score import pose_error

@@ -17,7 +17,7 @@ from fuzz import recipes
 from boresight.campaign.cli.report import MADE, Printed, print_report, printed_before
 from boresight.campaign.cli.status import status_command
 from boresight.campaign.inspection.recompute import reopened
-from boresight.campaign.papers.gather import finished_runs
+from boresight.campaign.papers.page import finished_runs
 from boresight.campaign.runs.manifest import RunRequest, make_manifest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import Block, RunFolder, newest_first
