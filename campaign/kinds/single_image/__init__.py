@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.handles import own_copy
+from boresight.campaign.imaging.observe import ImageDraw, draw_image
 from boresight.campaign.imaging.world import TrialImage, World, check_views, open_world
 from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduct
 from boresight.campaign.products.databases import with_database_craters
@@ -30,7 +31,6 @@ from boresight.campaign.trial.checks import (
     check_status,
     check_type,
 )
-from boresight.campaign.trial.images import ImageDraw, draw_image
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.methods import Unbuilt, check_options, try_build, unbuilt_products
 from boresight.campaign.trial.pose_score import consistency, pose_columns, pose_error
