@@ -40,16 +40,22 @@ _FAILURE = "unmade.txt"
 _TRACE = "traceback.txt"
 """File with the traceback, if the build failed by an unexpected exception."""
 
-KINDS = ("landmark-database", "maplets", "descriptors", "crater-database", "covariance-tuning")
-"""Names of the modules of this folder that build products; each is imported when a method asks for it."""
+KINDS = {
+    "landmark-database": "landmark_database",
+    "maplets": "landmark_database",
+    "descriptors": "landmark_database",
+    "crater-database": "crater_database",
+    "covariance-tuning": "covariance_tuning",
+}
+"""Kinds of products, with the modules of this folder that build them, imported when a method asks for one."""
 
 
 def product_kind(name: str) -> ProductKind[SpecModel, object]:
     """Look up a kind; raise BoresightError if there is none of that name."""
     if name not in KINDS:
         raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(KINDS))}")
-    module = import_module(f"boresight.campaign.products.{name.replace('-', '_')}")
-    return cast("ProductKind[SpecModel, object]", module.PRODUCT)
+    module = import_module(f"boresight.campaign.products.{KINDS[name]}")
+    return cast("ProductKind[SpecModel, object]", module.PRODUCTS[name])
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:

@@ -14,8 +14,7 @@ import numpy as np
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.products.assets import KINDS, BuiltAssets, product_kind
-from boresight.campaign.products.database_images import map_images
-from boresight.campaign.products.databases import ProductKind
+from boresight.campaign.products.databases import ProductKind, map_images
 from boresight.estimators.contract import Estimator, NoProductError
 from boresight.estimators.landmark.pose.posterior import pose_offset
 from boresight.estimators.registry import estimator_class
@@ -136,12 +135,14 @@ def _versions() -> list[int]:
     return [VERSION, Detector.version, *chain.from_iterable(others)]
 
 
-PRODUCT = ProductKind(
-    options=Rehearsals,
-    versions=_versions,
-    announce=lambda options: f"{options.trials} images with {options.base}",
-    build=build,
-    load=CovarianceTuning.load,
-    about=lambda tuning: {"covariance_factor": tuning.factor, "solved": tuning.solved, "trials": tuning.trials},
-    of_views=True,
-)
+PRODUCTS = {
+    TUNING: ProductKind(
+        options=Rehearsals,
+        versions=_versions,
+        announce=lambda options: f"{options.trials} images with {options.base}",
+        build=build,
+        load=CovarianceTuning.load,
+        about=lambda tuning: {"covariance_factor": tuning.factor, "solved": tuning.solved, "trials": tuning.trials},
+        of_views=True,
+    )
+}

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.campaign.imaging.world import open_world
-from boresight.campaign.products.database_images import DatabaseImage, database_images, map_images
-from boresight.campaign.products.databases import ProductKind
+from boresight.campaign.products.databases import DatabaseImage, ProductKind, database_images, map_images
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from boresight.estimators.craters.database.build import build_database, triangulate_landmarks
@@ -85,11 +84,13 @@ def _versions() -> list[int]:
     return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
 
 
-PRODUCT = ProductKind(
-    options=CraterDatabaseOptions,
-    versions=_versions,
-    announce=lambda options: f"{options.images} images",
-    build=build,
-    load=CraterDatabase.load,
-    about=lambda database: {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)},
-)
+PRODUCTS = {
+    "crater-database": ProductKind(
+        options=CraterDatabaseOptions,
+        versions=_versions,
+        announce=lambda options: f"{options.images} images",
+        build=build,
+        load=CraterDatabase.load,
+        about=lambda database: {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)},
+    )
+}

@@ -1,4 +1,4 @@
-"""Landmark data base of a scenario: render images, detect corners, de-project, cluster, triangulate."""
+"""Data bases of landmarks of a scenario: triangulated corners of rendered images, descriptors of features, maplets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.campaign.products.database_images import database_images, map_images
-from boresight.campaign.products.databases import ProductKind, content_key
+from boresight.campaign.products.databases import ProductKind, content_key, database_images, map_images
+from boresight.estimators.descriptors.database import METHOD_VERSION as DESCRIPTORS_VERSION
+from boresight.estimators.descriptors.database import (
+    DescriptorDatabase,
+    DescriptorOptions,
+    ViewFeatures,
+    view_features,
+)
 from boresight.estimators.landmark.database import (
     METHOD_VERSION,
     CandidateOptions,
@@ -18,7 +24,11 @@ from boresight.estimators.landmark.database import (
     database_from_candidates,
     extract_candidates,
 )
+from boresight.estimators.maplets.build import METHOD_VERSION as MAPLETS_VERSION
+from boresight.estimators.maplets.build import MapletOptions, build_maplets
+from boresight.estimators.maplets.database import MapletDatabase
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.bodies import load_body
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.load import LoadedScenario
 
@@ -87,11 +97,61 @@ def build(
     return {"images": len(candidates.by_image), **source, "landmarks": len(database.means_m)}
 
 
-PRODUCT = ProductKind(
-    options=DatabaseOptions,
-    versions=lambda: [VERSION, METHOD_VERSION],
-    announce=lambda options: f"{options.images} images",
-    build=build,
-    load=LandmarkDatabase.load,
-    about=lambda database: {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)},
-)
+def build_descriptors(
+    scenario: LoadedScenario, options: DescriptorOptions, folder: Path, jobs: int, variant: str
+) -> Mapping[str, object]:
+    """Build the data base of features of rendered images, de-projected onto the body, and store it in ``folder``."""
+    found = map_images(jobs, options.images, _features_of_images, scenario, options, variant)
+    views = tuple(features for features, _ in found)
+    provenance = {"options": options.model_dump(mode="json"), "method_version": DESCRIPTORS_VERSION}
+    DescriptorDatabase(options.kind, views, provenance).save(folder)
+    return {"images": len(views), "images_from_store": sum(kept for _, kept in found)}
+
+
+def _features_of_images(
+    scenario: LoadedScenario, options: DescriptorOptions, variant: str, images: Sequence[int]
+) -> list[tuple[ViewFeatures, bool]]:
+    return [
+        (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
+        for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
+    ]
+
+
+def build_maplet_database(
+    scenario: LoadedScenario, options: MapletOptions, folder: Path, jobs: int, variant: str
+) -> None:
+    """Extract maplets from the scenario's believed shape and store them in ``folder``."""
+    del jobs, variant
+    build_maplets(load_body(scenario.spec.body, scenario.search_dirs).mesh, options).save(folder)
+
+
+PRODUCTS = {
+    KIND: ProductKind(
+        options=DatabaseOptions,
+        versions=lambda: [VERSION, METHOD_VERSION],
+        announce=lambda options: f"{options.images} images",
+        build=build,
+        load=LandmarkDatabase.load,
+        about=lambda database: {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)},
+    ),
+    "descriptors": ProductKind(
+        options=DescriptorOptions,
+        versions=lambda: [DESCRIPTORS_VERSION],
+        announce=lambda options: f"{options.kind}, {options.images} images",
+        build=build_descriptors,
+        load=DescriptorDatabase.load,
+        about=lambda database: {"descriptors": database.kind, "n_landmarks": database.n_features},
+    ),
+    "maplets": ProductKind(
+        options=MapletOptions,
+        versions=lambda: [MAPLETS_VERSION],
+        announce=lambda options: f"{options.side} x {options.side} heights each",
+        build=build_maplet_database,
+        load=MapletDatabase.load,
+        about=lambda database: {
+            "n_landmarks": len(database),
+            "nodes": database.side**2,
+            "spacing_m": database.spacing_m,
+        },
+    ),
+}

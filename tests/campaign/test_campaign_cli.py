@@ -28,7 +28,7 @@ from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.imaging.world import trial_limit
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
-from boresight.campaign.products.database_images import map_images
+from boresight.campaign.products.databases import map_images
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.read import CATALOG, campaign_names
 from boresight.campaign.runs.requirements import needs

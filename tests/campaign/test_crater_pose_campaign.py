@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from tiny_campaign import run, write_campaign
 
-from boresight.campaign.products.database_images import database_images
+from boresight.campaign.products.databases import database_images
 from boresight.campaign.runs.resolve import resolve
 from boresight.renderers.mitsuba3 import choose_variant
 

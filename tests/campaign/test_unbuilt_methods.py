@@ -178,7 +178,7 @@ def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(e
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
     file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 40, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr("boresight.campaign.products.maplets.build_maplets", fall)
+        patch.setattr("boresight.campaign.products.landmark_database.build_maplets", fall)
         assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
     (reason,) = set(rows.loc["lmaps", "reason"])
@@ -200,7 +200,7 @@ def test_a_full_disk_ends_the_run_so_that_the_same_command_can_go_on(cache, tmp_
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
     file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 40, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr("boresight.campaign.products.maplets.build_maplets", fall)
+        patch.setattr("boresight.campaign.products.landmark_database.build_maplets", fall)
         assert run(file, out) == 2
     assert "cannot write (No space left on device)" in capsys.readouterr().err
     assert run(file, out) == 0

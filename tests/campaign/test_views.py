@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.preview import preview, typical_range_m
 from boresight.campaign.imaging.world import check_bodies, open_world
-from boresight.campaign.products.database_images import database_images
+from boresight.campaign.products.databases import database_images
 from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.read import read_campaign
 from boresight.renderers.mitsuba3 import choose_variant
