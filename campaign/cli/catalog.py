@@ -107,7 +107,7 @@ def _grouped() -> dict[str, list[str]]:
 
 def _row(loaded: LoadedCampaign, known: Mapping[str, LoadedScenario]) -> tuple[str, ...]:
     """Describe a campaign: name, size, cost here, what is missing in one word, title."""
-    from boresight.campaign.runs.requirements import core_seconds, in_words, needs
+    from boresight.campaign.runs.read import core_seconds, in_words, needs
 
     spec, core_s = loaded.spec, core_seconds(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(grid_cells(spec.grid)))

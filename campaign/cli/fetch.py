@@ -14,10 +14,9 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.terminal import console
 from boresight.campaign.data.fetch import bytes_to_come, check_space, fetch, state
-from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.requirements import needs
+from boresight.campaign.runs.read import CATALOG, campaign_names, needs
 from boresight.scenarios.data import data_folder
-from boresight.scenarios.data.datasets import DataSet, datasets, datasets_providing
+from boresight.scenarios.data.datasets import DataSet, datasets
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import load_campaign
 from boresight.scenarios.load.files import SUFFIXES
@@ -69,10 +68,8 @@ def wanted_by(campaigns: Iterable[str]) -> Wanted:
     unknown: list[str] = []
     for campaign in campaigns:
         for need in needs(load_campaign(campaign, CATALOG)):
-            if need.kind:
-                sets = datasets_providing([f"{need.kind}/{need.name}", need.name])
-                found += sets
-                unknown += [] if sets or need.found else [need.name]
+            found += need.data_sets
+            unknown += [] if need.data_sets or need.found or not need.kind else [need.name]
     return _sorted_out(found, unknown)
 
 

@@ -23,8 +23,7 @@ from boresight.campaign.resolved import ResolvedCampaign, as_draft, kept
 from boresight.campaign.runs.check import check_campaign, check_data
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.manifest import RunRequest
-from boresight.campaign.runs.read import CATALOG, sources
-from boresight.campaign.runs.requirements import needs
+from boresight.campaign.runs.read import CATALOG, needs, sources
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant

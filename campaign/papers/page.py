@@ -14,8 +14,7 @@ from typing import Any, cast
 from boresight.campaign import RUNS
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.requirements import needs
+from boresight.campaign.runs.read import CATALOG, campaign_names, needs
 from boresight.campaign.runs.resolve import reload
 from boresight.campaign.store import RunFolder, run_folders, start_of
 from boresight.reports.figures.named import NamedFigure, add_provenance, with_trial_counts

@@ -10,14 +10,13 @@ from boresight.campaign.imaging.preview import images_of, preview
 from boresight.campaign.imaging.world import check_bodies, trial_limit
 from boresight.campaign.machine import cores
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.runs.read import campaign_names
-from boresight.campaign.runs.requirements import core_seconds, in_words, needs_of_scenario
+from boresight.campaign.runs.read import campaign_names, core_seconds, in_words, needs_of_scenario
 from boresight.campaign.trial.kind import kind_named
 from boresight.reports.published import load_published
 from boresight.reports.schema.records import count_of
 from boresight.scenarios.bodies import Body
 from boresight.scenarios.data import data_folder
-from boresight.scenarios.data.datasets import datasets, datasets_providing
+from boresight.scenarios.data.datasets import datasets
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.load.lengths import dotted
@@ -66,7 +65,7 @@ def check_data(campaign: ResolvedCampaign) -> None:
     absent: dict[str, str] = {}  # file or folder, as the scenario names it, to the data set that has it
     for scenario in campaign.scenarios:
         for need in needs_of_scenario(scenario):
-            sets = [] if need.found else datasets_providing([f"{need.kind}/{need.name}", need.name])
+            sets = [] if need.found else need.data_sets
             if sets:
                 absent[need.name] = sets[0].name
     if not absent:

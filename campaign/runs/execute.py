@@ -21,7 +21,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct, MissingProduc
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs import manifest as manifests
 from boresight.campaign.runs.manifest import RunRequest
-from boresight.campaign.runs.requirements import remember
+from boresight.campaign.runs.read import remember
 from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
 from boresight.campaign.threads import use_threads
 from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext, kind_named

@@ -30,8 +30,7 @@ from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
 from boresight.campaign.products.databases import map_images
 from boresight.campaign.runs.check import check_campaign
-from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.requirements import needs
+from boresight.campaign.runs.read import CATALOG, campaign_names, needs
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import kind_named, kind_names

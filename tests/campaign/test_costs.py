@@ -8,8 +8,7 @@ import pytest
 from tiny_campaign import run
 from tiny_sequences import write_sequences
 
-from boresight.campaign.runs.read import CATALOG, campaign_names
-from boresight.campaign.runs.requirements import Need, core_seconds, in_words, needs, remember
+from boresight.campaign.runs.read import CATALOG, Need, campaign_names, core_seconds, in_words, needs, remember
 from boresight.scenarios.load import load_campaign
 
 
