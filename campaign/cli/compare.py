@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from boresight.campaign import RUNS
 from boresight.campaign.cli.main import COMPARISONS, EXIT_IN_PART
-from boresight.campaign.cli.progress import ProgressListener
-from boresight.campaign.cli.terminal import console, writing
+from boresight.campaign.cli.terminal import ProgressListener, console, writing
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.manifest import RunRequest

@@ -14,8 +14,7 @@ from boresight.campaign import RUNS
 from boresight.campaign.catalog import PAPERS
 from boresight.campaign.cli.fetch import bring_missing
 from boresight.campaign.cli.main import ALL_PAPERS, EXIT_IN_PART
-from boresight.campaign.cli.progress import NamedLines, ProgressListener
-from boresight.campaign.cli.terminal import console, writing
+from boresight.campaign.cli.terminal import NamedLines, ProgressListener, console, writing
 from boresight.campaign.machine import sharing_cores
 from boresight.campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from boresight.campaign.pool.workers import in_order

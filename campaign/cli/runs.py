@@ -6,9 +6,8 @@ import argparse
 import shlex
 
 from boresight.campaign.cli.main import EXIT_IN_PART
-from boresight.campaign.cli.progress import ProgressListener
 from boresight.campaign.cli.report import report_after_run
-from boresight.campaign.cli.terminal import console
+from boresight.campaign.cli.terminal import ProgressListener, console
 from boresight.campaign.imaging.image_store import store_is_on, store_switched
 from boresight.campaign.runs.check import preflight
 from boresight.campaign.runs.manifest import Cluster

@@ -23,8 +23,8 @@ from ruamel.yaml import YAML
 from tiny_campaign import SCENE, SMALL, compute, write_campaign
 from undrawn import undrawn
 
-from boresight.campaign.cli import main, progress
-from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.cli import main, terminal
+from boresight.campaign.cli.terminal import ProgressListener
 from boresight.campaign.imaging.world import trial_limit
 from boresight.campaign.pool.steps import report_progress
 from boresight.campaign.pool.workers import in_order
@@ -385,7 +385,7 @@ def doubled(numbers):
 
 
 def test_progress_counts_the_images_of_a_data_base(monkeypatch):
-    monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
+    monkeypatch.setattr(terminal, "_SILENCE_S", -1.0)
     out = io.StringIO()
     with ProgressListener(Console(file=out)):
         assert map_images(1, 35, doubled) == [2 * number for number in range(35)]
@@ -404,7 +404,7 @@ def slowly(trials):
 
 
 def test_progress_tells_how_far_long_trials_in_workers_are(monkeypatch):
-    monkeypatch.setattr(progress, "_SILENCE_S", -1.0)
+    monkeypatch.setattr(terminal, "_SILENCE_S", -1.0)
     out = io.StringIO()
     with ProgressListener(Console(file=out)) as listener:
         listener.started(0, 2)

@@ -23,7 +23,7 @@ from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, f
 from tiny_sequences import write_sequences
 
 from boresight.campaign.cli import main
-from boresight.campaign.cli.progress import ProgressListener
+from boresight.campaign.cli.terminal import ProgressListener
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import open_world
 from boresight.campaign.kinds.single_image import SingleImage
