@@ -7,9 +7,8 @@ import pytest
 import trimesh
 from orbit_worlds import orbit_world
 
-from boresight.campaign.kinds.crater_navigation import CraterNavigationTrials
+from boresight.campaign.kinds.crater_navigation import CraterNavigationTrials, match_counts, told_apart
 from boresight.campaign.kinds.crater_navigation.images import DrawnSights, NavigationTrial
-from boresight.campaign.kinds.crater_navigation.score import match_counts, told_apart
 from boresight.estimators.craters.contract import CraterDetections, CraterMatches
 from boresight.estimators.craters.database.numbering import Numbering, PairMatches
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, NavigationRound

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
-from boresight.campaign.kinds.orbit_determination import OrbitTrials
-from boresight.campaign.kinds.orbit_determination.score import (
+from boresight.campaign.kinds.orbit_determination import (
+    OrbitTrials,
     check_orbit,
     drawable,
     orbit_errors,

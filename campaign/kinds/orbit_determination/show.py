@@ -17,8 +17,13 @@ from boresight.campaign.inspection.show import (
     finite_or_dash,
     middle_and_worst,
 )
-from boresight.campaign.kinds.orbit_determination import DeterminedOrbit
-from boresight.campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
+from boresight.campaign.kinds.orbit_determination import (
+    DeterminedOrbit,
+    craters_of_numbers,
+    orbit_errors,
+    residual_records,
+    wrong_sightings,
+)
 from boresight.estimators.orbit.contract import Orbit
 from boresight.reports.figures.craters import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from boresight.reports.figures.named import NamedFigure
@@ -99,19 +104,11 @@ def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: 
 
 
 def landmark_errors(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame) -> FloatArray:
-    """(L',) distance, m, of each landmark from the crater of its number; NaN if the truth has none.
-
-    A number stands for the crater that most of its sightings are of, and for the next one as well where the solution
-    has two landmarks of it.
-    """
+    """(L',) distance, m, of each landmark from the crater of its number; NaN if the truth has none."""
     known = sightings[(sightings["crater"] >= 0) & (sightings["crater"] < len(truth.points_body_m))]
-    counts = known.groupby(["number", "crater"]).size().reset_index(name="times")
-    counts = counts.sort_values(["number", "times"], ascending=[True, False], kind="stable")
-    craters = counts.groupby("number")["crater"].apply(np.array).to_dict()
-    numbers, places = np.unique(orbit.numbers, return_counts=True)
-    stands_for = {n: craters.get(n, np.zeros(0, dtype=int))[:k] for n, k in zip(numbers, places, strict=True)}
+    craters = craters_of_numbers(orbit, known["number"].to_numpy(), known["crater"].to_numpy())
     gaps = [
-        np.linalg.norm(truth.points_body_m[stands_for[number]] - point, axis=1)
+        np.linalg.norm(truth.points_body_m[craters[int(number)]] - point, axis=1)
         for number, point in zip(orbit.numbers, orbit.points_body_m, strict=True)
     ]
     return np.array([gap.min() if len(gap) else np.nan for gap in gaps])
