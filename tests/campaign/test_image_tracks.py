@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from mission_data import data_file, needs_data
 
-from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import Watch
+from boresight.campaign.kinds.sequence.images import OrbitImages, Watch
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError

@@ -21,8 +21,7 @@ from boresight.campaign.imaging.image_store import Imager, ImageStore
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.campaign.kinds import single_image
 from boresight.campaign.kinds.orbit_determination import OrbitTrials
-from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import Watch
+from boresight.campaign.kinds.sequence.images import OrbitImages, Watch
 from boresight.campaign.products import BuiltAssets
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.manifest import RunRequest

@@ -9,9 +9,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from boresight.campaign.cli.main import main
-from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.images import OrbitImages, Watch
 from boresight.campaign.kinds.sequence.score import track_axes
-from boresight.campaign.kinds.sequence.tracks import Watch
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.scenarios.geometry import look_at
 from boresight.scenarios.load import load_scenario

@@ -16,8 +16,7 @@ from boresight.campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pai
 from boresight.campaign.kinds.crater_navigation.images import NavigationTrial, open_sights
 from boresight.campaign.kinds.orbit_determination import open_orbit_world
 from boresight.campaign.kinds.sequence import ground_of
-from boresight.campaign.kinds.sequence.images import OrbitImages
-from boresight.campaign.kinds.sequence.tracks import Watch
+from boresight.campaign.kinds.sequence.images import OrbitImages, Watch
 from boresight.campaign.products import BuiltAssets
 from boresight.estimators.craters.navigation.rounds import CraterNavigation
 from boresight.estimators.craters.navigation.stages import StageFiles

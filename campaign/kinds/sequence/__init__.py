@@ -10,9 +10,8 @@ import numpy as np
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.real_images import open_tracks
 from boresight.campaign.imaging.world import check_outside
-from boresight.campaign.kinds.sequence.images import OrbitImages
+from boresight.campaign.kinds.sequence.images import OrbitImages, Seen, Watch
 from boresight.campaign.kinds.sequence.score import check_sequence, parameter_errors, score_epochs, summary
-from boresight.campaign.kinds.sequence.tracks import Seen, Watch
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
