@@ -23,7 +23,7 @@ from boresight.campaign.export import (
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder, find_run
-from boresight.campaign.trial.pose_score import pose_of
+from boresight.campaign.trial.score import pose_of
 from boresight.reports.figures.named import file_stem
 from boresight.reports.kinds import report_grids
 from boresight.reports.pages.content import read_content

@@ -19,8 +19,8 @@ from boresight.campaign.kinds.crater_matching import (
 from boresight.campaign.kinds.crater_matching.pairs import RenderedPairs, _found, diameters_m
 from boresight.campaign.runs.check import check_campaign
 from boresight.campaign.runs.resolve import resolve
-from boresight.campaign.trial.crater_score import check_listed
 from boresight.campaign.trial.kind import WorkerContext
+from boresight.campaign.trial.score import check_listed
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from boresight.reports.run.data import read_run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from boresight.campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from boresight.campaign.trial.score import NONE, check_detections, ellipse_errors, match_detections
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.scenarios.geometry import Ellipses
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.campaign.trial.pose_score import pose_error, pose_errors
+from boresight.campaign.trial.score import pose_error, pose_errors
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.scenarios.geometry import Pose
 

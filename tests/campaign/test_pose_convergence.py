@@ -18,7 +18,7 @@ from boresight.campaign.kinds.pose_convergence import (
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial.kind import WorkerContext
-from boresight.campaign.trial.pose_score import pose_error, pose_errors
+from boresight.campaign.trial.score import pose_error, pose_errors
 from boresight.estimators.landmark.pose.stack import PoseStack
 from boresight.estimators.landmark.projection import project_landmarks, visible_landmarks
 from boresight.renderers.mitsuba3 import choose_variant

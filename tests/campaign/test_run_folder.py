@@ -30,7 +30,7 @@ from boresight.campaign.kinds.single_image import SingleImage
 from boresight.campaign.papers.page import finished_runs
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.campaign.store import RunFolder, run_folders
-from boresight.campaign.trial.pose_score import pose_error
+from boresight.campaign.trial.score import pose_error
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.schema.tables import columns_of
 from boresight.scenarios.load import canonical_json, load_scenario

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from boresight.campaign.trial.pose_score import consistency, pose_error
+from boresight.campaign.trial.score import consistency, pose_error
 from boresight.scenarios.geometry import look_at
 
 TRUE = look_at(np.array([1500.0, 800.0, 300.0]), 0.3)

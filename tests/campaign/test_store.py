@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
-from boresight.campaign.trial.pose_score import pose_error
+from boresight.campaign.trial.score import pose_error
 from boresight.reports.schema.tables import TABLES, columns_of, schema
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError

@@ -15,10 +15,16 @@ from boresight.campaign.imaging.world import TrialImage, World, open_world
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.products.databases import with_database_craters
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.crater_score import NONE, check_detections, check_listed, ellipse_errors, match_detections
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.campaign.trial.pose_score import view_columns
 from boresight.campaign.trial.runner import GaveUpError, MethodRunner
+from boresight.campaign.trial.score import (
+    NONE,
+    check_detections,
+    check_listed,
+    ellipse_errors,
+    match_detections,
+    view_columns,
+)
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer

@@ -29,9 +29,9 @@ from boresight.campaign.kinds.orbit_determination import (
     scored_orbit,
 )
 from boresight.campaign.resolved import ResolvedCampaign
-from boresight.campaign.trial.crater_score import check_listed
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import GaveUpError, MethodRunner
+from boresight.campaign.trial.score import check_listed
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult, NavigationRound
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.registry import (

@@ -11,7 +11,7 @@ import numpy as np
 from boresight.campaign.handles import own_copy
 from boresight.campaign.imaging.image_store import Imager
 from boresight.campaign.pool.steps import report_progress
-from boresight.campaign.trial.crater_score import check_detections, identified
+from boresight.campaign.trial.score import check_detections, identified
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.estimators.craters.database.files import ImageDetections, read_detections, write_detections
 from boresight.estimators.craters.navigation.rounds import CraterNavigation

@@ -26,8 +26,8 @@ from boresight.campaign.trial.checks import (
     check_type,
 )
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.campaign.trial.pose_score import nees
 from boresight.campaign.trial.runner import MethodRunner
+from boresight.campaign.trial.score import nees
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate, OrbitEstimator
 from boresight.estimators.orbit.registry import orbit_estimator_class
 from boresight.scenarios.arrays import FloatArray, IndexArray

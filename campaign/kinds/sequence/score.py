@@ -18,7 +18,7 @@ from boresight.campaign.trial.checks import (
     check_status,
     check_type,
 )
-from boresight.campaign.trial.pose_score import nees
+from boresight.campaign.trial.score import nees
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.sequences import SequenceTruth
