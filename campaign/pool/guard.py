@@ -3,7 +3,7 @@
 A method that exceeds its time limit is stopped in two ways. A timer signal raises an exception in it, which ends Python
 code. Compiled code that does not return to the interpreter, and may hold its lock, cannot be interrupted:
 `faulthandler`, whose watchdog is not a Python thread, writes the traceback and ends the process. The parent then reads
-from the note file which call it was, and continues without it (`campaign.runs.blocks`).
+from the note file which call it was, and continues without it (`campaign.runs.execute`).
 """
 
 from __future__ import annotations

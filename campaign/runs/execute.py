@@ -25,7 +25,7 @@ from boresight.campaign.runs.read import remember
 from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_lock
 from boresight.campaign.threads import use_threads
 from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext, kind_named
-from boresight.campaign.trial.methods import unbuilt_products
+from boresight.campaign.trial.runner import unbuilt_products
 from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.errors import BoresightError

@@ -15,8 +15,7 @@ from boresight.campaign.kinds.crater_matching import check_matches
 from boresight.campaign.kinds.sequence.score import check_sequence
 from boresight.campaign.kinds.single_image import check
 from boresight.campaign.pool.guard import Call
-from boresight.campaign.trial.methods import try_build
-from boresight.campaign.trial.runner import GaveUpError, Work
+from boresight.campaign.trial.runner import GaveUpError, Work, try_build
 from boresight.campaign.trial.score import check_detections
 from boresight.estimators.contract import Estimate, Stage
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches

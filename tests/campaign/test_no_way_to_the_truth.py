@@ -28,7 +28,7 @@ from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.campaign.trial import runner
-from boresight.campaign.trial.methods import require_built
+from boresight.campaign.trial.runner import require_built
 from boresight.estimators.craters.matching.vote import VoteMatcher
 from boresight.estimators.registry import estimator_class
 from boresight.renderers.mitsuba3 import choose_variant

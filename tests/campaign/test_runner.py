@@ -9,8 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from boresight.campaign.trial.kind import PerDatabase
-from boresight.campaign.trial.methods import Unbuilt
-from boresight.campaign.trial.runner import TrialRunner
+from boresight.campaign.trial.runner import TrialRunner, Unbuilt
 from boresight.scenarios.errors import BoresightError
 
 

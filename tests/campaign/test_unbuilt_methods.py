@@ -15,7 +15,7 @@ from tiny_sequences import SCENE as SEQUENCE
 
 from boresight.campaign.cli import main
 from boresight.campaign.kinds.orbit_determination import OrbitTrials
-from boresight.campaign.trial.methods import Unbuilt
+from boresight.campaign.trial.runner import Unbuilt
 from boresight.scenarios.errors import BoresightError
 
 MODULE = """

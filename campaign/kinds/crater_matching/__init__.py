@@ -22,8 +22,7 @@ from boresight.campaign.kinds.crater_matching.pairs import (
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.checks import check_array, check_indices, check_reason
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.campaign.trial.methods import Unbuilt, located
-from boresight.campaign.trial.runner import MethodRunner
+from boresight.campaign.trial.runner import MethodRunner, Unbuilt, located
 from boresight.campaign.trial.score import view_columns
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from boresight.estimators.craters.matching.context import epipolar_offsets

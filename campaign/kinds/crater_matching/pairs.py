@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.campaign.handles import Handle, own_copy, target_of
 from boresight.campaign.imaging.image_store import Imager
-from boresight.campaign.trial.methods import Unbuilt, require_built, try_build
+from boresight.campaign.trial.runner import Unbuilt, require_built, try_build
 from boresight.campaign.trial.score import check_detections, identified
 from boresight.estimators.craters.contract import CraterDetector
 from boresight.estimators.craters.registry import crater_detector_class

@@ -17,8 +17,7 @@ from boresight.campaign.kinds.crater_navigation.images import Address, DrawnSigh
 from boresight.campaign.kinds.orbit_determination import checked_orbit_section, open_orbit_world
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
-from boresight.campaign.trial.methods import located
-from boresight.campaign.trial.runner import TrialRunner
+from boresight.campaign.trial.runner import TrialRunner, located
 from boresight.estimators.craters.contract import GroundModel
 from boresight.estimators.craters.matching.preliminary import lit_points
 from boresight.estimators.craters.navigation.stages import StageFiles

@@ -12,8 +12,7 @@ from boresight.campaign.products import BuiltAssets, BuiltProduct, landmark_data
 from boresight.campaign.products.landmark_database import landmark_candidates
 from boresight.campaign.resolved import ResolvedCampaign, drafted
 from boresight.campaign.trial.kind import Record, Records, WorkerContext, check_only_method
-from boresight.campaign.trial.methods import located, require_built
-from boresight.campaign.trial.runner import GaveUpError, TrialRunner
+from boresight.campaign.trial.runner import GaveUpError, TrialRunner, located, require_built
 from boresight.estimators.contract import NoProductError
 from boresight.estimators.landmark.database import (
     METHOD_VERSION,

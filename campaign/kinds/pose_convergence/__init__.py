@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from boresight.campaign.products import BuiltAssets, BuiltProduct
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import Record, Records, Trials, WorkerContext, check_only_method
-from boresight.campaign.trial.methods import located
+from boresight.campaign.trial.runner import located
 from boresight.campaign.trial.score import pose_errors, view_columns
 from boresight.estimators.landmark.database import LandmarkDatabase
 from boresight.estimators.landmark.matching import inverse_2x2

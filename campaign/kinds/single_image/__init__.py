@@ -32,8 +32,7 @@ from boresight.campaign.trial.checks import (
     check_type,
 )
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
-from boresight.campaign.trial.methods import Unbuilt, check_options, try_build, unbuilt_products
-from boresight.campaign.trial.runner import TrialRunner
+from boresight.campaign.trial.runner import TrialRunner, Unbuilt, check_options, try_build, unbuilt_products
 from boresight.campaign.trial.score import consistency, pose_columns, pose_error
 from boresight.estimators.contract import Estimate, Estimator, Stage, Table
 from boresight.estimators.options import model_of
