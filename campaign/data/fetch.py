@@ -296,11 +296,8 @@ def disk_fault(path: Path, error: OSError) -> str:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as stream:
-            while chunk := stream.read(1 << 20):
-                digest.update(chunk)
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise BoresightError(disk_fault(path, error)) from error
-    return digest.hexdigest()

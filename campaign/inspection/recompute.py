@@ -72,15 +72,10 @@ def chosen_rows(rows: pd.DataFrame, choice: Choice, run: str) -> pd.DataFrame:
     for column, wanted in (("scenario", choice.scenario), ("estimator", choice.estimator)):
         there = list(dict.fromkeys(rows[column].astype(str)))
         if wanted is not None and wanted not in there:
-            raise unknown(column, wanted, there, run)
+            raise BoresightError(f"--{column} {wanted}: {run} has none of that name: choose one of {', '.join(there)}")
         if wanted is not None:
             rows = rows[rows[column] == wanted]
     return rows
-
-
-def unknown(column: str, wanted: str, there: Sequence[str], run: str) -> BoresightError:
-    """Return the error for a scenario or estimator that the run does not have."""
-    return BoresightError(f"--{column} {wanted}: {run} has none of that name: choose one of {', '.join(there)}")
 
 
 def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Case]:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.recompute import Case, Choice, Recomputed, unknown, worst_cases
+from boresight.campaign.inspection.recompute import Case, Choice, Recomputed, chosen_rows, worst_cases
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
@@ -118,11 +118,6 @@ class Show:
     long: Callable[[ResolvedCampaign], bool] = lambda campaign: False
 
 
-def plain_pose(pose: Pose) -> dict[str, object]:
-    """Return a pose in plain values."""
-    return {"T_cam_body_quat_wxyz": pose.quat_wxyz.tolist(), "T_cam_body_translation_m": pose.translation_m.tolist()}
-
-
 def show_of(kind: str) -> Show | None:
     """Return the displays of a kind of trial; None if it has none."""
     module = f"{module_of(kind)}.show"
@@ -144,15 +139,13 @@ def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice:
 
 def _one(run: RunData, choice: Choice) -> list[str]:
     """Return one scenario and one estimator: those named, or the only ones apart from `CONTROLS`."""
-    chosen = []
-    for column, wanted, left_out in (("scenario", choice.scenario, ()), ("estimator", choice.estimator, CONTROLS)):
-        there = list(dict.fromkeys(run.rows[column].astype(str)))
+    rows, chosen = chosen_rows(run.rows, choice, str(run.folder)), []
+    for column, left_out in (("scenario", ()), ("estimator", CONTROLS)):
+        there = list(dict.fromkeys(rows[column].astype(str)))
         rest = [name for name in there if name not in left_out] or there
-        if wanted is not None and wanted not in there:
-            raise unknown(column, wanted, there, str(run.folder))
-        if wanted is None and len(rest) > 1:
+        if len(rest) > 1:
             raise BoresightError(f"--look shows one {column}: give --{column}, one of {', '.join(there)}")
-        chosen.append(wanted or rest[0])
+        chosen.append(rest[0])
     return chosen
 
 

@@ -24,7 +24,6 @@ from boresight.campaign.inspection.show import (
     camera_sets,
     coarsened,
     finite_or_dash,
-    plain_pose,
 )
 from boresight.campaign.kinds.single_image import EstimatedImage, SingleImage
 from boresight.campaign.resolved import ResolvedCampaign
@@ -356,9 +355,9 @@ def _estimate(estimate: Estimate) -> dict[str, object]:
     return {
         "status": estimate.status,
         "reason": estimate.reason,
-        "pose": None if estimate.pose is None else plain_pose(estimate.pose),
+        "pose": None if estimate.pose is None else _plain(estimate.pose),
         "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
-        "stages": {stage.name: plain_pose(stage.T_cam_body) for stage in estimate.stages},
+        "stages": {stage.name: _plain(stage.T_cam_body) for stage in estimate.stages},
         "diagnostics": {
             name: value if isinstance(value, str) else float(value) for name, value in estimate.diagnostics.items()
         },
@@ -367,6 +366,11 @@ def _estimate(estimate: Estimate) -> dict[str, object]:
             for name, table in estimate.details.items()
         },
     }
+
+
+def _plain(pose: Pose) -> dict[str, object]:
+    """Return a pose in plain values."""
+    return {"T_cam_body_quat_wxyz": pose.quat_wxyz.tolist(), "T_cam_body_translation_m": pose.translation_m.tolist()}
 
 
 def posed(shown: EstimatedImage, case: Case) -> PosedFrames:
