@@ -35,7 +35,7 @@ class FileSpec(RawFile):
     """A file of a data set: of its repository, derived from such a file, or part of boresight."""
 
     raw: RawFile | None = Field(None, description="File of the repository from which this one is derived")
-    by: Literal["icq", "apophis"] | None = Field(None, description="Function of `campaign.data.derive` that derives it")
+    by: Literal["icq", "apophis"] | None = Field(None, description="Function of `campaign.data.fetch` that derives it")
     bundled: str = Field("", description="File of boresight that is copied")
 
     @model_validator(mode="after")
