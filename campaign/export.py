@@ -9,7 +9,7 @@ every bit.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,23 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.campaign.inspection.recompute import Case, recompute
+from boresight.campaign.inspection.recompute import (
+    Case,
+    Choice,
+    cases_of,
+    checked_trials,
+    chosen_rows,
+    recompute,
+    reopened,
+)
 from boresight.campaign.inspection.show import PosedFrame, PosedFrames, Show, show_of
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.store import RunFolder
-from boresight.campaign.trial.pose_score import pose_of
+from boresight.campaign.trial.score import pose_of
 from boresight.reports.figures.named import file_stem
 from boresight.reports.kinds import report_grids
 from boresight.reports.pages.content import read_content
+from boresight.reports.run.data import read_run
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.atomic import write_atomically, write_text
@@ -36,41 +45,96 @@ _GREY = "160 160 160"
 _Track = list[tuple[int, int, float]]
 
 
-def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) -> Iterator[tuple[str, PosedFrames]]:
-    """Recompute cases; yield name and poses in body axes of a model for each sequence, or of one for all single images.
+def export(
+    folder: RunFolder,
+    to: str,
+    choice: Choice,
+    trials: Sequence[int] | None,
+    out: Path,
+    shown: Callable[[Sequence[Case]], Iterable[Case]],
+) -> list[Path]:
+    """Write trajectories (``tum``), models (``colmap``) or tables (``csv``, ``parquet``, ``latex``); return the files.
 
-    Names are made of scenario and estimator, and of the trial of a sequence. Raise BoresightError if recomputed and
-    stored rows differ.
+    ``trials`` are those to export, None for all. ``shown`` gets the cases that must be run again, and passes them on.
+    Raise BoresightError if the run has no such scenario, estimator or trial, or its trials have no camera poses.
     """
-    show = check_posed(campaign)
-    together: dict[tuple[str, str], list[PosedFrames]] = {}
-    for case in cases:
-        again = recompute(campaign, folder, case)
-        if again.comparison.differences:
-            raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
-        if show.posed is None or again.shown is None:
+    if to == "latex":
+        return _latex(folder, choice, trials, out)
+    run = str(folder.path)
+    rows = chosen_rows(read_run(folder.path).rows, choice, run)
+    rows = rows[rows["trial"].isin(checked_trials(rows, trials, run))]
+    return _poses(folder, rows, to, out, shown) if to in ("tum", "colmap") else _tables(folder, to, choice, trials, out)
+
+
+def _latex(folder: RunFolder, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
+    """Write every table of the report as a LaTeX table in the style of booktabs."""
+    for name, chosen in (("trial", trials), ("scenario", choice.scenario), ("estimator", choice.estimator)):
+        if chosen is not None:
+            raise BoresightError(f"--{name}: the tables of a report are of the whole run: leave it out")
+    written = []
+    for grid in report_grids(read_content(folder.path)):
+        written.append(out / f"{file_stem(grid.title.lower().replace(' ', '-'))}.tex")
+        write_text(written[-1], grid.latex())
+    return written
+
+
+def _tables(folder: RunFolder, kind: str, choice: Choice, trials: Sequence[int] | None, out: Path) -> list[Path]:
+    """Write every table that is not empty to a file, and a file with the meaning of the columns.
+
+    CSV and Parquet preserve every bit of the numbers. Tables without a column for the scenario or the estimator are not
+    restricted to the chosen one.
+    """
+    written, meanings = [], []
+    for name in TABLES:
+        table = folder.table(name)
+        for column, value in (("scenario", choice.scenario), ("estimator", choice.estimator)):
+            table = table[table[column] == value] if value and column in table else table
+        table = table if trials is None else table[table["trial"].isin(trials)]
+        if table.empty:
             continue
-        found = show.posed(again.shown, case)
-        if show.pooled:
-            together.setdefault((case.scenario, case.estimator), []).append(found)
-        else:
-            yield case.stem, found
-    for (scenario, estimator), parts in together.items():
-        frames = [frame for part in parts for frame in part.frames]
-        places = {number: place for part in parts for number, place in part.places_m.items()}
-        yield f"{scenario}_{estimator}", PosedFrames(parts[0].camera, frames, places)
+        written.append(out / f"{name}.{kind}")
+        _write(table, written[-1], kind)
+        meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
+    written.append(out / "columns.csv")
+    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), written[-1], "csv")
+    return written
 
 
-def check_posed(campaign: ResolvedCampaign) -> Show:
-    """Return the displays of a campaign's trials; raise BoresightError if these have no camera poses."""
+def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
+    if kind == "csv":
+        write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    else:
+        write_atomically(path, lambda temporary: table.to_parquet(temporary, index=False))
+
+
+def _poses(
+    folder: RunFolder, rows: pd.DataFrame, to: str, out: Path, shown: Callable[[Sequence[Case]], Iterable[Case]]
+) -> list[Path]:
+    """Write trajectories or models; trials are only run again for what is not stored of them."""
+    stored = _stored_images(rows) if to == "tum" else None
+    if stored is not None:
+        return [path for name, frames in stored for path in write_trajectory(name, frames, out)]
+    campaign, written = reopened(folder), list[Path]()
     kind = campaign.spec.experiment
     show = show_of(kind)
     if show is None or show.posed is None:
         raise BoresightError(f"trials of {kind} have no camera poses: export them with --to csv, parquet or latex")
-    return show
+    cases, trajectory = shown(cases_of(rows)), show.trajectory
+    if to == "colmap":
+        for name, model in _posed(campaign, folder, show, cases):
+            written += write_model(model, out / name) if model.frames else []
+        return written
+    paths: Iterable[tuple[str, Sequence[PosedFrame]]]
+    if trajectory is None:
+        paths = ((name, found.frames) for name, found in _posed(campaign, folder, show, cases))
+    else:  # those of sequences are inertial, and no estimator is run again for them
+        paths = ((case.stem, trajectory(campaign, folder, case)) for case in cases)
+    for name, frames in paths:
+        written += write_trajectory(name, frames, out) if frames else []
+    return written
 
 
-def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
+def _stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
     """Yield the trajectories of single images from their stored rows; None if the rows have no poses."""
     solved = rows[rows["status"] == "ok"]
     if rows["true_qw"].isna().any() or solved["qw"].isna().any():
@@ -94,17 +158,30 @@ def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
     return (name, float(row["time_s"])) if name else (f"{trial:07d}.tiff", float(trial))
 
 
-def trajectories(
-    campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]
-) -> Iterator[tuple[str, Sequence[PosedFrame]]]:
-    """Yield the trajectory of each case; those of sequences are inertial and need no estimator to run again."""
-    show = check_posed(campaign)
-    if show.trajectory is None:
-        for name, found in posed(campaign, folder, cases):
-            yield name, found.frames
-        return
+def _posed(
+    campaign: ResolvedCampaign, folder: RunFolder, show: Show, cases: Iterable[Case]
+) -> Iterator[tuple[str, PosedFrames]]:
+    """Recompute cases; yield name and poses in body axes of a model for each sequence, or of one for all single images.
+
+    Names are made of scenario and estimator, and of the trial of a sequence. Raise BoresightError if recomputed and
+    stored rows differ.
+    """
+    together: dict[tuple[str, str], list[PosedFrames]] = {}
     for case in cases:
-        yield case.stem, show.trajectory(campaign, folder, case)
+        again = recompute(campaign, folder, case)
+        if again.comparison.differences:
+            raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
+        if show.posed is None or again.shown is None:
+            continue
+        found = show.posed(again.shown, case)
+        if show.pooled:
+            together.setdefault((case.scenario, case.estimator), []).append(found)
+        else:
+            yield case.stem, found
+    for (scenario, estimator), parts in together.items():
+        frames = [frame for part in parts for frame in part.frames]
+        places = {number: place for part in parts for number, place in part.places_m.items()}
+        yield f"{scenario}_{estimator}", PosedFrames(parts[0].camera, frames, places)
 
 
 def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
@@ -167,43 +244,3 @@ def write_trajectory(name: str, frames: Sequence[PosedFrame], out: Path) -> list
             lines.append(_numbers(frame.time_s, *T_cam_world.camera_position_m, *quat_xyzw))
         write_text(path, "\n".join(lines) + "\n")
     return paths
-
-
-def write_tables(
-    folder: RunFolder, kind: str, trials: Sequence[int] | None, only: dict[str, str], out: Path
-) -> list[Path]:
-    """Write every table that is not empty to a file, and a file with the meaning of the columns.
-
-    ``kind`` is ``csv`` or ``parquet``; both preserve every bit of the numbers. ``trials`` are those to export, None for
-    all. ``only`` has required values by column, for tables that have the column.
-    """
-    written, meanings = [], []
-    for name in TABLES:
-        table = folder.table(name)
-        for column, value in only.items():
-            table = table[table[column] == value] if column in table else table
-        table = table if trials is None else table[table["trial"].isin(trials)]
-        if table.empty:
-            continue
-        written.append(out / f"{name}.{kind}")
-        _write(table, written[-1], kind)
-        meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
-    written.append(out / "columns.csv")
-    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), written[-1], "csv")
-    return written
-
-
-def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
-    if kind == "csv":
-        write_text(path, table.to_csv(index=False, lineterminator="\n"))
-    else:
-        write_atomically(path, lambda temporary: table.to_parquet(temporary, index=False))
-
-
-def write_latex(folder: RunFolder, out: Path) -> list[Path]:
-    """Write every table of the report as a LaTeX table in the style of booktabs."""
-    written = []
-    for grid in report_grids(read_content(folder.path)):
-        written.append(out / f"{file_stem(grid.title.lower().replace(' ', '-'))}.tex")
-        write_text(written[-1], grid.latex())
-    return written

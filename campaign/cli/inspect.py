@@ -1,14 +1,18 @@
-"""``inspect``: understand one case of a run, recomputed from its seed with everything that came about on the way."""
+"""``inspect`` and ``export``: single trials of a run, recomputed and drawn, and runs in the formats of others."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Sequence
+
+from rich.progress import track
 
 from boresight.campaign.cli.main import WORST
 from boresight.campaign.cli.terminal import console, writing
+from boresight.campaign.export import export
 from boresight.campaign.imaging.image_store import store_switched
 from boresight.campaign.inspection.build import inspect_case
-from boresight.campaign.inspection.recompute import ORDER, Choice, chosen_rows, named_cases, reopened, worst_cases
+from boresight.campaign.inspection.recompute import ORDER, Case, Choice, chosen_rows, named_cases, reopened, worst_cases
 from boresight.campaign.inspection.show import look_of
 from boresight.campaign.store import find_run
 from boresight.reports.figures.named import file_stem
@@ -62,3 +66,20 @@ def _cases(arguments: argparse.Namespace) -> int:
             printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")
             printer.print(f"  {display(page)}")
     return 0 if same else 1
+
+
+def export_command(arguments: argparse.Namespace) -> int:
+    """Write trajectories, landmarks or tables of a run."""
+    printer, choice = console(), Choice(arguments.scenario, arguments.estimator)
+
+    def shown(cases: Sequence[Case]) -> Iterable[Case]:
+        printer.print(f"working out {len(cases)} trials again, for what the run does not hold of them")
+        return track(cases, "trials", console=printer, disable=not printer.is_terminal)
+
+    with writing(arguments.out):
+        written = export(find_run(arguments.run), arguments.to, choice, arguments.trial, arguments.out, shown)
+    if not written:
+        raise BoresightError(f"{arguments.run}: nothing to export: no chosen trial has an estimate")
+    more = ", ..." if len(written) > 6 else ""
+    printer.print(f"{len(written)} files in {arguments.out}: {', '.join(path.name for path in written[:6])}{more}")
+    return 0

@@ -138,7 +138,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _a("--out", "folder of the pages (default: RUN/inspect)", _FILE),
         _a("--pdf", "write the figures as PDF too", _FLAG),
     ),
-    "export": ("export:export_command", "write trajectories, landmarks or tables of a run for other programs",
+    "export": ("inspect:export_command", "write trajectories, landmarks or tables of a run for other programs",
         _RUN,
         _a("--to", "tum: trajectories, truth and estimate; colmap: estimated poses, landmarks; csv, parquet: stored"
            " tables; latex: tables of the report", required=True, choices=("tum", "colmap", "csv", "parquet", "latex")),

@@ -86,7 +86,7 @@ def test_single_images_have_trajectories_too(tiny_run, tmp_path):
 
 def test_trajectories_of_images_are_those_that_are_stored(tiny_run, tmp_path, monkeypatch):
     monkeypatch.setattr("boresight.campaign.inspection.recompute.recompute", None)
-    monkeypatch.setattr("boresight.campaign.cli.export.track", None)
+    monkeypatch.setattr("boresight.campaign.cli.inspect.track", None)
     export(tiny_run.folder, "tum", tmp_path, "--estimator", "landmark-harris", "--trial", 0, 1)
     rows = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'landmark-harris' and trial < 2")
     for name, prefix in (("truth", "true_"), ("estimate", "")):
