@@ -60,14 +60,14 @@ class MsiImage:
     view: View
 
 
-def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiImage:
+def open_msi(path: Path | None = None) -> MsiImage:
     """Open an image by its label or FITS file, by default the one in ``$BORESIGHT_DATA``.
 
     Raise BoresightError if a file is missing, the header has no pose, or the size of the image is not one of MSI's.
     """
-    product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
+    product = open_product(path or find_data_file(IMAGE, (), ".", "image"))
     msi = INSTRUMENTS["near-msi"]
-    with loaded_kernels(find_kernels(KERNELS, search_dirs, "kernels")):
+    with loaded_kernels(find_kernels(KERNELS, (), "kernels")):
         et = msi.middle_et(product)
         R_body_j2000 = spiceypy.pxform("J2000", "EROS_FIXED", et)
         R_cam_craft = spiceypy.pxform("NEAR_SC_BUS_PRIME", msi.frame, et)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.campaign.inspection.recompute import Case, Choice, Recomputed, chosen_rows, worst_cases
+from boresight.campaign.inspection.recompute import Case, Choice, Recomputed, chosen_rows, recompute, worst_cases
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import opened
 from boresight.campaign.store import RunFolder
@@ -189,12 +189,13 @@ def finite_or_dash(value: float, unit: str) -> str:
     return "-" if np.isnan(value) else f"{value:.3g} {unit}"
 
 
-def middle_and_worst(scene: EstimatorRun) -> Iterable[tuple[str, str, Case]]:
-    """Return the median and the worst trial with names and colours; once if they are the same."""
+def middle_and_worst(scene: EstimatorRun) -> Iterator[tuple[str, str, Recomputed]]:
+    """Recompute the median and the worst trial, with names and colours; one trial if they are the same."""
     every = len(select(scene.run.rows, scene.scenario, scene.label))
     ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
-    cases = list(dict.fromkeys([ranked[len(ranked) // 2], ranked[0]]))
-    return list(zip(("middle", "worst"), (GOOD, BAD), cases, strict=False))
+    cases = dict.fromkeys([ranked[len(ranked) // 2], ranked[0]])
+    for name, colour, case in zip(("middle", "worst"), (GOOD, BAD), cases, strict=False):
+        yield name, colour, recompute(scene.campaign, scene.folder, case)
 
 
 def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str, str, str]) -> PointSet:
@@ -217,7 +218,7 @@ def crater_look(
 ) -> View3D:
     """Compose the view of craters; ``trials`` are cameras by trial, the name of faults, and their number by row."""
     views, called, faults = trials
-    body = coarsened(mesh, MOST_FACES)
+    body = coarsened(mesh)
     factor, scale_note = camera_scale(np.concatenate(list(views.values())), body.radius_m)
     badness = np.full(len(rows), np.nan) if faults is None else faults[rows.index].to_numpy(dtype=np.float64)
     middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
@@ -231,7 +232,7 @@ def places_of(centre_m: FloatArray, numbers: IndexArray, outcomes: pd.DataFrame)
     return pd.DataFrame(centre_m, index=numbers).loc[outcomes.index].to_numpy(dtype=np.float64)
 
 
-def coarsened(mesh: TriangleMesh, most_faces: int) -> TriangleMesh:
+def coarsened(mesh: TriangleMesh, most_faces: int = MOST_FACES) -> TriangleMesh:
     """Merge the vertices of each cube of a grid into their mean until no more than ``most_faces`` facets are left.
 
     Degenerate facets are removed. The result is only for display.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
+from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
-    MOST_FACES,
     CaseFigures,
     CaseFiles,
     EstimatorRun,
@@ -46,21 +45,20 @@ def look_at_orbits(scene: EstimatorRun) -> View3D:
     Raise BoresightError if neither came to an orbit.
     """
     marks, seen, world = [], [], None
-    for name, colour, case in middle_and_worst(scene):
-        again = recompute(scene.campaign, scene.folder, case)
+    for name, colour, again in middle_and_worst(scene):
         shown, orbit = again.shown, None if again.shown is None else _solution(again.shown)
         if orbit is None:
             continue
         world = again.trials.world
         sightings = sightings_of(shown, orbit)
         marks += orbit_marks(orbit, shown.truth, sightings, name)
-        seen += image_sets(shown, sightings, world.rotation, case, (name, colour))
+        seen += image_sets(shown, sightings, world.rotation, again.case, (name, colour))
     if world is None:
         raise BoresightError(
             f"{scene.folder.path}: --look: neither the middle nor the worst trial of {scene.title} came to an orbit:"
             " choose another --scenario or --estimator, or see why with --worst 1"
         )
-    body = coarsened(world.asteroid.mesh, MOST_FACES)
+    body = coarsened(world.asteroid.mesh)
     factor, told = camera_scale(np.concatenate([cameras.points_m for cameras in seen]), body.radius_m)
     drawn = [CameraSet(cameras.name, cameras.colour, cameras.points_m / factor, cameras.texts) for cameras in seen]
     return View3D(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)

@@ -7,9 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from boresight.campaign.inspection.recompute import Case, Recomputed, recompute
+from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
-    MOST_FACES,
     CaseFigures,
     CaseFiles,
     EstimatorRun,
@@ -186,12 +185,11 @@ def _columns(records: list[Record], *names: str) -> FloatArray:
 def look_at_sequences(scene: EstimatorRun) -> View3D:
     """Show the trial in the middle and the worst one, in the axes that the body has at each frame."""
     marks, cameras, ground = [], [], None
-    for name, colour, case in middle_and_worst(scene):
-        again = recompute(scene.campaign, scene.folder, case)
+    for name, colour, again in middle_and_worst(scene):
         if again.shown is not None:
             ground = again.trials.ground
             marks += _track_marks(again.shown, name)
-            cameras += _paths(again.shown, case, name, colour)
+            cameras += _paths(again.shown, again.case, name, colour)
     if ground is None:
         raise BoresightError(f"{scene.folder.path}: no trial of {scene.title} has a sequence to look at")
     if isinstance(ground, MeshGround):
@@ -200,7 +198,7 @@ def look_at_sequences(scene: EstimatorRun) -> View3D:
     else:
         ball = sphere()
         mesh = TriangleMesh(ball.vertices_m * (ground.reach_m / ball.radius_m), ball.faces)
-    body = coarsened(mesh, MOST_FACES)
+    body = coarsened(mesh)
     note = "The trial of median error and the worst one; a landmark stands where it truly is."
     return View3D(scene.title, note, body.vertices_m, body.faces, marks, cameras)
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from boresight.campaign.imaging.observe import observe
 from boresight.campaign.inspection.recompute import Case, Recomputed
 from boresight.campaign.inspection.show import (
-    MOST_FACES,
     CaseFigures,
     CaseFiles,
     EstimatorRun,
@@ -289,7 +288,7 @@ def look_at_images(scene: EstimatorRun) -> View3D:
     tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
     rows, recognised = (table[table["trial"] % scene.campaign.spec.databases == 0] for table in tables)
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
-    body = coarsened(experiment.world.body.mesh, MOST_FACES)
+    body = coarsened(experiment.world.body.mesh)
     places = {trial: view.T_cam_body.camera_position_m for trial, view in views.items()}
     factor, told = camera_scale(np.array(list(places.values())), body.radius_m)
     marks = _marks(experiment.methods[scene.label], list(views.values()), recognised)
