@@ -42,6 +42,7 @@ from boresight.reports.statistics.measured import (
     RMS,
     WORST,
     Measured,
+    Statistic,
     bounded,
     measure,
     share_of,
@@ -190,10 +191,10 @@ class Subject:
     """One line of a comparison: its statistics, with and without failures.
 
     ``names`` are its values of the factors; ``estimator`` is '' where several are pooled. ``n_ok`` of ``n`` trials have
-    a value of the metric, and ``success`` is the share that did not fail. ``solved`` has each of `STATISTICS` over the
-    trials with a value, ``counted`` over all trials: a failure counts with the prior's error (``at_prior``). Where
-    there is no prior, ``counted`` has the quantiles alone, a failure being worse than any error: infinite where the
-    quantile falls among failures.
+    a value of the metric, and ``success`` is the share that did not fail. ``prior`` is the median of the same number of
+    the priors; None where there are none. ``solved`` has each of `STATISTICS` over the trials with a value, ``counted``
+    over all trials: a failure counts with the prior's error (``at_prior``). Where there is no prior, ``counted`` has
+    the quantiles alone, a failure being worse than any error: infinite where the quantile falls among failures.
     """
 
     names: tuple[str, ...]
@@ -201,6 +202,7 @@ class Subject:
     n_ok: int
     n: int
     success: Measured
+    prior: float | None
     solved: tuple[Measured, ...]
     counted: tuple[Measured, ...]
     at_prior: bool
@@ -302,7 +304,7 @@ def compared(
     own = tuple(factors or default_factors(trials))
     if RUN not in own and trials.duplicated([*own, *KEY]).any():
         own = (RUN, *own)  # several runs have the same trials of a subject
-    subjects = tuple(_subject(_of(trials, own, one), one) for one in _in_order(trials, own, runs))
+    subjects = tuple(subject_of(_of(trials, own, one), one) for one in _in_order(trials, own, runs))
     if all(subject.n_ok == 0 for subject in subjects):
         folders = ", ".join(str(run.folder) for run in runs)
         raise BoresightError(f"--metric {chosen.name}: no trial of {folders} has a value of it")
@@ -347,12 +349,13 @@ def _of(trials: pd.DataFrame, factors: Sequence[str], names: Sequence[str]) -> p
     return trials[mine]
 
 
-def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
+def subject_of(rows: pd.DataFrame, names: tuple[str, ...], statistics: Sequence[Statistic] = STATISTICS) -> Subject:
+    """Measure the trials of a subject, rows of `reports.compare.trials.tabulate_trials`, by some statistics."""
     values, clusters = rows["value"].to_numpy(dtype=np.float64), rows["cluster"].to_numpy()
     known, prior = np.isfinite(values), rows["prior"].to_numpy(dtype=np.float64)
     at_prior = bool(np.isfinite(prior[~known]).all()) and bool(np.isfinite(prior).any())
     # Without priors only quantiles are defined; those that lie among the failures are infinite.
-    defined = [one for one in STATISTICS if at_prior or one.quantile is not None]
+    defined = [one for one in statistics if at_prior or one.quantile is not None]
     counted = dict(
         zip(defined, measure(np.where(known, values, prior if at_prior else WORST), clusters, defined), strict=True)
     )
@@ -363,7 +366,8 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
         int(known.sum()),
         len(rows),
         share_of(~rows["failed"].to_numpy(dtype=bool), clusters),
-        tuple(measure(values[known], clusters[known], STATISTICS)),
-        tuple(counted.get(one, Measured(None)).each(bounded) for one in STATISTICS),
+        float(np.nanmedian(prior)) if np.isfinite(prior).any() else None,
+        tuple(measure(values[known], clusters[known], statistics)),
+        tuple(counted.get(one, Measured(None)).each(bounded) for one in statistics),
         at_prior,
     )

@@ -169,11 +169,10 @@ def subject_tables(found: RunComparison) -> tuple[Grid, pd.DataFrame]:
 
     Lines are over the trials that a subject solved and, where it failed in some, over all.
     """
-    unit, has_prior = _unit(found), found.trials["prior"].notna().any()
+    unit, has_prior = _unit(found), any(one.prior is not None for one in found.subjects)
     rows, numbers = [], []
     for subject in found.subjects:
-        known = found.of(subject)["prior"].dropna()
-        before = {f"prior{unit}": number(None if known.empty else float(known.median()))} if has_prior else {}
+        before = {f"prior{unit}": number(subject.prior)} if has_prior else {}
         key = dict(zip(found.factors, subject.names, strict=True)) | {"metric": found.metric.name}
         success = {"trials": "all", "statistic": "success rate", "unit": "", **asdict(subject.success)}
         numbers.append(key | success | {"n_ok": subject.n_ok, "n": subject.n})

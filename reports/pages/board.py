@@ -67,7 +67,7 @@ def _line(run: RunData, out: Path) -> tuple[str, ...]:
         measured = metric.axis
     except BoresightError:  # its trials have no number to go by
         found, measured = [], NO_VALUE
-    estimators = [(one.label, f"{one.n_ok}/{one.n}", interval(one.median), number(one.prior)) for one in found]
+    estimators = [(one.estimator, f"{one.n_ok}/{one.n}", interval(one.solved[0]), number(one.prior)) for one in found]
     name: str = run.folder.name
     if report.exists():
         way = quote(Path(os.path.relpath(report, out)).as_posix())

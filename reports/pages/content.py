@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
+from boresight.reports.compare.subjects import Subject, subject_of
 from boresight.reports.compare.trials import ESTIMATOR, choose_metric, tabulate_trials
 from boresight.reports.kinds import Content, report_kind
 from boresight.reports.kinds.sequence import without_pooled
@@ -23,7 +22,7 @@ from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
 from boresight.reports.schema.records import CONTROL, Record, count_of
 from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
-from boresight.reports.statistics.measured import MEDIAN, Measured, measure
+from boresight.reports.statistics.measured import MEDIAN
 from boresight.reports.statistics.measures import measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.roc import outlier_records
@@ -140,35 +139,15 @@ def beside_published(
     return compared, claims
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatorResult:
-    """Result of an estimator over all scenarios of a run, for a line.
-
-    ``n_ok`` trials of ``n`` have a value, and ``n_success`` did not fail. ``prior`` is the median of the same number of
-    the priors; None where there are none.
-    """
-
-    label: str
-    n_ok: int
-    n: int
-    n_success: int
-    median: Measured
-    prior: float | None
-
-
-def estimator_results(run: RunData) -> tuple[Measure, list[EstimatorResult]]:
-    """Measure each estimator by the usual metric of the kind of trial; the control has the priors.
+def estimator_results(run: RunData) -> tuple[Measure, list[Subject]]:
+    """Measure the median of each estimator over all scenarios, by the usual metric of the kind of trial.
 
     Raises `BoresightError` if the trials have no number to go by.
     """
-    metric, found = choose_metric(None, [run]), []
+    metric = choose_metric(None, [run])
     trials = tabulate_trials([run], metric, (ESTIMATOR,))
-    for label, own in trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False):
-        known, priors = own[own["value"].notna()], own["prior"].dropna()
-        median = measure(known["value"].to_numpy(dtype=np.float64), known["cluster"].to_numpy(), (MEDIAN,))[0]
-        prior = float(priors.median()) if len(priors) else None
-        found.append(EstimatorResult(str(label), len(known), len(own), int((~own["failed"]).sum()), median, prior))
-    return metric, found
+    own = trials[trials[ESTIMATOR] != CONTROL].groupby(ESTIMATOR, sort=False)
+    return metric, [subject_of(rows, (str(label),), (MEDIAN,)) for label, rows in own]
 
 
 def headline(run: RunData) -> str:
@@ -182,10 +161,13 @@ def headline(run: RunData) -> str:
     unit = f" {metric.unit}" if metric.unit else ""
     parts = []
     for one in found:
-        done = f"solved {one.n_ok}/{one.n}"
-        done += "" if one.prior is None else f", success {one.n_success}/{one.n}"
-        before = "" if one.prior is None else f", prior {number(one.prior)}{unit}"
-        parts.append(f"{one.label}: {done}, median {metric.label} {interval(one.median)}{unit}{before}")
+        solved = f"{one.estimator}: solved {one.n_ok}/{one.n}"
+        median = f"median {metric.label} {interval(one.solved[0])}{unit}"
+        if one.prior is None:
+            parts.append(f"{solved}, {median}")
+        else:
+            success = round(one.n * (one.success.value or 0.0))
+            parts.append(f"{solved}, success {success}/{one.n}, {median}, prior {number(one.prior)}{unit}")
     several = len(run.manifest.scenarios)
     return "; ".join(parts) + (f"; over {several} scenarios" if parts and several > 1 else "")
 
