@@ -13,9 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from SALib.analyze import sobol
 
 from boresight.reports.compare.trials import metric_values, nothing_to_find, prior_values
+from boresight.reports.figures.style import BLUE, GREY, ORANGE, finish, grid_figure, styled
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.column import Measure
 from boresight.reports.schema.grid import NO_VALUE, Grid, row_grid
@@ -32,6 +36,9 @@ _RESULTS = (
     "navigation", "surveyed_images", "surveyed_craters",
 )  # fmt: skip
 """Tables of results of methods, over all kinds of trial."""
+_LONG = 18
+_SHOWN = (-1.1, 1.4)
+"""Limits of the axis of indices; wider intervals are cut off."""
 FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
 
 
@@ -150,3 +157,57 @@ def sensitivity_grid(
         " nothing: take more --samples."
     )
     return row_grid("Sensitivity", rows, ("estimator", "key", ""), note)
+
+
+@styled
+def draw_sensitivity(found: Sequence[Sensitivity], keys: Sequence[str], samples: FloatArray, axis: str) -> Figure:
+    """Draw a row of panels for each estimator: the indices of all keys, and the outcome against each key.
+
+    ``samples`` (n, K) are the values of the K ``keys``; ``axis`` names the outcome, with its unit.
+    """
+    width_in, height_in = 3.2 + 2.1 * len(keys), 0.9 + 2.3 * len(found)
+    figure, places = grid_figure(len(found), 1 + len(keys), width_in=width_in, height_in=height_in)
+    for one, panels in zip(found, places, strict=True):
+        _indices(panels[0], one.shares, keys)
+        panels[0].set_title(one.estimator, loc="left")
+        for axes, key, values in zip(panels[1:], keys, samples.T, strict=True):
+            axes.plot(values, one.outcomes, "o", color=BLUE, markersize=2.5, alpha=0.6)
+            axes.axhline(one.base, color=GREY, linestyle="--", linewidth=1.0)
+            axes.set_xlabel("\n".join(_wrapped(key)), fontsize=8)
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+        panels[1].set_ylabel(axis, fontsize=8)
+        for axes in panels[2:]:
+            axes.sharey(panels[1])
+            axes.tick_params(labelleft=False)
+    return finish(figure, "Sensitivity (dashed: base)")
+
+
+def _indices(axes: Axes, shares: Mapping[str, Sequence[Measured]], keys: Sequence[str]) -> None:
+    places = np.arange(len(keys))
+    height = 0.8 / max(len(shares), 1)
+    for i, ((name, own), colour) in enumerate(zip(shares.items(), (BLUE, ORANGE), strict=False)):
+        values, low, high = np.array([[x or 0.0 for x in (one.value, one.low, one.high)] for one in own]).T
+        axes.barh(places + i * height, values, height, color=colour, alpha=0.75, label=name)
+        axes.errorbar(
+            values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
+        )
+    axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_wrapped(key)) for key in keys], fontsize=7)
+    axes.set_ylim(len(keys) - 0.1 - 0.5 * height, -0.1 - 0.5 * height)
+    left, right = axes.get_xlim()
+    axes.set_xlim(max(left, _SHOWN[0]), min(right, _SHOWN[1]))
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    if shares:
+        legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=7.5)
+        legend.set_in_layout(True)
+    else:
+        axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
+
+
+def _wrapped(key: str) -> list[str]:
+    """Break a long dotted key into lines at its dots."""
+    lines = [""]
+    for part in key.replace(".", ".\0").split("\0"):
+        if lines[-1] and len(lines[-1]) + len(part) > _LONG:
+            lines.append("")
+        lines[-1] += part
+    return lines

@@ -9,11 +9,10 @@ from pathlib import Path
 import pandas as pd
 
 from boresight.reports.compare.figures import comparison_figures
-from boresight.reports.compare.global_sensitivity import Sensitivity, VariedKey
+from boresight.reports.compare.global_sensitivity import Sensitivity, VariedKey, draw_sensitivity
 from boresight.reports.compare.subjects import RunComparison
 from boresight.reports.compare.tables import consistency_tables, contrast_tables, limits, subject_tables
 from boresight.reports.figures.named import NamedFigure, add_provenance
-from boresight.reports.figures.scenario_grids import EstimatorPanels, draw_sensitivity
 from boresight.reports.pages.document import ON_BOARD, Document, write_document
 from boresight.reports.run.data import RunData
 from boresight.reports.run.limits import known_lines
@@ -111,8 +110,7 @@ def write_sensitivity(
         for name, shares in one.shares.items()
         for key, m in zip(keys, shares, strict=True)
     ]
-    rows = [EstimatorPanels(one.estimator, one.outcomes, one.base, one.shares) for one in found]
-    figure = draw_sensitivity(rows, keys, samples, metric.axis, "Sensitivity")
+    figure = draw_sensitivity(found, keys, samples, metric.axis)
     add_provenance(figure, [run])
     manifest = run.manifest
     page = Document(

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
+from boresight.reports.compare.global_sensitivity import Sensitivity, draw_sensitivity
 from boresight.reports.figures.comparison import SubjectSummary, draw_summaries, draw_trade_off
 from boresight.reports.figures.craters import (
     MatchedRims,
@@ -21,14 +22,7 @@ from boresight.reports.figures.craters import (
     draw_sightings_used,
 )
 from boresight.reports.figures.recognition import MatchedLandmarks, draw_matched_landmarks
-from boresight.reports.figures.scenario_grids import (
-    Effect,
-    EstimatorPanels,
-    HeatMap,
-    draw_effects,
-    draw_heat_maps,
-    draw_sensitivity,
-)
+from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_effects, draw_heat_maps
 from boresight.reports.figures.sequences import (
     TrackLifetimes,
     TrajectoryErrors,
@@ -119,8 +113,8 @@ def test_a_matched_pair_counts_and_numbers_its_craters(image):
 
 def test_indices_stand_at_their_values_and_the_base_is_marked():
     shares = {"total index": [Measured(0.3, 0.1, 0.5), Measured(0.6, 0.5, 0.7)]}
-    row = EstimatorPanels("a", np.array([1.0, 2.0]), 1.5, shares)
-    indices, first, second = draw_sensitivity([row], ["x", "y"], np.array([[1.0, 5.0], [2.0, 6.0]]), "m", "T").axes
+    found = Sensitivity("a", 1.5, np.array([1.0, 2.0]), {}, shares, ())
+    indices, first, second = draw_sensitivity([found], ["x", "y"], np.array([[1.0, 5.0], [2.0, 6.0]]), "m").axes
     assert [bar.get_width() for bar in indices.patches] == [0.3, 0.6]
     assert points(first, marker="o") == [([1.0, 2.0], [1.0, 2.0])]
     assert points(second, marker="o") == [([5.0, 6.0], [1.0, 2.0])]
