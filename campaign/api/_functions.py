@@ -17,7 +17,7 @@ from boresight.campaign.runs.read import CampaignFiles, is_campaign, read_campai
 from boresight.campaign.store import find_run
 from boresight.reports.compare import compare_runs
 from boresight.reports.compare.tables import consistency_tables, contrast_tables, subject_tables
-from boresight.reports.papers.page import write_paper
+from boresight.reports.pages.paper import write_paper
 from boresight.scenarios.load import LoadedScenario, load_scenario
 
 Name = str | PathLike[str]

@@ -26,8 +26,8 @@ from boresight.campaign.runs.read import CATALOG, needs, sources
 from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.threads import workers
 from boresight.renderers.mitsuba3 import choose_variant
+from boresight.reports.pages.paper import PaperLine, paper_grid, value_tally, write_paper
 from boresight.reports.pages.rich_tables import FittedTable
-from boresight.reports.papers.page import PaperLine, paper_grid, value_tally, write_paper
 from boresight.reports.schema.records import count_of
 from boresight.reports.verdicts import verdict_tally
 from boresight.scenarios.errors import BoresightError, display

@@ -21,7 +21,7 @@ from boresight.reports.figures.named import NamedFigure, add_provenance, with_tr
 from boresight.reports.kinds import Content
 from boresight.reports.pages.content import content_of
 from boresight.reports.pages.document import Document
-from boresight.reports.papers.page import (
+from boresight.reports.pages.paper import (
     PaperLine,
     PaperPage,
     lines_by_table,

@@ -16,7 +16,7 @@ from boresight.campaign.runs.read import campaign_names, read_campaign
 from boresight.campaign.runs.resolve import reload, resolve
 from boresight.reports.figures.named import run_label
 from boresight.reports.pages.content import read_content
-from boresight.reports.papers.page import paper_lines
+from boresight.reports.pages.paper import paper_lines
 from boresight.reports.published import load_published
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.spec.body import EMBEDDED_NAMES, STAND_INS, BodySpec

@@ -26,7 +26,7 @@ from boresight.campaign.store import RunFolder, run_folders
 from boresight.estimators.landmark.database import DatabaseOptions
 from boresight.renderers.mitsuba3 import choose_variant
 from boresight.reports.figures.named import NamedFigure
-from boresight.reports.papers.page import PaperLine, value_tally
+from boresight.reports.pages.paper import PaperLine, value_tally
 from boresight.reports.published import load_published
 from boresight.reports.schema.records import Record
 from boresight.reports.schema.tables import FORMAT_VERSION

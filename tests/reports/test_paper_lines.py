@@ -7,7 +7,7 @@ from typing import cast
 import pytest
 
 from boresight.reports.kinds import Content
-from boresight.reports.papers.page import paper_grid, paper_lines
+from boresight.reports.pages.paper import paper_grid, paper_lines
 from boresight.reports.published import load_published
 from boresight.reports.run.data import RunData
 from boresight.reports.schema.records import Record

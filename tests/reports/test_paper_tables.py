@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from boresight.reports.papers.page import PaperLine, draw_table, lines_by_table, table_figure
+from boresight.reports.pages.paper import PaperLine, draw_table, lines_by_table, table_figure
 from boresight.reports.schema.grid import Grid
 from boresight.reports.schema.records import Record
 
