@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from boresight.reports.compare.figures import cumulative_figure, summary_figure
 from boresight.reports.compare.subjects import compared
+from boresight.reports.figures.comparison import Effect, HeatMap, draw_curves, draw_effects, draw_heat_maps
 from boresight.reports.figures.named import NamedFigure, file_stem
-from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_curves, draw_effects, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.run.clusters import clusters_of, image_set
 from boresight.reports.run.data import GridAxis, RunData, ScenarioGrid, select

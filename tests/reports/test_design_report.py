@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error, seal
 
-from boresight.reports.figures.scenario_grids import HeatMap, draw_curves, draw_heat_maps
+from boresight.reports.figures.comparison import HeatMap, draw_curves, draw_heat_maps
 from boresight.reports.figures.style import Points
 from boresight.reports.kinds import report_grids
 from boresight.reports.kinds.designs import DesignData, Outcome, design_figures, design_grids, outcomes

@@ -7,7 +7,15 @@ from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
 from boresight.reports.compare.global_sensitivity import Sensitivity, draw_sensitivity
-from boresight.reports.figures.comparison import SubjectSummary, draw_summaries, draw_trade_off
+from boresight.reports.figures.comparison import (
+    Effect,
+    HeatMap,
+    SubjectSummary,
+    draw_effects,
+    draw_heat_maps,
+    draw_summaries,
+    draw_trade_off,
+)
 from boresight.reports.figures.craters import (
     MatchedRims,
     draw_confidence_curves,
@@ -22,7 +30,6 @@ from boresight.reports.figures.craters import (
     draw_sightings_used,
 )
 from boresight.reports.figures.recognition import MatchedLandmarks, draw_matched_landmarks
-from boresight.reports.figures.scenario_grids import Effect, HeatMap, draw_effects, draw_heat_maps
 from boresight.reports.figures.sequences import (
     TrackLifetimes,
     TrajectoryErrors,
