@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Literal, TypeVar
 
 from boresight.reports.published import Comparison, PublishedClaim, PublishedValue, Term
-from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, row_grid, value_of, value_of_ended
 from boresight.reports.schema.records import (
     CONTROL,

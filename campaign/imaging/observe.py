@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from boresight.campaign.imaging.world import TrialImage, World
 from boresight.renderers.rectify import rectify
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
 from boresight.scenarios.errors import BoresightError

@@ -22,7 +22,7 @@ from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.runs.execute import run_campaign
 from boresight.campaign.runs.manifest import RunRequest
 from boresight.campaign.trial.kind import Records, kind_named
-from boresight.reports.schema.common import FRESH_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE
 from boresight.scenarios.errors import BoresightError
 
 WHOLE_TRIAL = "whole trial"

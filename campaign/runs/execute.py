@@ -26,7 +26,7 @@ from boresight.campaign.store import Block, BlockState, RunFolder, blocks, run_l
 from boresight.campaign.threads import use_threads
 from boresight.campaign.trial.kind import PerDatabase, Records, WorkerContext, kind_named
 from boresight.campaign.trial.runner import unbuilt_products
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.tables import TABLES
 from boresight.scenarios.errors import BoresightError
 

@@ -21,8 +21,7 @@ import boresight
 from boresight.campaign.cli.main import make_parser, manual
 from boresight.campaign.trial.kind import kind_names
 from boresight.estimators.pages import COSTS, FAMILIES, EstimatorPage, page_of
-from boresight.reports.schema import common
-from boresight.reports.schema.column import Column, unit_by_suffix
+from boresight.reports.schema.column import COMMON_ROW, Column, unit_by_suffix
 from boresight.reports.schema.tables import TABLES, kind_schema
 from boresight.scenarios import catalog
 from boresight.scenarios.load.keys import Key, as_yaml, keys_of, words_of
@@ -210,7 +209,7 @@ def _columns() -> str:
         "A run folder holds these tables as Parquet files, which store the meanings too."
         " `boresight export RUN --to csv --out DIR` writes them as CSV; `boresight.read_run` reads a run.",
         "## `rows`: one row for each trial and estimator",
-        _column_table(common.COMMON_ROW),
+        _column_table(COMMON_ROW),
     ]
     for kind in kind_names():
         told += [f"### Further columns of `rows` of kind `{kind}`", _column_table(kind_schema(kind).row)]

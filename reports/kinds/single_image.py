@@ -25,7 +25,7 @@ from boresight.reports.published import Comparison
 from boresight.reports.run.clusters import clusters_of
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.reports.schema.grid import NO_VALUE, Grid, counts, number, row_grid, value_of
 from boresight.reports.schema.records import CONTROL, DERIVED, Key, Record, by_key, stage_label
 from boresight.reports.statistics.consistency import consistency_grid

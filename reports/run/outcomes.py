@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.reports.run.data import RunData, select
-from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.records import CONTROL, count_of, shortened
 from boresight.reports.schema.tables import kind_schema
 

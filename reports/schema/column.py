@@ -1,4 +1,4 @@
-"""A measure, a column of a stored table, and what a kind of trial stores and reports."""
+"""Measures, columns of stored tables, what a kind of trial stores and reports, and what several kinds share."""
 
 from __future__ import annotations
 
@@ -103,3 +103,114 @@ class KindSchema:
         " with another world of craters where there is one; trials have them in turn. Intervals and tests take the"
         " data base for what is independent (Student's t over them), so that they tell of other data bases too."
     )
+
+
+FRESH_IMAGE, STORED_IMAGE = "image", "stored_image"
+"""Stages of ``timings``: an image that was rendered or read in this run, or kept from another."""
+
+IMAGE_KEY: Columns = (count("trial", "number of the trial, from 0"), text("scenario", "name of the scenario"))
+KEY: Columns = (*IMAGE_KEY, text("estimator", "label of the estimator"))
+COMMON_ROW: Columns = (
+    *KEY,
+    text("status", "ok, failed (with a reason) or error (it raised, was stopped or returned an invalid result)"),
+    text("reason", "why it is not ok; empty when ok"),
+    count("n_landmarks", "landmarks that the estimate rests on; 0 where it uses none", "landmarks an image"),
+)
+"""The row of a trial and method, whatever the kind."""
+
+DATABASE: Columns = (count("database", "number of the data base that it had, from 0; empty where it has none"),)
+VIEW: Columns = (
+    number("range_m", "true distance of the camera from the body's origin"),
+    number("phase_deg", "true phase angle at the body's origin"),
+)
+
+_IN = {"x": "right", "y": "down", "z": "along the boresight"}
+POSE_ERROR: Columns = (
+    measured(
+        "position_error_m", "length of c_est - c_true, the camera in the body frame", "position error", error=True,
+        detail=False,
+    ),
+    measured(
+        "attitude_error_deg", "angle of the rotation from the true to the estimated attitude", "attitude error",
+        error=True, detail=False,
+    ),
+    *(
+        measured(
+            f"position_error_{axis}_m", f"{axis} of R_true (c_est - c_true) in camera axes: {where}",
+            f"position error, {axis}", error=True, detail=False,
+        )
+        for axis, where in _IN.items()
+    ),
+)  # fmt: skip
+POSE_COLUMNS = names(POSE_ERROR)
+PRIOR_ERROR: Columns = tuple(
+    Column(name=f"prior_{c.name}", type=c.type, meaning=f"of the prior: {c.meaning}") for c in POSE_ERROR
+)
+LATERAL, BORESIGHT = "lateral_error_m", "boresight_error_m"
+COMPONENTS: Mapping[str, tuple[str, ...]] = {
+    LATERAL: ("position_error_x_m", "position_error_y_m"),
+    BORESIGHT: ("position_error_z_m",),
+}
+"""Errors across and along the camera's boresight, by the columns whose root sum of squares they are."""
+
+POSE_METRICS = (*POSE_COLUMNS, *COMPONENTS)
+
+
+def ellipse(what: str) -> Columns:
+    """Return the columns of an ellipse in an image."""
+    return (
+        number("u_px", f"column of the centre of {what}, continuous pixels"),
+        number("v_px", "row of the centre"),
+        number("major_px", "longer semi-axis"),
+        number("minor_px", "shorter semi-axis"),
+        number("angle_deg", "from the column axis to the longer one, towards the row axis"),
+    )
+
+
+SHARED_TABLES: Mapping[str, Columns] = {
+    "diagnostics": (*KEY, text("name", "name of a number that the estimator reports"), number("value", "its value")),
+    "timings": (*KEY, text("stage", "stage of the trial or of the estimator"), number("seconds", "wall time")),
+    "said": (
+        *KEY,
+        text("stream", "stdout, stderr, or warnings of Python"),
+        text("text", "what the method wrote there; only the beginning where much, which it then says"),
+    ),
+    "tracebacks": (*KEY, text("traceback", "Python traceback of an estimator that raised")),
+}
+
+
+def share(name: str, label: str = "", *, error: bool = False, detail: bool = True) -> Measure:
+    """Make a measure in per cent; one without a label is only in the table of its kind."""
+    return Measure(name=name, label=label, unit="%", error=error, detail=detail and bool(label))
+
+
+def plain(name: str, label: str = "", *, error: bool = False) -> Measure:
+    """Make a measure; one with a label is listed in the table of details."""
+    return Measure(name=name, label=label, error=error, detail=bool(label))
+
+
+SHARED_MEASURES = (
+    Measure(name=LATERAL, label="position error across the boresight", error=True),
+    Measure(name=BORESIGHT, label="position error along the boresight", error=True),
+    Measure(name="seconds", label="time", unit="s"),
+    Measure(name="processing_seconds", unit="s"),
+    share("success_share", "success"),
+    share("four_landmarks_share", "four landmarks or more"),
+    plain("landmark_observations", "landmark observations"),
+    plain("position_reduction_m", "reduction of the position error"),
+    plain("attitude_reduction_deg", "reduction of the attitude error"),
+    plain("landmarks", "landmarks in the data base"),
+    plain("facets", "facets of the data base"),
+    plain("images", "images of the arc"),
+    plain("outlier_rounds", "outlier rounds"),
+    plain("database_landmarks", "landmarks in the data base"),
+    plain("database_facets", "facets of the data base"),
+    plain("database_bytes", "size of the data base"),
+    plain("centroid_offset_px", "offset of the brightness centroid"),
+    plain("centroid_du_px", "offset of the centroid along the columns"),
+    plain("extent_px", "extent of the body, longer side"),
+    plain("diameter_px", "extent of the body, disc of equal area"),
+    plain("pixel_scale_m", "a pixel on the surface"),
+    plain("pixel_rotation_deg", "rotation of the body by a pixel"),
+    plain("pixel_displacement_m", "displacement of the camera by a pixel"),
+)

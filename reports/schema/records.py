@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from boresight.reports.schema.common import FRESH_IMAGE, STORED_IMAGE
+from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""

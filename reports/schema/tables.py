@@ -16,9 +16,18 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from boresight.reports.schema import common
 from boresight.reports.schema import kinds as _kinds
-from boresight.reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
+from boresight.reports.schema.column import (
+    COMMON_ROW,
+    KEY,
+    SHARED_MEASURES,
+    SHARED_TABLES,
+    Columns,
+    KindSchema,
+    Measure,
+    names,
+    unit_by_suffix,
+)
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.parquet import TableLayout
 
@@ -29,12 +38,12 @@ _USUAL = "single-image"
 _MODULES = (import_module(f"{_kinds.__name__}.{found.name}") for found in pkgutil.iter_modules(_kinds.__path__))
 _SCHEMAS: dict[str, KindSchema] = dict(sorted(chain.from_iterable(module.SCHEMAS.items() for module in _MODULES)))
 ALL_ROW_COLUMNS: Columns = tuple(
-    {column.name: column for column in chain(common.COMMON_ROW, *(kind.row for kind in _SCHEMAS.values()))}.values()
+    {column.name: column for column in chain(COMMON_ROW, *(kind.row for kind in _SCHEMAS.values()))}.values()
 )
 TABLES: dict[str, Columns] = {
     "rows": ALL_ROW_COLUMNS,
     **{name: columns for kind in _SCHEMAS.values() for name, columns in kind.tables.items()},
-    **common.TABLES,
+    **SHARED_TABLES,
 }
 """Columns of each table; of ``rows`` those of all kinds of trial, of which a run has those of its own."""
 
@@ -47,7 +56,7 @@ def kind_schema(experiment: str) -> KindSchema:
 def columns_of(table: str, experiment: str = "") -> Columns:
     """Return the columns of a table in a run of a kind of trial; without a kind, those of all kinds."""
     if table == "rows" and experiment:
-        return (*common.COMMON_ROW, *kind_schema(experiment).row)
+        return (*COMMON_ROW, *kind_schema(experiment).row)
     return TABLES[table]
 
 
@@ -60,7 +69,7 @@ def schema(table: str, experiment: str = "") -> pa.Schema:
 def layout(table: str, experiment: str = "") -> TableLayout:
     """Return what a reader of a table requires: its key, and text where the columns are text."""
     texts = {c.name: c.type == pa.string() for c in columns_of(table, experiment)}
-    keys = {*names(common.KEY), *({"status"} if table == "rows" else ())}
+    keys = {*names(KEY), *({"status"} if table == "rows" else ())}
     return TableLayout(tuple(name for name in texts if name in keys), texts.get)
 
 
@@ -68,7 +77,7 @@ def layout(table: str, experiment: str = "") -> TableLayout:
 def measures() -> dict[str, Measure]:
     """Return every measure that reports print, by its name."""
     found: Iterator[Measure] = chain(
-        common.MEASURES, *(kind.measures for kind in _SCHEMAS.values()), *(columns for columns in TABLES.values())
+        SHARED_MEASURES, *(kind.measures for kind in _SCHEMAS.values()), *(columns for columns in TABLES.values())
     )
     return {measure.name: measure for measure in reversed([one for one in found if one.printed])}
 

@@ -12,7 +12,7 @@ import pandas as pd
 from boresight.reports.run.clusters import clusters_of, groups
 from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import errors_by_stage, final_stage, succeeded
-from boresight.reports.schema.common import POSE_COLUMNS
+from boresight.reports.schema.column import POSE_COLUMNS
 from boresight.reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record
 from boresight.reports.statistics.measured import (
     MEAN,

@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
-from boresight.reports.schema.column import Columns, KindSchema, Measure, count, flag, measured, number
-from boresight.reports.schema.common import DATABASE, IMAGE_KEY, KEY, VIEW, ellipse, plain, share
+from boresight.reports.schema.column import (
+    DATABASE,
+    IMAGE_KEY,
+    KEY,
+    VIEW,
+    Columns,
+    KindSchema,
+    Measure,
+    count,
+    ellipse,
+    flag,
+    measured,
+    number,
+    plain,
+    share,
+)
 
 MISSED, FALSE_ALARMS, CENTRE_ERROR = "missed_share", "false_alarm_share", "centre_error_px"
 COMMON_CENTRE_ERROR = "common_centre_error_px"

@@ -4,8 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from boresight.reports.schema.column import Column, Columns, KindSchema, count, flag, measured, number, text
-from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW, plain, share
+from boresight.reports.schema.column import (
+    DATABASE,
+    KEY,
+    POSE_ERROR,
+    VIEW,
+    Column,
+    Columns,
+    KindSchema,
+    count,
+    flag,
+    measured,
+    number,
+    plain,
+    share,
+    text,
+)
 
 
 def _of_arc(name: str, meaning: str, label: str = "") -> Column:

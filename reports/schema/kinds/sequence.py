@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
-from boresight.reports.schema.column import Columns, KindSchema, Measure, count, measured, names, number
-from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, VIEW, plain, share
+from boresight.reports.schema.column import (
+    DATABASE,
+    KEY,
+    POSE_ERROR,
+    VIEW,
+    Columns,
+    KindSchema,
+    Measure,
+    count,
+    measured,
+    names,
+    number,
+    plain,
+    share,
+)
 
 
 def _landmark_errors(over: str) -> Columns:

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
-from boresight.reports.schema.column import Columns, KindSchema, count, measured, number, text
-from boresight.reports.schema.common import DATABASE, KEY, POSE_ERROR, POSE_METRICS, PRIOR_ERROR, VIEW
+from boresight.reports.schema.column import (
+    DATABASE,
+    KEY,
+    POSE_ERROR,
+    POSE_METRICS,
+    PRIOR_ERROR,
+    VIEW,
+    Columns,
+    KindSchema,
+    count,
+    measured,
+    number,
+    text,
+)
 
 
 def _pose(prefix: str, what: str) -> Columns:
