@@ -17,7 +17,7 @@ from boresight.reports.figures.pose import draw_cumulative_errors
 from boresight.reports.figures.style import Points
 from boresight.reports.run.data import TRIAL_KEY
 from boresight.reports.schema.column import BORESIGHT, LATERAL, Measure
-from boresight.reports.schema.kinds.craters import DETECTION, MATCHING
+from boresight.reports.schema.kinds import DETECTION, MATCHING
 from boresight.reports.schema.records import CONTROL, as_title
 from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.consistency import normalised_label

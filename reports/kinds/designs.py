@@ -23,7 +23,7 @@ from boresight.reports.run.clusters import clusters_of, image_set
 from boresight.reports.run.data import GridAxis, RunData, ScenarioGrid, select
 from boresight.reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
 from boresight.reports.schema.grid import NO_VALUE, Grid, number, of_ended
-from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.kinds import SEQUENCE_COLUMNS
 from boresight.reports.schema.records import CONTROL, SEQUENCE, as_title, stage_label
 from boresight.reports.schema.tables import kind_schema, measure_label, measure_of, unit_of
 from boresight.reports.statistics.measured import MEAN, MEDIAN, Measured, measure

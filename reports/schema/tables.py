@@ -5,18 +5,15 @@ Raise FORMAT_VERSION when a column is renamed, moved, or changes its meaning.
 
 from __future__ import annotations
 
-import pkgutil
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
 import pyarrow as pa
 
-from boresight.reports.schema import kinds as _kinds
 from boresight.reports.schema.column import (
     COMMON_ROW,
     KEY,
@@ -28,6 +25,7 @@ from boresight.reports.schema.column import (
     names,
     unit_by_suffix,
 )
+from boresight.reports.schema.kinds import SCHEMAS
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.parquet import TableLayout
 
@@ -35,14 +33,12 @@ FORMAT_VERSION = 3
 AFTER_REVOLUTIONS = re.compile(r"error_after_([1-9]\d*)_m")
 """Names of the position errors of sequences after so many revolutions."""
 _USUAL = "single-image"
-_MODULES = (import_module(f"{_kinds.__name__}.{found.name}") for found in pkgutil.iter_modules(_kinds.__path__))
-_SCHEMAS: dict[str, KindSchema] = dict(sorted(chain.from_iterable(module.SCHEMAS.items() for module in _MODULES)))
 ALL_ROW_COLUMNS: Columns = tuple(
-    {column.name: column for column in chain(COMMON_ROW, *(kind.row for kind in _SCHEMAS.values()))}.values()
+    {column.name: column for column in chain(COMMON_ROW, *(kind.row for kind in SCHEMAS.values()))}.values()
 )
 TABLES: dict[str, Columns] = {
     "rows": ALL_ROW_COLUMNS,
-    **{name: columns for kind in _SCHEMAS.values() for name, columns in kind.tables.items()},
+    **{name: columns for kind in SCHEMAS.values() for name, columns in kind.tables.items()},
     **SHARED_TABLES,
 }
 """Columns of each table; of ``rows`` those of all kinds of trial, of which a run has those of its own."""
@@ -50,7 +46,7 @@ TABLES: dict[str, Columns] = {
 
 def kind_schema(experiment: str) -> KindSchema:
     """Return what a kind of trial stores and reports; one without columns of its own has those of single images."""
-    return _SCHEMAS.get(experiment, _SCHEMAS[_USUAL])
+    return SCHEMAS.get(experiment, SCHEMAS[_USUAL])
 
 
 def columns_of(table: str, experiment: str = "") -> Columns:
@@ -77,7 +73,7 @@ def layout(table: str, experiment: str = "") -> TableLayout:
 def measures() -> dict[str, Measure]:
     """Return every measure that reports print, by its name."""
     found: Iterator[Measure] = chain(
-        SHARED_MEASURES, *(kind.measures for kind in _SCHEMAS.values()), *(columns for columns in TABLES.values())
+        SHARED_MEASURES, *(kind.measures for kind in SCHEMAS.values()), *(columns for columns in TABLES.values())
     )
     return {measure.name: measure for measure in reversed([one for one in found if one.printed])}
 

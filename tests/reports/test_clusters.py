@@ -17,7 +17,7 @@ from boresight.reports.kinds.sequence.contrasts import ratio_records
 from boresight.reports.pages.build import write_report
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run
-from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.kinds import SEQUENCE_COLUMNS
 from boresight.reports.schema.records import RATIO, SEQUENCE
 from boresight.reports.statistics.measured import MEAN, measure, measure_deviation
 from boresight.reports.statistics.measures import measure_run

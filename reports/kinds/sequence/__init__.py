@@ -46,7 +46,7 @@ from boresight.reports.schema.grid import (
     scenario_grids,
     text_column,
 )
-from boresight.reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from boresight.reports.schema.kinds import SEQUENCE_COLUMNS
 from boresight.reports.schema.records import RATIO, SEQUENCE, Key, Record, as_title, count_of
 from boresight.reports.schema.tables import measure_label, measure_of
 from boresight.reports.statistics.consistency import consistency_grid
