@@ -43,10 +43,11 @@ from boresight.scenarios.geometry import Ellipses
 _MISSED = "#ffffff"
 _MISSED_ON_WHITE = "#000000"
 
-RimSet = tuple[Ellipses, str]
+Marked = tuple[Ellipses, NDArray[np.bool_]]
+"""Rims, and which of them are detectable or matched."""
 Bar = tuple[float, float, float]
 """A value, and the lower and the upper end of its interval."""
-TRUE_COLOUR, FOUND_COLOUR, FALSE_COLOUR, OTHER_COLOUR = "#ffd21f", "#35c4ff", "#ff4d4d", "#8f8f3c"
+_TRUE, _FOUND, _FALSE, _OTHER = "#ffd21f", "#35c4ff", "#ff4d4d", "#8f8f3c"
 
 
 def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, dashed: bool = False) -> None:
@@ -94,16 +95,19 @@ def draw_detections(
 
 
 @styled
-def draw_found_and_true(
-    image: NDArray[np.float32], truth: Sequence[RimSet], found: Sequence[RimSet], title: str
-) -> Figure:
-    """Draw an image (H, W), its true craters and its detections (after Cheng et al. 2003, figures 2 and 3)."""
+def draw_found_and_true(image: NDArray[np.float32], truth: Marked, found: Marked, title: str) -> Figure:
+    """Draw an image (H, W), its true craters and its detections (after Cheng et al. 2003, figures 2 and 3).
+
+    True rims are bright where they are detectable, detections red where none is matched.
+    """
     figure, axes = new_figure(3, width_in=11.0, height_in=3.3)
-    sets_of: tuple[Sequence[RimSet], ...] = ((), truth, found)
-    for place, sets, name in zip(axes, sets_of, ("image", "truth", "detections"), strict=True):
+    for place, name in zip(axes, ("image", "truth", "detections"), strict=True):
         image_panel(place, image, name)
-        for rims, colour in sets:
-            draw_rims(place, rims, colour, width=0.8)
+    (true_rims, detectable), (found_rims, matched) = truth, found
+    draw_rims(axes[1], true_rims[~detectable], _OTHER, width=0.8)
+    draw_rims(axes[1], true_rims[detectable], _TRUE, width=0.8)
+    draw_rims(axes[2], found_rims[matched], _FOUND, width=0.8)
+    draw_rims(axes[2], found_rims[~matched], _FALSE, width=0.8)
     return finish(figure, title)
 
 

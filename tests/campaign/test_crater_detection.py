@@ -27,7 +27,7 @@ from boresight.campaign.runs.resolve import resolve
 from boresight.campaign.store import RunFolder
 from boresight.estimators.craters.contract import CraterDetections
 from boresight.renderers.mitsuba3 import choose_variant
-from boresight.reports.kinds.crater_detection.rates import confidence_curve, crater_records, detector_results
+from boresight.reports.kinds.crater_detection import confidence_curve, crater_records, detector_results
 from boresight.reports.pages.content import read_content
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.grid import number

@@ -8,12 +8,12 @@ from terminal_text import terminal_lines
 
 from boresight.reports.kinds.designs import DesignData, Outcome
 from boresight.reports.kinds.sequence import (
+    ratio_records,
     revolution_figure,
     revolution_series,
     sequence_measures,
     vision_records,
 )
-from boresight.reports.kinds.sequence.contrasts import ratio_records
 from boresight.reports.pages.build import write_report
 from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run

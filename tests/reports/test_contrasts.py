@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest
 from stored_runs import find
 
-from boresight.reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
+from boresight.reports.kinds.sequence import cycle_ratio_records, ratio_records, reduction_records
 from boresight.reports.published import Comparison, PublishedValue
 from boresight.reports.run.data import RunData
 from boresight.reports.statistics.measures import timing_measures

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from boresight.reports.kinds.crater_detection.rates import DetectorResults, rim_grid, rim_scatter
+from boresight.reports.kinds.crater_detection import DetectorResults, rim_grid, rim_scatter
 
 
 def seen(n=4000, wild=0.05):
