@@ -49,19 +49,17 @@ def trial_numbers(run: RunData) -> dict[str, pd.Series]:
             found[name] = size.where(ok)
     found |= {name: rows[name].astype(float) for name in SEQUENCE_COLUMNS if rows[name].notna().any()}
     for k, ends in revolution_ends(epochs):
-        found.setdefault(f"error_after_{k}_m", _of_rows(rows, ends, "position_error_m"))
-    measured = {name: _of_rows(rows, orbits, name) for name in ORBIT_COLUMNS if name in orbits}
-    counts = crater_counts(run)
+        found.setdefault(f"error_after_{k}_m", in_order_of(rows, ends, ["position_error_m"])["position_error_m"])
+    measured, counts = in_order_of(rows, orbits, list(ORBIT_COLUMNS)), crater_counts(run)
     if counts is not None:
-        measured |= {name: counts[name] for name in kind_schema(run.manifest.experiment).metrics}
-    for name, values in measured.items():
+        measured = counts[list(kind_schema(run.manifest.experiment).metrics)]
+    for label, values in measured.items():
         if values.notna().any():
-            found.setdefault(name, values.where(ok).abs())
+            found.setdefault(str(label), values.where(ok).abs())
     once = reported.drop_duplicates([*TRIAL_KEY, "name"])
     numbers = once.pivot(index=TRIAL_KEY, columns="name", values="value")  # noqa: PD010  pivot_table drops NaN
-    numbers = numbers.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).set_axis(rows.index)
-    for name in sorted(map(str, numbers)):
-        found.setdefault(name, numbers[name].astype(float))
+    for label, values in in_order_of(rows, numbers.reset_index(), sorted(map(str, numbers))).items():
+        found.setdefault(str(label), values)
     return found
 
 
@@ -125,41 +123,31 @@ def crater_counts(run: RunData) -> pd.DataFrame | None:
     if MISSED not in metrics or run.table("crater_matches" if WRONG in metrics else "crater_images").empty:
         return None
     if WRONG in metrics:
-        columns = {"there": "n_common", "missed": "n_missed", "right": "n_correct", "wrong": "n_wrong"}
-        matched = run.table("crater_matches")
-        counts = pd.DataFrame({name: _of_rows(rows, matched, column) for name, column in columns.items()})
-        centres: dict[str, NDArray[np.float64]] = {}
+        columns = {"n_common": "there", "n_missed": "missed", "n_correct": "right", "n_wrong": "wrong"}
+        counts = in_order_of(rows, run.table("crater_matches"), list(columns)).rename(columns=columns)
     else:
-        image = ["scenario", "trial"]
+        image, counted = ["scenario", "trial"], ["right", "wrong", "common"]
         kept = run.table("detections")[run.table("detections")["kept"].astype(bool)]
-        hits = kept[kept["detectable"].astype(bool)]
-        finders = hits.groupby([*image, "crater"])["estimator"].transform("nunique")
-        methods = hits["scenario"].map(rows.groupby("scenario")["estimator"].nunique())
-        common = hits[finders == methods]
-        lines = {"right": hits, "wrong": kept[kept["crater"] < 0], "common": common}
-        counted = {name: in_order_of(rows, table.groupby(TRIAL_KEY).size()) for name, table in lines.items()}
-        there = rows[image].merge(run.table("crater_images"), "left", image)["n_detectable"].to_numpy(dtype=np.float64)
-        counts = pd.DataFrame(counted, index=rows.index).fillna(0.0).assign(there=there)
+        right, error = kept["detectable"].astype(bool), kept[CENTRE_ERROR].astype(float)
+        finders = kept[right].groupby([*image, "crater"])["estimator"].transform("nunique").reindex(kept.index)
+        common = finders == kept["scenario"].map(rows.groupby("scenario")["estimator"].nunique())
+        centres = {CENTRE_ERROR: error.where(right), COMMON_CENTRE_ERROR: error.where(common)}
+        marked = kept.assign(right=right, wrong=kept["crater"] < 0, common=common, **centres)
+        how = dict.fromkeys(counted, "sum") | dict.fromkeys(centres, "median")
+        counts = in_order_of(rows, marked.groupby(TRIAL_KEY, as_index=False).agg(how), list(how))
+        counts[counted] = counts[counted].fillna(0.0)
+        counts["there"] = rows[image].merge(run.table("crater_images"), "left", image)["n_detectable"].to_numpy(float)
         counts["missed"] = counts["there"] - counts["right"]
-        centres = {
-            name: in_order_of(rows, table.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
-            for name, table in ((CENTRE_ERROR, hits), (COMMON_CENTRE_ERROR, common))
-        }
-    shares = {MISSED: ("missed", counts["there"]), metrics[1]: ("wrong", counts["right"] + counts["wrong"])}
-    percent = {name: 100.0 * counts[part] / whole.where(whole > 0) for name, (part, whole) in shares.items()}
-    return counts.assign(**percent, **centres)
+    found = counts["right"] + counts["wrong"]
+    counts[MISSED] = 100.0 * counts["missed"] / counts["there"].where(counts["there"] > 0)
+    counts[metrics[1]] = 100.0 * counts["wrong"] / found.where(found > 0)
+    return counts
 
 
 def _size(rows: pd.DataFrame, prefix: str, name: str) -> pd.Series:
     """Return the length of an error of poses, from the columns that are its components."""
     columns = [f"{prefix}{column}" for column in COMPONENTS.get(name, (name,))]
     return pd.Series(np.linalg.norm(rows[columns].to_numpy(dtype=np.float64), axis=1), index=rows.index)
-
-
-def _of_rows(rows: pd.DataFrame, table: pd.DataFrame, column: str) -> pd.Series:
-    """Return a column of a detail table in the order of the rows that it belongs to."""
-    found = table.drop_duplicates(TRIAL_KEY).set_index(TRIAL_KEY)[column]
-    return pd.Series(in_order_of(rows, found), index=rows.index)
 
 
 KEY = ["seed", "draws", "rest", "trial"]

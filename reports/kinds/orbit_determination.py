@@ -11,7 +11,7 @@ from boresight.reports.kinds import Content, ReportKind, Tables
 from boresight.reports.kinds.designs import design_grids
 from boresight.reports.published import Comparison, within_statistic
 from boresight.reports.run.clusters import clusters_of
-from boresight.reports.run.data import TRIAL_KEY, RunData, in_order_of, select
+from boresight.reports.run.data import RunData, in_order_of, select
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, GridColumn, record_column, record_grid
 from boresight.reports.schema.records import Key, Record, count_of
 from boresight.reports.statistics.consistency import AT_EPOCH, consistency_grid
@@ -58,7 +58,7 @@ def orbit_records(run: RunData, comparison: Comparison | None) -> list[Record]:
         records += table_records(run, orbits, ORBIT, _STATISTICS, [pair])
         rows = select(run.rows, *pair)
         for name, bound in sorted(bounds):
-            within = in_order_of(rows, orbits.set_index(TRIAL_KEY)[name]) <= bound
+            within = (in_order_of(rows, orbits, [name])[name] <= bound).to_numpy()
             share = percent(share_of(within, clusters_of(run, rows)))
             sample = Sample(*pair, ORBIT, len(rows), unit="%")
             records.append(sample.record(name, within_statistic(bound), share, int(within.sum())))

@@ -9,10 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from boresight.reports.schema.column import names
@@ -233,9 +231,13 @@ def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
     return table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
 
 
-def in_order_of(rows: pd.DataFrame, numbers: pd.Series) -> NDArray[np.float64]:
-    """Return ``numbers``, indexed by `TRIAL_KEY`, in the order of the rows (n,); NaN where a row has none."""
-    return numbers.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).to_numpy(dtype=np.float64)
+def in_order_of(rows: pd.DataFrame, table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
+    """Return columns of numbers of a detail table in the order and with the index of rows; NaN where a row has none.
+
+    Of several lines for a trial the first counts.
+    """
+    lines = table.drop_duplicates(TRIAL_KEY).set_index(TRIAL_KEY)[columns]
+    return lines.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).set_axis(rows.index).astype(float)
 
 
 def read_run(folder: str | PathLike[str]) -> RunData:
