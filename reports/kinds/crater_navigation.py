@@ -14,8 +14,7 @@ from boresight.reports.run.data import TRIAL_KEY, RunData, select
 from boresight.reports.run.limits import limited_title
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, record_column, record_grid
 from boresight.reports.schema.records import Key, Record
-from boresight.reports.statistics.measured import MEAN, MEDIAN
-from boresight.reports.statistics.measures import table_records
+from boresight.reports.statistics.measured import MEAN, MEDIAN, table_records
 
 NAVIGATION = "navigation"
 """Stage of what the chain comes to before the orbit."""

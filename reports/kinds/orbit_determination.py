@@ -15,8 +15,7 @@ from boresight.reports.run.data import RunData, in_order_of, select
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, GridColumn, record_column, record_grid
 from boresight.reports.schema.records import Key, Record, count_of
 from boresight.reports.statistics.consistency import AT_EPOCH, consistency_grid
-from boresight.reports.statistics.measured import MEAN, MEDIAN, RMS, Sample, Statistic, percent, share_of
-from boresight.reports.statistics.measures import table_records
+from boresight.reports.statistics.measured import MEAN, MEDIAN, RMS, Sample, Statistic, percent, share_of, table_records
 from boresight.reports.tables import diagnostic_grid, timing_grid
 from boresight.reports.verdicts import comparison_grid
 

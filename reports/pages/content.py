@@ -22,8 +22,7 @@ from boresight.reports.schema.grid import NO_VALUE, WITHOUT_VALUE, number
 from boresight.reports.schema.records import CONTROL, Record, count_of
 from boresight.reports.schema.tables import kind_schema
 from boresight.reports.statistics.consistency import consistency_records
-from boresight.reports.statistics.measured import MEDIAN
-from boresight.reports.statistics.measures import measure_run
+from boresight.reports.statistics.measured import MEDIAN, measure_run
 from boresight.reports.statistics.paired import paired_records
 from boresight.reports.statistics.roc import outlier_records
 from boresight.reports.tables import interval

@@ -19,8 +19,7 @@ from boresight.reports.run.clusters import image_set, pools
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.kinds import SEQUENCE_COLUMNS
 from boresight.reports.schema.records import RATIO, SEQUENCE
-from boresight.reports.statistics.measured import MEAN, measure, measure_deviation
-from boresight.reports.statistics.measures import measure_run
+from boresight.reports.statistics.measured import MEAN, measure, measure_deviation, measure_run
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST, paired_records
 
 STARTS = 6

@@ -12,7 +12,7 @@ from stored_runs import find
 from boresight.reports.kinds.sequence import cycle_ratio_records, ratio_records, reduction_records
 from boresight.reports.published import Comparison, PublishedValue
 from boresight.reports.run.data import RunData
-from boresight.reports.statistics.measures import timing_measures
+from boresight.reports.statistics.measured import timing_measures
 from boresight.reports.statistics.paired import BETTER, SIGN_TEST
 
 RNG = np.random.default_rng(5)

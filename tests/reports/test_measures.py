@@ -5,7 +5,7 @@ from stored_runs import find, seal
 
 from boresight.reports.run.data import read_run
 from boresight.reports.schema.records import FAILURES_AT_PRIOR
-from boresight.reports.statistics.measures import clusters_of, measure_run
+from boresight.reports.statistics.measured import clusters_of, measure_run
 from boresight.scenarios.errors import BoresightError
 
 ITOKAWA = {"scenario": "itokawa", "estimator": "landmark-harris"}
