@@ -21,7 +21,7 @@ from boresight.reports.compare import compare_runs
 from boresight.reports.compare.global_sensitivity import sensitivity_grid
 from boresight.reports.compare.tables import counted_tests, equal_pairs, limits, pooled_lines
 from boresight.reports.compare.trials import choose_metric
-from boresight.reports.pages.board import write_board
+from boresight.reports.pages.build import write_board
 from boresight.reports.pages.comparison import write_comparison, write_sensitivity
 from boresight.reports.pages.rich_tables import rich_parts
 from boresight.reports.run.data import read_run

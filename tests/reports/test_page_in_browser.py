@@ -10,8 +10,7 @@ from browser import needs_chromium, opened
 from stored_runs import ESTIMATOR, RunBuilder
 
 from boresight.reports.compare import compare_runs
-from boresight.reports.pages.board import write_board
-from boresight.reports.pages.build import write_report
+from boresight.reports.pages.build import write_board, write_report
 from boresight.reports.pages.comparison import write_comparison
 
 pytestmark = needs_chromium
