@@ -47,15 +47,15 @@ def compare_command(arguments: argparse.Namespace) -> int:
         raise BoresightError(f"{', '.join(arguments.runs)}: a run is named twice")
     found = compare_runs([folder.path for folder in folders], arguments.metric, factors, arguments.unpaired)
     out = arguments.out or COMPARISONS / "-".join(folder.path.name for folder in folders)
-    files = write_comparison(found, out, arguments.command)
+    page, grids = write_comparison(found, out, arguments.command)
     printer = console()
-    for grid in files.grids:
+    for grid in grids:
         printer.print(*rich_parts(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
     for name, text in limits(found):
         printer.print(f"{name}: {text}")
     for line in filter(None, (pooled_lines(found), equal_pairs(found), counted_tests(found))):
         printer.print(line)
-    printer.print(f"comparison: {files.html}")
+    printer.print(f"comparison: {page}")
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -23,23 +22,11 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ComparisonFiles:
-    """Paths of a written comparison, and its tables for the terminal."""
+def write_comparison(found: RunComparison, folder: Path, command: str = "") -> tuple[Path, tuple[Grid, ...]]:
+    """Write ``compare.html``, ``compare.md``, the tables as CSV, and the figures (PNG and PDF) of a comparison.
 
-    folder: Path
-    html: Path
-    markdown: Path
-    tables: tuple[Path, ...]
-    figures: tuple[Path, ...]
-    grids: tuple[Grid, ...]
-
-
-def write_comparison(found: RunComparison, folder: Path, command: str = "") -> ComparisonFiles:
-    """Write ``compare.html``, ``compare.md``, the tables as CSV, and the figures of a comparison.
-
-    The tables are ``subjects.csv``, ``differences.csv`` and ``consistency.csv``. Raises `BoresightError` if the folder
-    cannot be written.
+    The tables are ``subjects.csv``, ``differences.csv`` and ``consistency.csv``. Return the path of the page, and the
+    printed tables. Raises `BoresightError` if the folder cannot be written.
     """
     tables = {
         "subjects.csv": subject_tables(found),
@@ -68,14 +55,7 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         raise BoresightError(
             f"{folder}: the comparison cannot be written: {error.strerror}; choose another --out"
         ) from error
-    return ComparisonFiles(
-        folder,
-        page,
-        folder / "compare.md",
-        tuple(folder / name for name in tables),
-        tuple(folder / f"{one.stem}.{kind}" for one in document.drawn() for kind in ("png", "pdf")),
-        grids,
-    )
+    return page, grids
 
 
 def facts(found: RunComparison) -> Iterator[tuple[str, str]]:

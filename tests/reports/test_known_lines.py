@@ -51,10 +51,10 @@ def test_a_report_says_it_in_full_before_and_shortly_beside_the_headline(blurred
 
 
 def test_a_comparison_says_it_of_all_its_runs(blurred, tmp_path):
-    files = write_comparison(compare_runs([blurred]), tmp_path / "compared")
-    text = files.markdown.read_text()
+    page, grids = write_comparison(compare_runs([blurred]), tmp_path / "compared")
+    text = page.with_suffix(".md").read_text()
     assert text.index("blur (0.8 px), noise.") < text.index(SHORT)
-    assert files.grids[0].known.startswith(SHORT)
+    assert grids[0].known.startswith(SHORT)
 
 
 def test_scenarios_with_the_same_share_a_line_and_others_have_their_own(builder):

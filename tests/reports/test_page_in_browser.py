@@ -79,11 +79,11 @@ STAYS = """table => {
 
 
 def test_every_page_fits_its_window_and_wide_tables_keep_their_first_column(page, report, tmp_path):
-    compared = write_comparison(compare_runs([report.folder.parent]), tmp_path / "compared")
+    compared, _ = write_comparison(compare_runs([report.folder.parent]), tmp_path / "compared")
     board, refused = write_board([report.folder.parent], tmp_path / "board", "boresight board")
     assert refused == ()
     before = page.viewport_size
-    for path in (compared.html, board, report.html):
+    for path in (compared, board, report.html):
         page.goto(path.resolve().as_uri())
         for width in (WIDE, NARROW):
             page.set_viewport_size({"width": width, "height": 900})
