@@ -284,7 +284,7 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid | None]:
 
 def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
     """Tabulate in how many sets of images each estimator is better than each other one, a grid for each pool."""
-    pooled = {pool.name for pool in pools(run)}
+    pooled = pools(run)
     tests = [r for r in records if r.stage == RATIO and r.statistic == BETTER and r.scenario in pooled and r.n_ok]
     return scenario_grids("Sign tests", _SIGN_COLUMNS, records, tests, _SIGN_NOTE)
 
@@ -444,7 +444,7 @@ def brief(content: Content) -> Tables:
     """List what the terminal shows: of a grid of scenarios its axes, and before them what is pooled."""
     if content.run.manifest.grid is None:
         return [*_errors_at_the_end(content.run), *sequence_brief(content.records)]
-    own = [pool.name for pool in pools(content.run)]
+    own = pools(content.run)
     pooled = sequence_grid([record for record in content.records if record.scenario in own])
     return [pooled, *design_grids(content.run, brief=True)]
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,19 +19,6 @@ from numpy.typing import NDArray
 from boresight.reports.run.data import TRIAL_KEY, RunData
 
 _DATA_BASE = "data base "
-
-
-@dataclass(frozen=True, slots=True)
-class Pool:
-    """Scenarios that differ in the body alone, whose sequences consist of images of it.
-
-    ``name`` stands for that of a scenario; ``sets`` counts the sets of images, one for each body (its texture
-    included).
-    """
-
-    name: str
-    scenarios: tuple[str, ...]
-    sets: int
 
 
 def image_set(spec: Mapping[str, Any]) -> str:
@@ -87,19 +73,22 @@ def units_of(clusters: NDArray[np.generic]) -> int:
     return int(of_data_bases.sum()) + len(np.unique(labels[~of_data_bases]))
 
 
-def pools(run: RunData) -> tuple[Pool, ...]:
-    """Pool the scenarios that differ in their set of images and in nothing else."""
+def pools(run: RunData) -> dict[str, tuple[str, ...]]:
+    """Pool the scenarios that differ in their set of images, one for each body with its texture, and in nothing else.
+
+    Return the scenarios of each pool by its name, which stands for that of a scenario and counts the sets.
+    """
     alike: dict[str, list[str]] = {}
     done = set(run.rows["scenario"])
     for name, spec in run.manifest.scenarios.items():
         if name in done:
             alike.setdefault(all_but_body(spec), []).append(name)
-    found = []
+    found = {}
     for names in alike.values():
         sets = len({image_set(run.manifest.scenarios[name]) for name in names})
         if sets > 1:
-            found.append(Pool(f"{_base(run, names)}, {sets} sets of images", tuple(names), sets))
-    return tuple(found)
+            found[f"{_base(run, names)}, {sets} sets of images"] = tuple(names)
+    return found
 
 
 def _base(run: RunData, names: list[str]) -> str:
@@ -114,10 +103,10 @@ def _base(run: RunData, names: list[str]) -> str:
 
 def pooled_scenarios(run: RunData) -> set[str]:
     """Return the scenarios that belong to a pool."""
-    return {name for pool in pools(run) for name in pool.scenarios}
+    return {name for members in pools(run).values() for name in members}
 
 
 def groups(run: RunData) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield the groups of scenarios over which statistics are taken: each scenario by itself, then each pool."""
     yield from ((name, (name,)) for name in dict.fromkeys(run.rows["scenario"]))
-    yield from ((pool.name, pool.scenarios) for pool in pools(run))
+    yield from pools(run).items()

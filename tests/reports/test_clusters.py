@@ -148,7 +148,7 @@ def written(builder, errors, **manifest):
 
 def pooled(run, statistic, name="error_after_1_m"):
     (pool,) = pools(run)
-    return find(sequence_measures(run), scenario=pool.name, stage=SEQUENCE, measure=name, statistic=statistic)
+    return find(sequence_measures(run), scenario=pool, stage=SEQUENCE, measure=name, statistic=statistic)
 
 
 def test_two_sets_of_equal_starts_are_two_numbers(builder):
@@ -198,7 +198,7 @@ def test_the_deviation_is_resampled_by_sets(builder):
 
 def test_one_set_has_a_value_and_no_interval(builder):
     run = written(builder, {"one": [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]], "two": [[2.0] * 6]})
-    assert pools(run) == ()
+    assert pools(run) == {}
     wanted = {"scenario": "sphere-0", "estimator": "one", "measure": "error_after_1_m", "statistic": "mean"}
     record = find(sequence_measures(run), **wanted)
     assert (record.value, record.low, record.high, record.n_ok) == (3.5, None, None, 6)
@@ -243,20 +243,20 @@ def test_scenarios_that_differ_in_more_than_the_body_are_no_pool(builder):
     simulated = spec(1, sequence={"images": None})
     assert image_set(simulated) == ""
     scenarios = {"sphere-0": spec(0), "sphere-1": spec(1), "sphere-2": wide}
-    (pool,) = pools(written(builder, errors, scenarios=scenarios))
-    assert (pool.scenarios, pool.sets) == (("sphere-0", "sphere-1"), 2)
-    assert pools(written(builder, errors, scenarios={**scenarios, "sphere-1": simulated})) == ()
+    found = pools(written(builder, errors, scenarios=scenarios))
+    assert found == {POOL.format(2): ("sphere-0", "sphere-1")}
+    assert pools(written(builder, errors, scenarios={**scenarios, "sphere-1": simulated})) == {}
 
 
 def test_a_scenario_without_rows_yet_is_in_no_pool(builder):
     run = written(builder, {"one": np.ones((1, STARTS))}, scenarios={f"sphere-{i}": spec(i) for i in range(2)})
-    assert pools(run) == ()
+    assert pools(run) == {}
 
 
 def test_other_conditions_on_the_same_images_are_the_same_set(builder):
     scenarios = {f"sphere-{i}": spec(0, camera={"fov_deg": 30.0 + i}) for i in range(3)}
     run = written(builder, {"one": np.ones((3, STARTS)) + np.arange(STARTS)}, scenarios=scenarios)
-    assert pools(run) == ()
+    assert pools(run) == {}
     data = DesignData(run, run.manifest.grid)
     change = data.change("sphere-1", "sphere-0", Outcome("one", SEQUENCE, "error_after_1_m"))
     assert (change.value, change.low) == (pytest.approx(1.0), None)
