@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.compare.tables import differing_level, subject_consistencies
 from boresight.reports.compare.trials import CONDITIONS, ESTIMATOR, run_names
-from boresight.reports.figures.comparison import SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
+from boresight.reports.figures.comparison import draw_binned_errors, draw_coverage
 from boresight.reports.figures.named import NamedFigure, file_stem
 from boresight.reports.figures.pose import draw_cumulative_errors
-from boresight.reports.figures.style import Points
+from boresight.reports.figures.style import GREY, Points, finish, grid_figure, mark_decades, styled
 from boresight.reports.run.data import TRIAL_KEY
 from boresight.reports.schema.column import BORESIGHT, LATERAL, Measure
 from boresight.reports.schema.kinds import DETECTION, MATCHING
@@ -48,6 +50,9 @@ Tables = Mapping[str, pd.DataFrame]
 Chosen = tuple[tuple[str, ...], tuple[str, ...]]
 """Columns of the errors that have values, and of the conditions that differ between rows."""
 OWN_BINS = "n_landmarks"
+_LINE_IN = 0.32
+_MARKS = (("D", 4), ("|", 7), ("|", 10), ("|", 13))
+"""Marker and size of the RMS, and of the 75th, 95th and 99th percentiles."""
 _BIN_TRIALS = 20
 _MOST_BINS = 8
 _FRAMES = 60
@@ -148,32 +153,91 @@ def conditions_figure(found: RunComparison, group: str, subjects: Mapping[str, S
 def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
     order = {one.names: place for place, one in enumerate(found.subjects)}
-    # Of a subject the level that differs in the first one that it is compared with, and the median difference.
-    bases: dict[tuple[str, ...], tuple[str, Measured]] = {}
+    # The median difference of a subject to the first one that it is compared with; the levels in which those differ.
+    differences, levels = dict[tuple[str, ...], Measured](), set[str]()
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
-        bases.setdefault(one.first, (differing_level(one), one.median))
-    summaries = [
-        SubjectSummary(
-            found.label(one.names),
-            found.styles[one.names].colour,
-            one.solved,
-            one.counted if found.metric.error else one.solved,
-            None if one.estimator == CONTROL else one.success,
-            bases[one.names][1] if one.names in bases else None,
-        )
-        for one in found.subjects
-    ]
-    against = {name for name, _ in bases.values()}
-    reference = against.pop() if len(against) == 1 else "the first"
+        if one.first not in differences:
+            differences[one.first] = one.median
+            levels.add(differing_level(one))
     title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
-        draw_summaries(summaries, found.metric.axis, reference, title, found.credits),
+        draw_summaries(found, differences, levels.pop() if len(levels) == 1 else "the first", title),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
         " with failures counted, success rates, and the median of the paired differences to the first subject that"
         " differs in one factor only.",
-        f"Errors, success rates and differences of {', '.join(one.label for one in summaries)}.",
+        f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
     )
+
+
+@styled
+def draw_summaries(
+    found: RunComparison, differences: Mapping[tuple[str, ...], Measured], against: str, title: str
+) -> Figure:
+    """Draw errors, success rates and differences, a line for each subject, from top to bottom.
+
+    ``differences`` are the median differences to the reference subject, by the names of a subject; ``against`` names
+    that reference. The control has no success rate.
+    """
+    subjects, axis = found.subjects, found.metric.axis
+    shown = [True, any(one.estimator != CONTROL for one in subjects), bool(differences)]
+    widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
+    figure, places = grid_figure(1, 1, width_in=7.5 + 1.2 * shown[2], height_in=1.75 + _LINE_IN * len(subjects))
+    places[0, 0].remove()
+    panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
+    _draw_errors(panels[0], found)
+    if shown[1]:
+        success = panels[1]
+        for row, one in enumerate(subjects):
+            if one.estimator != CONTROL:
+                _draw_interval(success, row, percent(one.success), found.styles[one.names].colour)
+        low, high = success.get_xlim()
+        success.set_xlim(max(low, 0.0), min(high, 101.0))
+        success.set_xlabel("success, %")
+    if shown[2]:
+        right = panels[-1]
+        right.axvline(0.0, color=GREY, linewidth=1.0)
+        for row, one in enumerate(subjects):
+            if one.names in differences:
+                _draw_interval(right, row, differences[one.names], found.styles[one.names].colour)
+        low, high = right.get_xlim()
+        edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
+        right.set_xlim(min(low, -edge), max(high, edge))
+        unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
+        right.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
+    panels[0].set_yticks(range(len(subjects)), [found.label(one.names) for one in subjects])
+    panels[0].set_ylim(len(subjects) - 0.4, -0.6)
+    return finish(figure, title, found.credits, legend=panels[0])
+
+
+def _draw_errors(axes: Axes, found: RunComparison) -> None:
+    for row, one in enumerate(found.subjects):
+        colour, (median, *further) = found.styles[one.names].colour, one.solved
+        _draw_interval(axes, row, median, colour)
+        for measured, (marker, size) in zip(further, _MARKS, strict=True):
+            if measured.value is not None:
+                axes.plot(measured.value, row, marker, color=colour, markersize=size, markerfacecolor="white")
+        counted = one.counted[0].value if found.metric.error else None
+        if counted is not None and np.isfinite(counted) and counted != median.value:
+            axes.plot(counted, row, "o", color=colour, markersize=7, markerfacecolor="none")
+    # The marks are explained in grey, as the colour is that of the subject.
+    marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
+    for marker, label in marks.items():
+        axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
+    axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
+    axes.set_xlabel(found.metric.axis)
+    if axes.dataLim.x0 > 0.0:  # Zero has no place on a logarithmic axis.
+        axes.set_xscale("log")
+        mark_decades(axes.xaxis)
+
+
+def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
+    """Draw a value as a point and its interval as a thick bar."""
+    if measured.value is None:
+        return
+    if measured.low is not None and measured.high is not None:
+        axes.hlines(row, measured.low, measured.high, color=colour, linewidth=4.0, alpha=0.45)
+    axes.plot(measured.value, row, "o", color=colour, markersize=5)
 
 
 def _title(found: RunComparison, what: str, group: str) -> str:

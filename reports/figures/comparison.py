@@ -1,4 +1,4 @@
-"""Figures that compare methods (errors, success, conditions, coverage, costs, ROC curves) and scenarios of a grid."""
+"""Figures that compare methods (conditions, coverage of covariances, costs, ROC curves) and scenarios of a grid."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from boresight.reports.figures.style import (
     styled,
 )
 from boresight.reports.statistics.consistency import NormalisedErrors
-from boresight.reports.statistics.measured import Measured, percent
+from boresight.reports.statistics.measured import Measured
 from boresight.reports.statistics.roc import OutlierScore, area, roc_curve
 from boresight.scenarios.arrays import FloatArray
 
@@ -35,8 +35,6 @@ Panels = Mapping[tuple[str, str], Mapping[str, Points]]
 """Label of the error and label of the condition to the curves of a panel, by their labels."""
 
 _POINTS = np.linspace(0.0, 1.0, 201)
-_LINE_IN = 0.32
-_MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
 _MOST_CURVES = 5
 """Largest number of curves in a panel that can still be distinguished."""
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
@@ -46,94 +44,6 @@ _TICKS = (0.01, 0.03, 0.1, 0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 1
 _FEW_TICKS = (0.01, 0.1, 1.0, 10.0, 100.0)
 _WIDE = 30.0
 _MOST = 100.0
-
-
-@dataclass(frozen=True, slots=True)
-class SubjectSummary:
-    """Errors and success rate of one subject of a comparison, a line of the figure.
-
-    ``solved`` and ``counted`` are median, RMS and the 75th, 95th and 99th percentiles over the solved trials, and over
-    all trials with failures counted. ``success`` is None for a control, ``difference``, the median difference to the
-    reference subject, where there is no reference.
-    """
-
-    label: str
-    colour: str
-    solved: Sequence[Measured]
-    counted: Sequence[Measured]
-    success: Measured | None
-    difference: Measured | None
-
-
-@styled
-def draw_summaries(
-    summaries: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
-) -> Figure:
-    """Draw errors, success rates and differences, a line for each subject, from top to bottom.
-
-    ``axis`` names the error, with its unit, ``against`` the reference of the differences ('' where there are none).
-    """
-    shown = [True, any(one.success for one in summaries), any(one.difference for one in summaries)]
-    widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
-    height_in = 1.75 + _LINE_IN * len(summaries)
-    figure, places = grid_figure(1, 1, width_in=7.5 + 1.2 * shown[2], height_in=height_in)
-    places[0, 0].remove()
-    panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
-    _draw_errors(panels[0], summaries, axis)
-    if shown[1]:
-        success = panels[1]
-        for row, one in enumerate(summaries):
-            if one.success is not None:
-                _draw_interval(success, row, percent(one.success), one.colour)
-        low, high = success.get_xlim()
-        success.set_xlim(max(low, 0.0), min(high, 101.0))
-        success.set_xlabel("success, %")
-    if shown[2]:
-        differences = panels[-1]
-        differences.axvline(0.0, color=GREY, linewidth=1.0)
-        for row, one in enumerate(summaries):
-            if one.difference is not None:
-                _draw_interval(differences, row, one.difference, one.colour)
-        low, high = differences.get_xlim()
-        edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
-        differences.set_xlim(min(low, -edge), max(high, edge))
-        unit = axis.rsplit(", ", 1)[-1] if ", " in axis else ""
-        differences.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
-    panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
-    panels[0].set_ylim(len(summaries) - 0.4, -0.6)
-    return finish(figure, title, credit_lines, legend=panels[0])
-
-
-def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> None:
-    for row, one in enumerate(summaries):
-        median, *further = one.solved
-        _draw_interval(axes, row, median, one.colour)
-        for (name, marker), measured in zip(_MARKS, further, strict=True):
-            if measured.value is not None:
-                size = 4 if marker == "D" else 7 + 3 * (name == "95th") + 6 * (name == "99th")
-                axes.plot(measured.value, row, marker, color=one.colour, markersize=size, markerfacecolor="white")
-        counted = one.counted[0].value
-        if counted is not None and np.isfinite(counted) and counted != median.value:
-            axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
-    # The marks are explained in grey, as the colour is that of the subject.
-    marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
-    for marker, label in marks.items():
-        axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
-    axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
-    axes.set_xlabel(axis)
-    if axes.dataLim.x0 <= 0.0:  # Zero has no place on a logarithmic axis.
-        return
-    axes.set_xscale("log")
-    mark_decades(axes.xaxis)
-
-
-def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
-    """Draw a value as a point and its interval as a thick bar."""
-    if measured.value is None:
-        return
-    if measured.low is not None and measured.high is not None:
-        axes.hlines(row, measured.low, measured.high, color=colour, linewidth=4.0, alpha=0.45)
-    axes.plot(measured.value, row, "o", color=colour, markersize=5)
 
 
 @styled

@@ -6,14 +6,14 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
+from boresight.reports.compare.figures import draw_summaries
 from boresight.reports.compare.global_sensitivity import Sensitivity, draw_sensitivity
+from boresight.reports.compare.subjects import RunComparison, Subject
 from boresight.reports.figures.comparison import (
     Effect,
     HeatMap,
-    SubjectSummary,
     draw_effects,
     draw_heat_maps,
-    draw_summaries,
     draw_trade_off,
 )
 from boresight.reports.figures.craters import (
@@ -47,6 +47,7 @@ from boresight.reports.figures.style import (
     scale_ordinate,
     step_histogram,
 )
+from boresight.reports.schema.tables import measure_of
 from boresight.reports.statistics.measured import Measured
 from boresight.scenarios.geometry import Ellipses
 
@@ -68,16 +69,21 @@ def rims(*centres):
 
 
 def test_a_summary_has_errors_success_in_percent_and_the_difference():
-    solved = [Measured(value) for value in (3.0, 5.0, 4.0, 7.0, 9.0)]
-    counted = [Measured(3.5), *solved[1:]]
-    one = SubjectSummary("one", "red", solved, counted, Measured(0.8, 0.7, 0.9), None)
-    other = SubjectSummary("other", "blue", solved, solved, Measured(0.5), Measured(-1.0, -2.0, 0.5))
-    errors, success, differences = draw_summaries([one, other], "error, m", "one", "T").axes
-    assert points(errors, color="red", markerfacecolor="none") == [([3.5], [0.0])], "failures counted"
-    assert points(errors, color="red", marker="|") == [([value], [0.0]) for value in (4.0, 7.0, 9.0)]
-    assert points(success, color="red") == [([80.0], [0.0])]
+    solved = tuple(Measured(value) for value in (3.0, 5.0, 4.0, 7.0, 9.0))
+    counted = (Measured(3.5), *solved[1:])
+    subjects = (
+        Subject(("one",), "one", 4, 5, Measured(0.8, 0.7, 0.9), None, solved, counted, at_prior=True),
+        Subject(("other",), "other", 5, 5, Measured(0.5), None, solved, solved, at_prior=True),
+    )
+    found = RunComparison((), measure_of("position_error_m"), ("estimator",), pd.DataFrame(), subjects, ())
+    red, blue = (found.styles[one.names].colour for one in subjects)
+    figure = draw_summaries(found, {("other",): Measured(-1.0, -2.0, 0.5)}, "one", "T")
+    errors, success, differences = figure.axes
+    assert points(errors, color=red, markerfacecolor="none") == [([3.5], [0.0])], "failures counted"
+    assert points(errors, color=red, marker="|") == [([value], [0.0]) for value in (4.0, 7.0, 9.0)]
+    assert points(success, color=red) == [([80.0], [0.0])]
     np.testing.assert_allclose(success.collections[0].get_segments(), [[[70.0, 0.0], [90.0, 0.0]]])
-    assert points(differences, color="blue") == [([-1.0], [1.0])]
+    assert points(differences, color=blue) == [([-1.0], [1.0])]
     assert (errors.get_xscale(), differences.get_xlabel()) == ("log", "median difference to\none, m")
 
 
