@@ -83,23 +83,21 @@ class Contrast:
     equal: int = 0
 
 
-def holm(chances: Sequence[float]) -> list[float]:
+def holm(chances: Sequence[float | None]) -> list[float | None]:
     """Correct p values of m tests: the k-th smallest times m - k + 1, never below a smaller one's, at most 1.
 
-    Where one is NaN there is no test.
+    Where one is None there is no test.
     """
-    given = np.asarray(chances, dtype=np.float64)
+    given = np.array(chances, dtype=np.float64)  # None is NaN
     tests = np.flatnonzero(np.isfinite(given))
     order = tests[np.argsort(given[tests], kind="stable")]
-    adjusted = np.full(len(given), np.nan)
-    adjusted[order] = np.minimum(np.maximum.accumulate(given[order] * np.arange(len(order), 0, -1)), 1.0)
-    return [float(p) for p in adjusted]
+    given[order] = np.minimum(np.maximum.accumulate(given[order] * np.arange(len(order), 0, -1)), 1.0)
+    return [None if math.isnan(p) else float(p) for p in given]
 
 
 def holm_corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     """Correct the p of all tests of a table, those over the trials that both solved and those over all trials."""
-    chances = [p for one in contrasts for p in (one.p, one.p_of_all)]
-    found = [None if math.isnan(p) else p for p in holm([math.nan if p is None else p for p in chances])]
+    found = holm([p for one in contrasts for p in (one.p, one.p_of_all)])
     corrected = zip(contrasts, found[::2], found[1::2], strict=True)
     return [replace(one, p_holm=solved, p_of_all_holm=of_all) for one, solved, of_all in corrected]
 
