@@ -49,7 +49,7 @@ an RMS of errors with such tails is less certain than its interval shows.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +84,17 @@ def content_rng(*arrays: NDArray[np.generic]) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(digest.digest(), "little"))
 
 
-def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
-    """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
-    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters))
-    drawn += n_clusters * np.arange(resamples)[:, None]
-    counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)
-    return counts.reshape(resamples, n_clusters).astype(np.int32)
+def draw_counts(n_clusters: int, rng: np.random.Generator, size: int = 0) -> Iterator[NDArray[np.int32]]:
+    """Yield (b, C) numbers of times that each of C clusters is in a resample of them, of `RESAMPLES` in all.
+
+    They come in blocks, to bound the memory of ``size`` numbers a resample, C of them where it is not given.
+    """
+    most = max(1, _CHUNK // (size or n_clusters))
+    for start in range(0, RESAMPLES, most):
+        block = min(most, RESAMPLES - start)
+        drawn = rng.integers(0, n_clusters, size=(block, n_clusters)) + n_clusters * np.arange(block)[:, None]
+        counts = np.bincount(drawn.ravel(), minlength=block * n_clusters)
+        yield counts.reshape(block, n_clusters).astype(np.int32)
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
@@ -192,12 +197,9 @@ def _studentised(sums: FloatArray, of_sums: OfSums, value: float) -> tuple[float
     wide = _student(n_clusters)
     if not FEW <= n_clusters < LARGE:
         return -wide, wide
-    rng = content_rng(sums)
-    block = max(1, min(RESAMPLES, _CHUNK // n_clusters))
     drawn = []
-    for start in range(0, RESAMPLES, block):
-        counts = draw_counts(n_clusters, min(block, RESAMPLES - start), rng).astype(np.float64)
-        estimates, spreads = _estimates(sums, counts, of_sums)
+    for counts in draw_counts(n_clusters, content_rng(sums)):
+        estimates, spreads = _estimates(sums, counts.astype(np.float64), of_sums)
         with np.errstate(divide="ignore", invalid="ignore"):
             drawn.append((estimates - value) / spreads)
     ratios = np.concatenate(drawn)

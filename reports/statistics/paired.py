@@ -18,7 +18,7 @@ from boresight.reports.run.data import RunData, select
 from boresight.reports.run.outcomes import succeeded
 from boresight.reports.schema.grid import ESTIMATOR, SCENARIO, Grid, counts, record_column, record_grid, text_column
 from boresight.reports.schema.records import CONTROL, Record
-from boresight.reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
+from boresight.reports.statistics.intervals import LEVEL, content_rng, draw_counts, wilson
 from boresight.reports.statistics.measured import MEDIAN, Measured, Sample, share_of, widened
 
 PAIRED = "paired"
@@ -57,8 +57,8 @@ def main_effects(errors: Mapping[str, pd.Series], high: Mapping[str, Sequence[bo
         return [Measured(None)] * count
     normal, right = np.array(squares), np.array(products)
     point = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
-    counts = draw_counts(len(normal), RESAMPLES, content_rng(normal, right))
-    drawn = np.array([_solution(c, normal, right) for c in counts])
+    blocks = draw_counts(len(normal), content_rng(normal, right))
+    drawn = np.array([_solution(counts, normal, right) for block in blocks for counts in block])
     tail = 50.0 * (1.0 - LEVEL)
     low, top = np.nanpercentile(drawn, [tail, 100.0 - tail], axis=0)
     return [Measured(*map(float, np.exp(values))) for values in zip(point, low, top, strict=True)]

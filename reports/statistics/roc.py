@@ -28,7 +28,7 @@ from boresight.reports.schema.grid import (
     text_column,
 )
 from boresight.reports.schema.records import CONTROL, Record
-from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
+from boresight.reports.statistics.intervals import FEW, LARGE, LEVEL, content_rng, draw_counts
 from boresight.reports.statistics.measured import Measured, Sample
 from boresight.scenarios.arrays import BoolArray, FloatArray
 
@@ -38,7 +38,6 @@ MEASURE = "outlier_score:"
 AUC, TRUE_POSITIVES, THRESHOLD, BAD = "AUC", "TPR at 5 % FPR", "threshold at 5 % FPR", "bad solutions"
 _FALSE_POSITIVES = 0.05
 _MIN_CLASS = 5
-_CHUNK = 4_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,12 +127,8 @@ def measured_area(found: OutlierScore) -> Measured:
         return Measured(area(found.score, found.bad))
     if codes.max() + 1 == len(codes) >= LARGE:
         return Measured(area(found.score, found.bad), *large_sample_area(found.score, found.bad))
-    rng = content_rng(found.score, found.bad, codes)
-    block = max(1, _CHUNK // len(codes))
-    draws = [
-        _areas(found.score, found.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
-        for n in (min(block, RESAMPLES - start) for start in range(0, RESAMPLES, block))
-    ]
+    drawn = draw_counts(int(codes.max()) + 1, content_rng(found.score, found.bad, codes), len(codes))
+    draws = [_areas(found.score, found.bad, np.take(counts, codes, axis=1)) for counts in drawn]
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.nanpercentile(np.concatenate(draws), [tail, 100.0 - tail])
     return Measured(area(found.score, found.bad), float(low), float(high))
