@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -167,16 +166,6 @@ _BRIEF_COLUMNS = (
     record_column("of all, %", "listed_false_alarm_share", "mean"),
     record_column("RMS px", "centre_error_px", RMS.name),
 )
-
-
-def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
-    """Tabulate rates and errors, rates by what craters are like, and the curve over confidence; [] without craters."""
-    lines = [r for r in records if r.stage == DETECTION]
-    note = " ".join((*_listed_lines(run), _NOTE))
-    rates = record_grid("Detection of craters", _COLUMNS, records, lines, note)
-    ones = list(detector_results(run)) if rates else []
-    binned = (_binned_grid(ones, *binning) for binning in BINNINGS)
-    return [rates, _curve_grid(ones), *binned, _image_grid(run)] if rates else []
 
 
 def _listed_lines(run: RunData) -> Iterator[str]:
@@ -416,8 +405,8 @@ def example_figure(run: RunData, scenario: str, estimator: str, trial: int, imag
     detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
     return draw_example(
         image,
-        (ellipses_of(truth.to_dict("records")), detectable),
-        (ellipses_of(found.to_dict("records")), matched),
+        (ellipses_of(truth), detectable),
+        (ellipses_of(found), matched),
         file_stem("crater_example", scenario, estimator, str(trial)),
         f"{scenario}, {estimator}, image {trial}",
     )
@@ -451,17 +440,22 @@ def stages_figure(
     )
 
 
-def ellipses_of(rows: Sequence[Mapping[Any, object]]) -> Ellipses:
+def ellipses_of(rows: pd.DataFrame | Sequence[Mapping[str, object]]) -> Ellipses:
     """Read rims from rows of a stored table."""
-    numbers = np.array([[float(str(row[name])) for name in _ELLIPSE] for row in rows]).reshape(-1, len(_ELLIPSE))
+    numbers = pd.DataFrame(rows, columns=_ELLIPSE).to_numpy(dtype=np.float64)
     return Ellipses(numbers[:, :2], numbers[:, 2:4], np.radians(numbers[:, 4]))
 
 
 def tables(content: Content) -> Tables:
-    """List the tables of a report."""
+    """List rates and errors, the curve over confidence, rates by what craters are like, the images, and the scatter."""
+    run, ones = content.run, list(detector_results(content.run))
+    lines = [r for r in content.records if r.stage == DETECTION]
+    note = " ".join((*_listed_lines(run), _NOTE))
+    rates = record_grid("Detection of craters", _COLUMNS, content.records, lines, note)
+    binned = (_binned_grid(ones, *binning) for binning in BINNINGS)
     return (
-        *crater_grids(content.records, content.run),
-        rim_grid(list(detector_results(content.run))),
+        *([rates, _curve_grid(ones), *binned, _image_grid(run)] if rates else ()),
+        rim_grid(ones),
         comparison_grid(content.compared),
         timing_grid(content.records),
     )
