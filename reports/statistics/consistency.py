@@ -76,29 +76,19 @@ class NormalisedErrors:
     expected: int
     table: pd.DataFrame
 
-    def test(self, clusters: NDArray[np.generic]) -> ConsistencyTest:
-        """Compare them, at least one, with their distribution; ``clusters`` (n,) are what of them is independent."""
+    def test(self, clusters: NDArray[np.generic]) -> dict[str, Measured]:
+        """Compare them, at least one, with their distribution; ``clusters`` (n,) are what of them is independent.
+
+        By the names of statistics: mean and median; `BAND`, the expected mean and the range of 95 % of the means of as
+        many; and `INSIDE`, the share of the trials within the central 95 % of the distribution.
+        """
         ratios, degrees = (self.table[name].to_numpy(np.float64) for name in ("ratio", "degrees"))
         mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
         whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
         low, high = (self.expected * chi_square_quantile(tail, degrees) / degrees for tail in _TAILS)
         inside = share_of((ratios >= low) & (ratios <= high), clusters)
-        return ConsistencyTest(len(ratios), mean, median, consistent_mean(whole, self.expected), inside)
-
-
-@dataclass(frozen=True, slots=True)
-class ConsistencyTest:
-    """``n`` normalised errors against their distribution.
-
-    ``band`` is the expected mean, and the range of 95 % of the means of as many; ``inside`` the share of the trials
-    within the central 95 % of the distribution.
-    """
-
-    n: int
-    mean: Measured
-    median: Measured
-    band: Measured
-    inside: Measured
+        band = consistent_mean(whole, self.expected)
+        return {MEAN.name: mean, MEDIAN.name: median, BAND: band, INSIDE: inside}
 
 
 def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
@@ -163,8 +153,7 @@ def consistency_records(run: RunData) -> list[Record]:
             errors = replace(kind, table=select(kind.table, scenario, estimator))
             if len(errors.table):
                 found = errors.test(clusters_of(run, errors.table))
-                parts = {MEAN.name: found.mean, MEDIAN.name: found.median, BAND: found.band, INSIDE: found.inside}
-                records += [sample.record(kind.name, name, part, found.n) for name, part in parts.items()]
+                records += [sample.record(kind.name, name, part, len(errors.table)) for name, part in found.items()]
         if (scenario, estimator) in posed:
             records += _ratio_records(run, sample, own[own["status"] == "ok"])
     return records

@@ -116,18 +116,18 @@ def test_the_nis_is_held_against_its_degrees_of_freedom():
     degrees = rng.integers(40, 400, 3000)
     ratios = rng.chisquare(degrees) / degrees
     found = NormalisedErrors("innovation", 1, pd.DataFrame({"ratio": ratios, "degrees": degrees})).test(np.arange(3000))
-    assert found.band.value == 1.0
-    assert found.band.low < found.mean.value < found.band.high
-    assert found.inside.value == pytest.approx(0.95, abs=0.012)
+    assert found[BAND].value == 1.0
+    assert found[BAND].low < found["mean"].value < found[BAND].high
+    assert found[INSIDE].value == pytest.approx(0.95, abs=0.012)
     # Weighted by degrees the mean is chi-square of them all; by trials its spread is at least that.
-    assert found.band.high - found.band.low == pytest.approx(2 * 1.96 * np.sqrt(2 / degrees.sum()), rel=0.01)
+    assert found[BAND].high - found[BAND].low == pytest.approx(2 * 1.96 * np.sqrt(2 / degrees.sum()), rel=0.01)
 
 
 def test_realisations_of_one_image_widen_the_band():
     ratios = np.full(40, 6.0)
     errors = NormalisedErrors(NEES, 6, pd.DataFrame({"ratio": ratios, "degrees": ratios}))
     alone, shared = (errors.test(np.arange(40) // n) for n in (1, 4))
-    assert shared.band.high - 6 == pytest.approx(2 * (alone.band.high - 6), rel=0.1)
+    assert shared[BAND].high - 6 == pytest.approx(2 * (alone[BAND].high - 6), rel=0.1)
 
 
 def test_sequences_are_judged_after_whole_revolutions(builder):
