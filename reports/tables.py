@@ -26,8 +26,6 @@ from boresight.reports.schema.tables import measure_label, measures
 from boresight.reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from boresight.scenarios.known import correlated
 
-_SMALL_P = 1e-3
-
 
 def interval(measured: Measured, scale: float = 1.0) -> str:
     """Print a value with its 95 % interval, in units of 1 / ``scale``."""
@@ -41,11 +39,6 @@ def interval(measured: Measured, scale: float = 1.0) -> str:
 
 def _bounded(value: float) -> str:
     return "∞" if math.isinf(value) else number(value)
-
-
-def chance(p: float | None) -> str:
-    """Print the p of a test."""
-    return f"< {_SMALL_P:g}" if p is not None and p < _SMALL_P else number(p)
 
 
 def _magnitude(head: str, name: str) -> tuple[GridColumn, ...]:

@@ -23,11 +23,11 @@ from boresight.reports.compare.trials import (
 from boresight.reports.run.data import TRIAL_KEY, RunData
 from boresight.reports.run.limits import short_line
 from boresight.reports.run.outcomes import MEANING
-from boresight.reports.schema.grid import NO_VALUE, Grid, number, row_grid
+from boresight.reports.schema.grid import NO_VALUE, Grid, chance, number, row_grid
 from boresight.reports.schema.records import CONTROL, FAILURES_AT_PRIOR, as_title, count_of, shortened
 from boresight.reports.statistics.consistency import NormalisedErrors, normalised_errors, normalised_label
 from boresight.reports.statistics.measured import Measured
-from boresight.reports.tables import chance, interval
+from boresight.reports.tables import interval
 
 _MOST_KEYS = 8
 _MOST_CHARACTERS = 40

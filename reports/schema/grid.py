@@ -98,6 +98,7 @@ def _latex(cell: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in cell)
 
 
+_SMALL_P = 1e-3
 _ROUNDING = 1e-12
 """A number that is not larger is 0 to the rounding of what it was computed from."""
 
@@ -118,6 +119,11 @@ def shortest(value: float, digits: int = 3) -> str:
     return f"{0.0 if abs(value) < _ROUNDING else value:.{digits}g}"
 
 
+def chance(p: float | None) -> str:
+    """Print the p of a test."""
+    return f"< {_SMALL_P:g}" if p is not None and p < _SMALL_P else number(p)
+
+
 def value_of(record: Record | None, interval: bool = False) -> str:
     """Print a record's value, on request with its interval; times with s or ms."""
     if record is None or record.value is None:
@@ -126,8 +132,8 @@ def value_of(record: Record | None, interval: bool = False) -> str:
         return str(int(record.value))
     if record.statistic == "value":
         interval = False
-    if record.statistic == "sign test p" and record.value < 1e-3:
-        return "< 0.001"
+    if record.statistic == "sign test p":
+        return chance(record.value)
     scale, unit = (1.0, "") if record.unit != "s" else (1.0, " s") if record.value >= 1 else (1e3, " ms")
     value = f"{number(scale * record.value)}{unit}"
     if not interval or record.low is None or record.high is None:
