@@ -32,5 +32,5 @@ from .scenarios.geometry import View as View
 from .scenarios.load import scenario_names as scenario_names
 from .scenarios.observation import Frame as Frame
 from .scenarios.observation import Observation as Observation
-from .scenarios.tracks import TrackFrame as TrackFrame
-from .scenarios.tracks import TrackSequence as TrackSequence
+from .scenarios.observation import TrackFrame as TrackFrame
+from .scenarios.observation import TrackSequence as TrackSequence

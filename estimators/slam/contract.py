@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol, Self
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
-from boresight.scenarios.tracks import TrackSequence
+from boresight.scenarios.observation import TrackSequence
 
 
 class LostError(Exception):

@@ -19,8 +19,8 @@ from boresight.estimators.options import Configured, Model
 from boresight.estimators.slam.adjustment.slam_map import median_distance
 from boresight.estimators.slam.contract import FrameEstimate, LostError, SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.observation import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 from boresight.scenarios.spec.base import SpecModel
-from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 
 class Follower(Protocol):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.tracks import Forces
+from boresight.scenarios.observation import Forces
 
 LONGEST_STEP = 0.01
 """Longest integration step, T: 0.6 deg of a circular orbit, with a Runge-Kutta error of 1e-12 L a step."""

@@ -11,6 +11,7 @@ import numpy as np
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences.ground import LandmarkGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
 from boresight.scenarios.sequences.track_simulation import (
@@ -28,7 +29,6 @@ from boresight.scenarios.sequences.trajectory import (
     nominal_trajectory,
 )
 from boresight.scenarios.spec.sequence import SequenceSpec, TrackErrorsSpec, VisionSpec
-from boresight.scenarios.tracks import TrackSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.draw import Stream, draw_direction, generator
 from boresight.scenarios.geometry import Camera, Pose
+from boresight.scenarios.observation import Forces, TrackFrame, TrackRange, TrackSequence
 from boresight.scenarios.sequences.trajectory import CameraTrajectory, angular_velocity, attitude_function
 from boresight.scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
-from boresight.scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
 # Lower bounds of the stated sigmas of exact data: infinite weights are numerically useless.

@@ -17,6 +17,7 @@ from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences.draw import SequenceTruth
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.sequences.onboard import FrameTracks, onboard_sequence
@@ -24,7 +25,6 @@ from boresight.scenarios.sequences.trajectory import nominal_trajectory
 from boresight.scenarios.spec.sequence import SequenceSpec, TrackTableSpec
 from boresight.scenarios.spec.tables import Table, columns_of, read_table
 from boresight.scenarios.spec.trajectory import SequenceTrajectorySpec, StatesSpec, states_of
-from boresight.scenarios.tracks import TrackSequence
 
 WRONG_PX = 3.0
 """A sighting farther than this from its landmark's true place counts as a wrong association."""

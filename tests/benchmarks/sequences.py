@@ -29,9 +29,9 @@ from boresight.estimators.slam.smoothing.gtsam_smoothers import GtsamFixedLag, I
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences import SequenceTruth, SphereGround, draw_sequence
 from boresight.scenarios.spec.sequence import SequenceSpec
-from boresight.scenarios.tracks import TrackSequence
 
 Solver = Callable[[int], PeerSolution]
 

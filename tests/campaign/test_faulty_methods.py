@@ -21,9 +21,8 @@ from boresight.estimators.contract import Estimate, Stage
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.scenarios.geometry import Camera, Pose
-from boresight.scenarios.observation import Frame
+from boresight.scenarios.observation import Frame, TrackFrame, TrackSequence
 from boresight.scenarios.spec.campaign import EstimatorSpec
-from boresight.scenarios.tracks import TrackFrame, TrackSequence
 
 HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
 CAMERA = Camera.from_fov(100, 100, 0.1)

@@ -48,7 +48,7 @@ PACKAGES = ("campaign", "estimators", "renderers", "scenarios")
 INPUTS = (
     *(
         "boresight.scenarios.observation",
-        "boresight.scenarios.tracks",
+        "boresight.scenarios.observation",
         "boresight.scenarios.orbits.data",
         "boresight.estimators.craters.contract",
     ),

@@ -12,7 +12,7 @@ from boresight.estimators.slam.adjustment.solver import kept_covariance, view_co
 from boresight.estimators.slam.options import SmootherOptions
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
 from boresight.estimators.slam.vision.matching import ImageFeatures, _conditioned, guided_rows
-from boresight.scenarios.tracks import Prediction
+from boresight.scenarios.observation import Prediction
 
 
 def smoother_after(frames: int):

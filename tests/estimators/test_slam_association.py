@@ -32,7 +32,7 @@ from boresight.estimators.slam.smoothing.smoother import (
     WindowSmoother,
     _with_weak_lines,
 )
-from boresight.scenarios.tracks import TrackRange, TrackSequence
+from boresight.scenarios.observation import TrackRange, TrackSequence
 
 SHARE = 0.05
 

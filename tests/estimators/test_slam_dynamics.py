@@ -29,7 +29,7 @@ from boresight.estimators.slam.smoothing.dynamics import (
     marginalise_dynamic,
     minimise_dynamic,
 )
-from boresight.scenarios.tracks import Forces, TrackSequence
+from boresight.scenarios.observation import Forces, TrackSequence
 
 FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))
 FIELD = ForceModel.of(FORCES, ORBIT_M)

@@ -16,7 +16,7 @@ from boresight.estimators.slam.filters.ekf_update import (
     iterated_update,
     kalman_update,
 )
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 

@@ -16,7 +16,7 @@ from boresight.estimators.slam.association.outliers import OutlierGate
 from boresight.estimators.slam.association.prediction import PredictedLines
 from boresight.estimators.slam.options import OutlierOptions
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 COMMON_PX = 30.0
 OWN_PX = 0.7

@@ -12,7 +12,7 @@ from boresight.estimators.slam.contract import LostError
 from boresight.estimators.slam.keyframes.bundle import DepthGauge, hand_over_gauge, trailing_views
 from boresight.estimators.slam.options import BundleOptions
 from boresight.estimators.slam.registry import sequence_estimator_class
-from boresight.scenarios.tracks import TrackRange
+from boresight.scenarios.observation import TrackRange
 
 
 class Overlap:

@@ -22,7 +22,7 @@ from boresight.estimators.slam.adjustment.solver import (
 )
 from boresight.estimators.slam.smoothing.loop_smoother import GlobalMap, LoopSmoother, compatible_pairs
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
-from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackRange, TrackSequence
 
 FRAMES = 75
 STEP_RAD = np.radians(5.0)

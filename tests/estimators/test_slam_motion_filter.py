@@ -13,7 +13,7 @@ from slam_sequences import ORBIT_M, Recipe, make_sequence
 from boresight.estimators.slam.force_model import ForceModel
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
 from boresight.estimators.slam.keyframes.motion_filter import MotionFilter, steady_gain
-from boresight.scenarios.tracks import Forces
+from boresight.scenarios.observation import Forces
 
 CIRCLE = np.array([0.0, ORBIT_M * RATE, 0.0])
 

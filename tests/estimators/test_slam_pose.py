@@ -17,7 +17,7 @@ from boresight.estimators.slam.filters.ekf_state import landmark_points, turn_ja
 from boresight.estimators.slam.filters.ekf_update import FrameMeasurements
 from boresight.estimators.slam.smoothing.smoother import FixedLagSmoother
 from boresight.scenarios.geometry import cross_matrix
-from boresight.scenarios.tracks import TrackFrame, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackSequence
 
 SECONDS = 480.0
 SPIN = Rotation.from_rotvec([0.01, -0.02, 0.03])

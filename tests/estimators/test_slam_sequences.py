@@ -18,7 +18,7 @@ from boresight.estimators.slam.smoothing.dynamic_smoother import DynamicSmoother
 from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.tracks import TrackRange, TrackSequence
+from boresight.scenarios.observation import TrackRange, TrackSequence
 
 QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
 ALL = [

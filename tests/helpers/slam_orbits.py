@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from slam_sequences import ORBIT_M, STEP_RAD, Recipe, Truth, sequence_along
 
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.tracks import Forces, TrackSequence
+from boresight.scenarios.observation import Forces, TrackSequence
 
 GM = 3.54
 RATE = np.sqrt(GM / ORBIT_M**3)

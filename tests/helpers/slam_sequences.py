@@ -10,7 +10,7 @@ import numpy as np
 from boresight.estimators.slam.contract import SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackRange, TrackSequence
 
 ORBIT_M = 790.0
 RADIUS_M = 190.0

@@ -21,6 +21,7 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences import (
     CameraTrajectory,
     LandmarkGround,
@@ -34,7 +35,6 @@ from boresight.scenarios.sequences import (
     nominal_trajectory,
 )
 from boresight.scenarios.spec.sequence import SequenceSpec
-from boresight.scenarios.tracks import TrackSequence
 
 FollowedSequence = InspectedTrial[SequenceTruth, TrackSequence, SequenceEstimate]
 """A trial of one estimator, for inspection."""

@@ -37,7 +37,7 @@ from boresight.scenarios.sequences import (
 )
 from boresight.scenarios.sequences.track_table import WRONG_PX
 from boresight.scenarios.spec.sequence import ImageVisionSpec, SequenceSpec
-from boresight.scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
+from boresight.scenarios.observation import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 REPEATED_PX = 2.0
 _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is met within this

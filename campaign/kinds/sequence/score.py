@@ -21,10 +21,10 @@ from boresight.campaign.trial.checks import (
 from boresight.campaign.trial.score import nees
 from boresight.estimators.slam.contract import FrameEstimate, SequenceEstimate
 from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences import SequenceTruth
 from boresight.scenarios.sequences.trajectory import inertial_from_body
 from boresight.scenarios.spec.trajectory import LEAST_HORIZONTAL
-from boresight.scenarios.tracks import TrackSequence
 
 Epoch = dict[str, object]
 

@@ -42,8 +42,8 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.bodies.embedded import sphere
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Pose, TriangleMesh
+from boresight.scenarios.observation import TrackSequence
 from boresight.scenarios.sequences import MeshGround, SequenceTruth
-from boresight.scenarios.tracks import TrackSequence
 
 
 def draw_sequence_case(again: Recomputed) -> CaseFigures:

@@ -15,7 +15,7 @@ from boresight.estimators.slam.adjustment.solver import AdjustmentSolution, Stop
 from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

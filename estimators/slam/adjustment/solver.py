@@ -17,7 +17,7 @@ from boresight.estimators.slam.adjustment.compiled.problem import FlatProblem, f
 from boresight.estimators.slam.adjustment.problem import Adjustment, QuadraticPrior, State, pinhole_of
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 _NO_ROWS, _NO_VALUES, _NO_VECTORS, _NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0))
 _VIEW_0, _VIEW_1 = np.array([0]), np.array([1])

@@ -14,7 +14,7 @@ from boresight.estimators.slam.association.prediction import DEPTH_SIGMA, Predic
 from boresight.estimators.slam.options import Gate
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 _MOST_HYPOTHESES = 64
 """Landmarks at most that are taken as correct in turn."""

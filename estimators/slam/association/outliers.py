@@ -24,7 +24,7 @@ from boresight.estimators.slam.association.prediction import (
 )
 from boresight.estimators.slam.options import OutlierOptions
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 _MAX_ROUNDS = 5
 """Adjustments of a frame at most, each without the outliers that the previous one found."""

@@ -14,7 +14,7 @@ from boresight.estimators.slam.adjustment.problem import AdjustedWindow, Adjustm
 from boresight.estimators.slam.adjustment.slam_map import SlamMap, lookup
 from boresight.estimators.slam.adjustment.solver import kept_covariance
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
-from boresight.scenarios.tracks import Prediction, TrackFrame
+from boresight.scenarios.observation import Prediction, TrackFrame
 
 DEPTH_SIGMA = 0.3
 """Standard deviation of a guessed distance, relative, for gating."""

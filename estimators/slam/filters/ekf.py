@@ -18,7 +18,7 @@ from boresight.estimators.slam.filters.ekf_update import FrameMeasurements, iter
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, check_scale
 from boresight.estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
 from boresight.scenarios.arrays import BoolArray
-from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.scenarios.observation import Prediction, TrackFrame, TrackSequence
 
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 

@@ -12,7 +12,7 @@ from boresight.estimators.slam.filters.ekf_state import SIZE, FilterState, turn_
 from boresight.estimators.slam.filters.ekf_update import Innovation, kalman_update
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.geometry import Camera, cross_matrix
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 _POSITION, _VELOCITY, _TURN, _RATE, _LASTING = (slice(3 * i, 3 * i + 3) for i in range(5))
 _ANCHOR_TURN = slice(SIZE, SIZE + 3)

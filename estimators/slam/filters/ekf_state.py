@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera, cross_matrix
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 SIZE = 6
 

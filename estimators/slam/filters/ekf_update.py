@@ -12,7 +12,7 @@ from boresight.estimators.slam.association.gating import block_diagonal
 from boresight.estimators.slam.filters.ekf_state import FilterState
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame
+from boresight.scenarios.observation import TrackFrame
 
 AnyState = TypeVar("AnyState", bound=FilterState)
 

@@ -17,7 +17,7 @@ from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected
 from boresight.estimators.slam.keyframes.motion_filter import Propagator
 from boresight.estimators.slam.options import BundleOptions
-from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.scenarios.observation import Prediction, TrackFrame, TrackSequence
 
 _MAX_PLACED = 2
 """Consecutive frames at most that may be placed without an adjustment of the window."""

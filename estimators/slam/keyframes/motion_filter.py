@@ -12,7 +12,7 @@ from boresight.estimators.slam.contract import LostError
 from boresight.estimators.slam.force_model import ForceModel, propagate
 from boresight.estimators.slam.options import BundleOptions
 from boresight.scenarios.arrays import FloatArray
-from boresight.scenarios.tracks import TrackFrame, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackSequence
 
 
 @dataclass(frozen=True, slots=True)

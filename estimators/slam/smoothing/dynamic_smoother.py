@@ -33,7 +33,7 @@ from boresight.estimators.slam.smoothing.dynamics import (
     minimise_dynamic,
 )
 from boresight.scenarios.arrays import BoolArray, FloatArray
-from boresight.scenarios.tracks import Forces, TrackFrame, TrackSequence
+from boresight.scenarios.observation import Forces, TrackFrame, TrackSequence
 
 _CAUSE = "; forces or tracks are not what they are said to be"
 

@@ -16,7 +16,7 @@ from boresight.estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera
-from boresight.scenarios.tracks import TrackFrame, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackSequence
 
 # A bearing has a sigma of about 3.5e-4 rad (0.67 px): even a hundred of them change this attitude by 1 part in 1e7.
 ATTITUDE_SIGMA_RAD = 1e-8

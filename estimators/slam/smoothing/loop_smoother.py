@@ -27,7 +27,7 @@ from boresight.estimators.slam.following import ConfiguredEstimator, Follower
 from boresight.estimators.slam.options import LoopOptions
 from boresight.estimators.slam.smoothing.smoother import WindowSmoother
 from boresight.scenarios.arrays import BoolArray, FloatArray
-from boresight.scenarios.tracks import TrackFrame, TrackSequence
+from boresight.scenarios.observation import TrackFrame, TrackSequence
 
 _SAME_PLACE_M = 1e-3
 """Standard deviation, m, to which the two landmarks of a pair are the same point; keeps the covariances invertible."""

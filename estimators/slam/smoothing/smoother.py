@@ -17,7 +17,7 @@ from boresight.estimators.slam.contract import FrameEstimate, LostError
 from boresight.estimators.slam.following import ConfiguredEstimator, Follower, check_connected, check_scale
 from boresight.estimators.slam.options import BatchOptions, SmootherOptions
 from boresight.scenarios.arrays import BoolArray, FloatArray
-from boresight.scenarios.tracks import Prediction, TrackFrame, TrackSequence
+from boresight.scenarios.observation import Prediction, TrackFrame, TrackSequence
 
 _WEAK_RATIO = 10.0
 """Standard deviation of the weak prior of a landmark, in median depths of the newest view."""

@@ -24,7 +24,7 @@ from boresight.estimators.landmark.signal import extract_signal
 from boresight.estimators.slam.association.gating import diagonal_blocks, snooped
 from boresight.scenarios.arrays import BoolArray, FloatArray, Image, IndexArray
 from boresight.scenarios.geometry import pixel_from_opencv
-from boresight.scenarios.tracks import Prediction
+from boresight.scenarios.observation import Prediction
 
 _BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
 _FULL_SCALE_PERCENTILE = 99.0
