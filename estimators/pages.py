@@ -13,10 +13,14 @@ from typing import Any
 
 from pydantic import Field
 
-from boresight.estimators.craters.registry import DETECTORS, MATCHERS
-from boresight.estimators.orbit.registry import ESTIMATORS as ORBIT_ESTIMATORS
-from boresight.estimators.registry import ESTIMATORS, Registry
-from boresight.estimators.slam.registry import ESTIMATORS as SEQUENCE_ESTIMATORS
+from boresight.estimators.registry import (
+    DETECTORS,
+    ESTIMATORS,
+    MATCHERS,
+    ORBIT_ESTIMATORS,
+    SEQUENCE_ESTIMATORS,
+    Registry,
+)
 from boresight.scenarios.spec.base import SpecModel
 
 FAMILIES: Mapping[str, Registry[Any]] = {

@@ -18,8 +18,11 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 from boresight.estimators.options import OptionsError
 from boresight.scenarios.errors import BoresightError, one_line
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the contracts load compiled kernels, which names need not
     from boresight.estimators.contract import Assets, Estimator
+    from boresight.estimators.craters.contract import CraterDetector, CraterMatcher
+    from boresight.estimators.orbit.contract import OrbitEstimator
+    from boresight.estimators.slam.contract import SequenceEstimator
 
 T = TypeVar("T")
 
@@ -156,6 +159,59 @@ ESTIMATORS: Registry[Estimator] = Registry(
     parts=("name", "version", "from_options", "estimate"),
 )
 estimator_names, estimator_class = ESTIMATORS.names, ESTIMATORS.find
+
+SEQUENCE_ESTIMATORS: Registry[SequenceEstimator] = Registry(
+    own={
+        "dead-reckoning": "boresight.estimators.slam.following:DeadReckoning",
+        "ba-slam": "boresight.estimators.slam.keyframes.bundle:BundleSlam",
+        "batch": "boresight.estimators.slam.smoothing.smoother:BatchAdjustment",
+        "dynamic-smoother": "boresight.estimators.slam.smoothing.dynamic_smoother:DynamicSmoother",
+        "consistent-ekf-slam": "boresight.estimators.slam.filters.ekf:ConsistentEkfSlam",
+        "ekf-slam": "boresight.estimators.slam.filters.ekf:EkfSlam",
+        "loop-smoother": "boresight.estimators.slam.smoothing.loop_smoother:LoopSmoother",
+        "gtsam-fixed-lag": "boresight.estimators.slam.smoothing.gtsam_smoothers:GtsamFixedLag",
+        "gtsam-isam2": "boresight.estimators.slam.smoothing.gtsam_smoothers:GtsamIsam2",
+        "fixed-lag": "boresight.estimators.slam.smoothing.smoother:FixedLagSmoother",
+        "iterated-ekf-slam": "boresight.estimators.slam.filters.ekf:IteratedEkfSlam",
+    },
+    group="boresight.sequence_estimators",
+    parts=("name", "version", "from_options", "follow"),
+)
+EXTRAS = {"gtsam-fixed-lag": "gtsam", "gtsam-isam2": "gtsam"}
+"""Estimators that need an extra of the installation, and the package of the same name that it installs."""
+
+sequence_estimator_names, sequence_estimator_class = SEQUENCE_ESTIMATORS.names, SEQUENCE_ESTIMATORS.find
+
+DETECTORS: Registry[CraterDetector] = Registry(
+    own={
+        "crater-classic": "boresight.estimators.craters.detection.classic:CraterClassic",
+        "crater-heat-map": "boresight.estimators.craters.learned.heat_map_detector:CraterHeatMap",
+        "crater-learned": "boresight.estimators.craters.learned.detector:CraterLearned",
+    },
+    group="boresight.crater_detectors",
+    parts=("name", "version", "from_options", "detect"),
+)
+crater_detector_names, crater_detector_class = DETECTORS.names, DETECTORS.find
+
+MATCHERS: Registry[CraterMatcher] = Registry(
+    own={
+        "context": "boresight.estimators.craters.matching.context:ContextMatcher",
+        "correlation": "boresight.estimators.craters.matching.correlation:CorrelationMatcher",
+        "hybrid": "boresight.estimators.craters.matching.hybrid:HybridMatcher",
+        "invariants": "boresight.estimators.craters.matching.invariants:InvariantMatcher",
+        "vote": "boresight.estimators.craters.matching.vote:VoteMatcher",
+    },
+    group="boresight.crater_matchers",
+    parts=("name", "version", "from_options", "match"),
+)
+crater_matcher_names, crater_matcher_class = MATCHERS.names, MATCHERS.find
+
+ORBIT_ESTIMATORS: Registry[OrbitEstimator] = Registry(
+    own={"batch-filter": "boresight.estimators.orbit.batch_filter:BatchFilter"},
+    group="boresight.orbit_estimators",
+    parts=("name", "version", "from_options", "determine"),
+)
+orbit_estimator_names, orbit_estimator_class = ORBIT_ESTIMATORS.names, ORBIT_ESTIMATORS.find
 
 
 def needed_sensors(name: str) -> frozenset[str]:

@@ -65,8 +65,7 @@ FILES = ("scenario.yaml", "campaign.yaml")
 def list_command(arguments: argparse.Namespace) -> int:
     """List campaigns by group, a line each; with ``--all`` the rest, scenarios and estimators."""
     # Imported here: they read what is installed, which no other command of this file does.
-    from boresight.estimators.registry import estimator_names
-    from boresight.estimators.slam.registry import sequence_estimator_names
+    from boresight.estimators.registry import estimator_names, sequence_estimator_names
 
     out, groups, known = console(), _grouped(), {name: load_scenario(name) for name in scenario_names()}
     shown = (*_SHOWN, _FURTHER) if arguments.all else _SHOWN

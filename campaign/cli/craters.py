@@ -18,7 +18,7 @@ from boresight.campaign.data.crater_pictures import (
 )
 from boresight.campaign.data.label_score import LabelMatches, label_quality, score_table
 from boresight.campaign.data.named_craters import detect_real, write_real
-from boresight.estimators.craters.registry import crater_detector_class
+from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError

@@ -15,7 +15,7 @@ from boresight.estimators.craters.database.build import build_database, triangul
 from boresight.estimators.craters.database.files import CraterDatabase
 from boresight.estimators.craters.matching.preliminary import PreliminaryOptions
 from boresight.estimators.craters.pose import CraterDatabaseOptions
-from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from boresight.estimators.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load import LoadedScenario
 from boresight.scenarios.observation import Frame

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
-from boresight.estimators.slam.registry import EXTRAS
+from boresight.estimators.registry import EXTRAS
 from boresight.scenarios.cache import default_cache
 from boresight.scenarios.data import is_there
 from boresight.scenarios.data.datasets import DataSet, datasets_providing

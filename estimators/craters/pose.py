@@ -23,8 +23,8 @@ from boresight.estimators.craters.matching.association import (
     centre_noise,
 )
 from boresight.estimators.craters.matching.transfer import by_small_motion, occluded
-from boresight.estimators.craters.registry import crater_detector_class
 from boresight.estimators.options import parse_options
+from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.arrays import IndexArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, project_circles

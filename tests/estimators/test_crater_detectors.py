@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from crater_scenes import CAMERA, SHAPE, Bowl, crests, frame_of, image_of, scattered
 
-from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names
+from boresight.estimators.registry import crater_detector_class, crater_detector_names
 from boresight.scenarios.errors import BoresightError
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)

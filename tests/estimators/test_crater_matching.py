@@ -40,7 +40,7 @@ from boresight.estimators.craters.matching.transfer import (
     plane_homographies,
     transfer_craters,
 )
-from boresight.estimators.craters.registry import crater_matcher_class, crater_matcher_names
+from boresight.estimators.registry import crater_matcher_class, crater_matcher_names
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Ellipses, Pose, look_at

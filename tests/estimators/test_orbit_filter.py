@@ -13,8 +13,8 @@ from boresight.estimators.orbit.contract import LandmarkFile, OrbitData, Picture
 from boresight.estimators.orbit.kernels import consistent_rays
 from boresight.estimators.orbit.model import Unknowns, propagate_orbit
 from boresight.estimators.orbit.parameters import OrbitOptions, ParameterLayout
-from boresight.estimators.orbit.registry import orbit_estimator_class
 from boresight.estimators.orbit.solve import HuberLoss, LandmarkPrior, StoppingCriteria, adjust, linearise
+from boresight.estimators.registry import orbit_estimator_class
 from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.orbits.draw import draw_orbit

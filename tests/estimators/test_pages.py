@@ -9,7 +9,7 @@ import pytest
 
 from boresight.estimators.options import OptionsError
 from boresight.estimators.pages import FAMILIES, SECTIONS, page_of
-from boresight.estimators.slam.registry import EXTRAS
+from boresight.estimators.registry import EXTRAS
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.load.keys import keys_of
 from boresight.scenarios.spec.base import SpecModel

@@ -6,8 +6,8 @@ import pytest
 from third_party import install
 
 from boresight.estimators import registry
-from boresight.estimators.craters.registry import DETECTORS, MATCHERS
-from boresight.estimators.slam.registry import ESTIMATORS as SEQUENCES
+from boresight.estimators.registry import DETECTORS, MATCHERS
+from boresight.estimators.registry import SEQUENCE_ESTIMATORS as SEQUENCES
 from boresight.scenarios.errors import BoresightError
 
 # The registry, a name of ours, a name that is nearly one of ours, and what the contract wants besides name and version.

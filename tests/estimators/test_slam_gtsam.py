@@ -13,9 +13,9 @@ from needs_ceres import skip_without_ceres
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
+from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.adjustment.problem import Adjustment, Distances, State
 from boresight.estimators.slam.adjustment.solver import StoppingRule, minimise, view_covariance
-from boresight.estimators.slam.registry import sequence_estimator_class
 from boresight.estimators.slam.smoothing.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother
 from boresight.scenarios.errors import BoresightError

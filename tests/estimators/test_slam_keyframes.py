@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from slam_sequences import Recipe, make_sequence
 
+from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.contract import LostError
 from boresight.estimators.slam.keyframes.bundle import DepthGauge, hand_over_gauge, trailing_views
 from boresight.estimators.slam.options import BundleOptions
-from boresight.estimators.slam.registry import sequence_estimator_class
 from boresight.scenarios.observation import TrackRange
 
 

@@ -10,10 +10,10 @@ from scipy.optimize import least_squares
 from slam_orbits import Drive, make_orbit_sequence
 from slam_sequences import Recipe, make_sequence, position_errors_m
 
+from boresight.estimators.registry import sequence_estimator_class, sequence_estimator_names
 from boresight.estimators.slam.contract import FrameEstimate
 from boresight.estimators.slam.filters.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
 from boresight.estimators.slam.keyframes.bundle import BundleSlam
-from boresight.estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from boresight.estimators.slam.smoothing.dynamic_smoother import DynamicSmoother
 from boresight.estimators.slam.smoothing.loop_smoother import LoopSmoother
 from boresight.estimators.slam.smoothing.smoother import BatchAdjustment, FixedLagSmoother

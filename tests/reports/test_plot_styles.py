@@ -10,10 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.campaign.runs.read import CATALOG
-from boresight.estimators.craters.registry import crater_detector_names, crater_matcher_names
-from boresight.estimators.orbit.registry import orbit_estimator_names
-from boresight.estimators.registry import estimator_names
-from boresight.estimators.slam.registry import sequence_estimator_names
+from boresight.estimators.registry import (
+    crater_detector_names,
+    crater_matcher_names,
+    estimator_names,
+    orbit_estimator_names,
+    sequence_estimator_names,
+)
 from boresight.reports.figures.style import (
     GREY,
     SERIES_COLOURS,

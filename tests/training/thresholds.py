@@ -18,7 +18,7 @@ from boresight.campaign.imaging.observe import observe
 from boresight.campaign.imaging.world import World, open_world
 from boresight.campaign.trial.score import NONE, match_detections
 from boresight.estimators.craters.contract import CraterDetector
-from boresight.estimators.craters.registry import crater_detector_class
+from boresight.estimators.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer, choose_variant
 from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.craters import crater_truth

@@ -26,7 +26,7 @@ from boresight.campaign.trial.score import (
     view_columns,
 )
 from boresight.estimators.craters.contract import CraterDetections, CraterDetector
-from boresight.estimators.craters.registry import crater_detector_class
+from boresight.estimators.registry import crater_detector_class
 from boresight.renderers.mitsuba3 import TiledRenderer
 from boresight.scenarios.craters import CraterTruth, build_surfaces, crater_truth
 from boresight.scenarios.errors import BoresightError

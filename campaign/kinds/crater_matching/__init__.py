@@ -26,7 +26,7 @@ from boresight.campaign.trial.runner import MethodRunner, Unbuilt, located
 from boresight.campaign.trial.score import view_columns
 from boresight.estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from boresight.estimators.craters.matching.context import epipolar_offsets
-from boresight.estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from boresight.estimators.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters.simulated import NO_CRATER, CraterPair, CraterView
 from boresight.scenarios.errors import BoresightError

@@ -13,7 +13,7 @@ from boresight.campaign.imaging.image_store import Imager
 from boresight.campaign.trial.runner import Unbuilt, require_built, try_build
 from boresight.campaign.trial.score import check_detections, identified
 from boresight.estimators.craters.contract import CraterDetector
-from boresight.estimators.craters.registry import crater_detector_class
+from boresight.estimators.registry import crater_detector_class
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.craters import CraterTruth

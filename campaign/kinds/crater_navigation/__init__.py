@@ -34,14 +34,14 @@ from boresight.campaign.trial.runner import GaveUpError, MethodRunner
 from boresight.campaign.trial.score import check_listed
 from boresight.estimators.craters.navigation.rounds import CraterNavigation, NavigationResult, NavigationRound
 from boresight.estimators.craters.navigation.stages import StageFiles
-from boresight.estimators.craters.registry import (
+from boresight.estimators.orbit.batch_filter import BatchFilter
+from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
+from boresight.estimators.registry import (
     crater_detector_class,
     crater_detector_names,
     crater_matcher_class,
     crater_matcher_names,
 )
-from boresight.estimators.orbit.batch_filter import BatchFilter
-from boresight.estimators.orbit.contract import OrbitData, OrbitEstimate
 from boresight.scenarios.arrays import BoolArray, FloatArray, IndexArray
 from boresight.scenarios.craters.simulated import NO_CRATER
 from boresight.scenarios.dynamics.propagation import OrbitLostError

@@ -29,7 +29,7 @@ from boresight.campaign.trial.kind import InspectedTrial, Record, Records, Worke
 from boresight.campaign.trial.runner import MethodRunner
 from boresight.campaign.trial.score import nees
 from boresight.estimators.orbit.contract import Orbit, OrbitEstimate, OrbitEstimator
-from boresight.estimators.orbit.registry import orbit_estimator_class
+from boresight.estimators.registry import orbit_estimator_class
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.bodies import body_digest, load_body
 from boresight.scenarios.dynamics.propagation import OrbitLostError

@@ -15,8 +15,8 @@ from boresight.campaign.kinds.sequence.score import check_sequence, parameter_er
 from boresight.campaign.resolved import ResolvedCampaign
 from boresight.campaign.trial.kind import InspectedTrial, Record, Records, WorkerContext
 from boresight.campaign.trial.runner import MethodRunner
+from boresight.estimators.registry import sequence_estimator_class
 from boresight.estimators.slam.contract import SequenceEstimate, SequenceEstimator
-from boresight.estimators.slam.registry import sequence_estimator_class
 from boresight.scenarios.bodies import load_body
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera

@@ -25,6 +25,7 @@ from boresight.scenarios.draw import Stream, estimator_generator, generator
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, View
 from boresight.scenarios.load import LoadedScenario
+from boresight.scenarios.observation import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 from boresight.scenarios.sequences import (
     CameraTrajectory,
     FrameTracks,
@@ -37,7 +38,6 @@ from boresight.scenarios.sequences import (
 )
 from boresight.scenarios.sequences.track_table import WRONG_PX
 from boresight.scenarios.spec.sequence import ImageVisionSpec, SequenceSpec
-from boresight.scenarios.observation import LandmarkPredictor, Prediction, TrackFrame, TrackRange, TrackSequence
 
 REPEATED_PX = 2.0
 _SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is met within this

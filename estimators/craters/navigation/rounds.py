@@ -28,11 +28,11 @@ from boresight.estimators.craters.matching.preliminary import PreliminaryOptions
 from boresight.estimators.craters.navigation.stages import StageFiles
 from boresight.estimators.craters.navigation.task import Exposure, NavigationTask
 from boresight.estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
-from boresight.estimators.craters.registry import crater_detector_class, crater_matcher_class
 from boresight.estimators.options import Configured
 from boresight.estimators.orbit.batch_filter import BatchFilter
 from boresight.estimators.orbit.contract import OrbitEstimate
 from boresight.estimators.orbit.parameters import OrbitOptions
+from boresight.estimators.registry import crater_detector_class, crater_matcher_class
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.observation import Frame
