@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.campaign.imaging.world import TrialImage, World
-from boresight.renderers.rectify import rectify
+from boresight.renderers.detector import rectify
 from boresight.reports.schema.column import FRESH_IMAGE, STORED_IMAGE
 from boresight.scenarios.atomic import write_atomically
 from boresight.scenarios.draw import Stream, degrade, generator, prior_covariance
