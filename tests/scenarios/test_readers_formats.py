@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from boresight.scenarios.bodies.readers import read_shape
-from boresight.scenarios.bodies.readers.icq import cube_lattice
+from boresight.scenarios.bodies.readers.pds import cube_lattice
 from boresight.scenarios.errors import BoresightError
 
 TETRAHEDRON = "v 1 0 0\nv 0 1 0\nv 0 0 1\nv -1 -1 -1\n"

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from boresight.scenarios.bodies.readers.icq import read_icq
 from boresight.scenarios.bodies.readers.meshfile import read_obj, read_ply
-from boresight.scenarios.bodies.readers.pds import read_grid, read_plates
+from boresight.scenarios.bodies.readers.pds import read_grid, read_icq, read_plates
 from boresight.scenarios.bodies.readers.source import RawShape, ShapeFile
 
 __all__ = ["READERS", "READER_VERSION", "RawShape", "ShapeFile", "detect_format", "read_shape"]
