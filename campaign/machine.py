@@ -12,7 +12,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from boresight.scenarios.limits import installed_memory_bytes
+from boresight.scenarios.reading import installed_memory_bytes
 
 PACKAGES = (
     "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",

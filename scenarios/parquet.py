@@ -12,8 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.limits import MOST_FOLD, may_unfold
-from boresight.scenarios.reading import unreadable
+from boresight.scenarios.reading import MOST_FOLD, may_unfold, unreadable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -26,8 +26,8 @@ from boresight.scenarios.bodies import load_body
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, pixel_to_opencv, project_circles
-from boresight.scenarios.limits import LARGEST_NUMBER
 from boresight.scenarios.observation import Frame
+from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spice.kernels import find_kernels, loaded_kernels

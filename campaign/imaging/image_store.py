@@ -36,9 +36,9 @@ from boresight.scenarios.craters import CrateredSurface, CraterTruth, crater_tru
 from boresight.scenarios.draw import Stream
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View
-from boresight.scenarios.limits import MOST_PIXELS
 from boresight.scenarios.load import LoadedScenario, canonical_json
 from boresight.scenarios.parquet import PARQUET_FAULTS
+from boresight.scenarios.reading import MOST_PIXELS
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.distribution import Law, drawn
 from boresight.scenarios.spec.scenario import ScenarioSpec

@@ -20,7 +20,7 @@ from boresight.estimators.landmark.signal import extract_signal
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import View, pixel_from_opencv
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.spec.base import SpecModel
 
 Kind = Literal["sift", "orb"]

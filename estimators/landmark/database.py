@@ -35,8 +35,7 @@ from boresight.estimators.landmark.hull import concave_hull
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError, one_line
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.limits import LARGEST_NUMBER
-from boresight.scenarios.reading import read_json
+from boresight.scenarios.reading import LARGEST_NUMBER, read_json
 from boresight.scenarios.spec.base import SpecModel
 from boresight.scenarios.spec.camera import CameraSpec
 

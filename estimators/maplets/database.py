@@ -17,7 +17,7 @@ from boresight.estimators.archive import Archive
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 
 FILE = "maplets.npz"
 

@@ -17,7 +17,7 @@ from pvl.exceptions import LexerError, ParseError, QuantityError
 from pvl.parser import OmniParser
 
 from boresight.scenarios.errors import BoresightError, one_line
-from boresight.scenarios.limits import MOST_PIXELS
+from boresight.scenarios.reading import MOST_PIXELS
 
 LABEL_SUFFIXES = (".lbl",)
 ATTACHED_SUFFIXES = (".img",)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.scenarios.errors import BoresightError, one_line
-from boresight.scenarios.limits import MOST_PIXELS
+from boresight.scenarios.reading import MOST_PIXELS
 
 if TYPE_CHECKING:
     from astropy.io import fits

@@ -30,7 +30,7 @@ from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import Camera, Pose, View
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.spec.scenario import ImageSetSpec
 
 QUATERNION_TOLERANCE = 1e-3

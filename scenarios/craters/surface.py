@@ -30,7 +30,7 @@ from boresight.scenarios.craters.relief import Craters, add_roughness, crater_re
 from boresight.scenarios.craters.tiles import Tiling, check_size, expected_bytes, normal_cones, tile_rounds
 from boresight.scenarios.craters.truth import Rims, find_rims
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.limits import installed_memory_bytes
+from boresight.scenarios.reading import installed_memory_bytes
 from boresight.scenarios.spec.body import BodySpec
 from boresight.scenarios.spec.craters import CratersSpec
 from boresight.scenarios.spec.scenario import ScenarioSpec

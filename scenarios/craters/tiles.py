@@ -21,7 +21,7 @@ from boresight.scenarios.craters.kernels import (
 )
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.limits import installed_memory_bytes
+from boresight.scenarios.reading import installed_memory_bytes
 from boresight.scenarios.spec.craters import CratersSpec
 
 # Within a tile, next to an edge of fewer pieces, edges of facets are up to half longer than the pieces.

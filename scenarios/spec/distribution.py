@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 from boresight.scenarios.spec.base import SpecModel, optional, rule
 from boresight.scenarios.spec.tables import columns_of, read_table
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from boresight.scenarios.arrays import FloatArray
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import one_line
-from boresight.scenarios.limits import LARGEST_NUMBER, MOST_FOLD, may_unfold
+from boresight.scenarios.reading import LARGEST_NUMBER, MOST_FOLD, may_unfold
 
 REF_FRAME = "ref_frame"
 """Column of the name of the frame that states of an ephemeris message are in."""

@@ -17,7 +17,7 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from boresight.scenarios.data import find_data_file
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 
 SPICE_ERRORS = (SpiceyError, NotFoundError)
 # CSPICE has one kernel pool in a process and is not thread-safe.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from boresight.scenarios.atomic import write_text
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 
 _MAX_DIGITS = 18  # more may not fit 64 bits
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.scenarios.arrays import FloatArray, IndexArray
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.limits import LARGEST_NUMBER
+from boresight.scenarios.reading import LARGEST_NUMBER
 
 
 class RawShape(NamedTuple):
