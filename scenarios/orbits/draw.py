@@ -13,9 +13,9 @@ from boresight.scenarios.dynamics.field import UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics
 from boresight.scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate_states
 from boresight.scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from boresight.scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
 from boresight.scenarios.orbits.true_orbit import DAY_S, TrueOrbit, draw_pointing, propagate_truth
-from boresight.scenarios.orbits.world import OrbitWorld
+from boresight.scenarios.orbits.world import Horizons, OrbitWorld
+from boresight.scenarios.spec.orbit import CraterSightingSpec
 
 
 def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:
@@ -165,6 +165,76 @@ def _pictures(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> tup
     image, landmark, uv, crater, wrong = (np.concatenate(part) for part in zip(*parts, strict=True))
     pictures = Pictures(flown.times_s, attitudes, image, landmark, uv)
     return pictures, crater, wrong
+
+
+def lit_and_seen(
+    horizons: Horizons, camera_position_m: FloatArray, sun_dir: FloatArray, spec: CraterSightingSpec
+) -> IndexArray:
+    """Return the indices of the visible, sunlit craters within the limits of emission and incidence; body axes."""
+    towards = camera_position_m - horizons.points_m
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    emission = np.einsum("ni,ni->n", horizons.normals, towards)
+    incidence = horizons.normals @ sun_dir
+    limits = np.cos(np.radians([spec.emission_max_deg, spec.incidence_max_deg]))
+    rows = np.flatnonzero((emission > limits[0]) & (incidence > limits[1]))
+    free = horizons.free(rows, towards[rows])
+    rows = rows[free]
+    return rows[horizons.free(rows, np.broadcast_to(sun_dir, (len(rows), 3)))]
+
+
+def draw_found_craters(
+    rows: IndexArray, prominence: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
+) -> IndexArray:
+    """Draw which of the craters in view are detected: positions in ``rows``, ascending."""
+    # Poisson with a gamma-distributed mean, the negative binomial law: images differ in how many craters are found.
+    mean = spec.per_image * rng.gamma(spec.per_image_shape) / spec.per_image_shape
+    count = min(int(rng.poisson(mean)), len(rows))
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    # Without replacement: a prominent crater is found more often, none twice.
+    weights = prominence[rows] / prominence[rows].sum()
+    return np.sort(rng.choice(len(rows), count, replace=False, p=weights))
+
+
+def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator) -> IndexArray:
+    """(n,) number of each crater; a share of the craters have the number of their nearest neighbour."""
+    numbers = np.arange(len(points_m))
+    free = np.ones(len(points_m), dtype=bool)
+    wanted = round(share * len(points_m))
+    for i in rng.permutation(len(points_m)):
+        if wanted <= 0:
+            break
+        if not free[i]:
+            continue
+        distance = np.where(free, np.linalg.norm(points_m - points_m[i], axis=1), np.inf)
+        distance[i] = np.inf
+        other = int(np.argmin(distance))
+        numbers[i] = other
+        free[[i, other]] = False
+        wanted -= 1
+    return numbers
+
+
+def misidentify(
+    numbers: IndexArray, chosen: IndexArray, uv_px: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
+) -> tuple[IndexArray, BoolArray]:
+    """Return the reported numbers of detected craters, and which of them are wrong.
+
+    ``numbers`` (n,) are the correct ones of the craters in view, ``uv_px`` (n, 2) their pixels, ``chosen`` (k,) the
+    rows of the detected ones. A wrong number is that of another crater in view, weighted by a Gaussian of the distance.
+    """
+    # One draw for each sighting, whatever the share is.
+    wrong = rng.uniform(size=len(chosen)) < spec.wrong_share
+    reported = numbers[chosen].copy()
+    for k in np.flatnonzero(wrong):
+        apart = np.sum((uv_px - uv_px[chosen[k]]) ** 2, axis=1)
+        # Craters with the same number, the crater itself or one merged with it, are no wrong ones.
+        weights = np.exp(-0.5 * apart / spec.wrong_within_px**2) * (numbers != numbers[chosen[k]])
+        if weights.sum() > 0.0:
+            reported[k] = numbers[rng.choice(len(numbers), p=weights / weights.sum())]
+        else:
+            wrong[k] = False
+    return reported, wrong
 
 
 def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> LandmarkFile:

@@ -1,4 +1,4 @@
-"""Objects common to many trials of an orbit scenario: body, craters, forces and onboard models."""
+"""Objects common to many trials of an orbit scenario: body, craters with their horizons, forces and onboard models."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from boresight.scenarios.arrays import FloatArray
+from boresight.scenarios.arrays import BoolArray, FloatArray
 from boresight.scenarios.draw import Stream, generator
 from boresight.scenarios.dynamics.field import HarmonicField, UniformRotation
 from boresight.scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics, normalisation, solid_harmonics
 from boresight.scenarios.dynamics.propagation import radiation_pressure
 from boresight.scenarios.errors import BoresightError
-from boresight.scenarios.geometry import Camera, TriangleMesh
-from boresight.scenarios.orbits.sightings import Horizons
+from boresight.scenarios.geometry import Camera, TriangleMesh, plane_axes
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import OrbitSpec
 
@@ -139,6 +139,72 @@ def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
     return found
 
 
+_BINS = 72  # of azimuth, 5 deg each
+
+
+@dataclass(frozen=True, eq=False)
+class Horizons:
+    """Local horizons of n surface points with outward unit normals: elevation of the surrounding terrain by azimuth.
+
+    A line to a distant camera or to the Sun is unobstructed if it is above the horizon. ``first`` and ``second`` (n, 3)
+    are tangent unit vectors: azimuth 0 and 90 deg. ``tangents`` (n, bins) are those of the horizon's elevation at the
+    azimuths (k + 1/2) 360 deg / bins.
+    """
+
+    points_m: FloatArray
+    normals: FloatArray
+    first: FloatArray
+    second: FloatArray
+    tangents: FloatArray
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, points_m: FloatArray, normals: FloatArray) -> Horizons:
+        """Compute the horizons from the vertices, facet centres and edge midpoints of a mesh."""
+        first, second = plane_axes(normals)
+        corners = mesh.corners_m
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])
+        # Side of the square of ground that one of the points stands for.
+        spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
+        tangents = np.zeros((len(points_m), _BINS))
+        for i in range(len(points_m)):
+            tangents[i] = _horizon_tangents(ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing)
+        return cls(points_m, normals, first, second, tangents)
+
+    def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:
+        """(k,) whether lines from the points ``rows`` in directions (k, 3) are unobstructed."""
+        x = np.einsum("ki,ki->k", self.first[rows], towards)
+        y = np.einsum("ki,ki->k", self.second[rows], towards)
+        z = np.einsum("ki,ki->k", self.normals[rows], towards)
+        # In bins from the centre of the first one: the horizon is interpolated between centres.
+        place = np.arctan2(y, x) / (2.0 * np.pi) * _BINS - 0.5
+        low = np.floor(place).astype(np.int64)
+        share = place - low
+        edge = (1.0 - share) * self.tangents[rows, low % _BINS] + share * self.tangents[rows, (low + 1) % _BINS]
+        # tan(elevation) = z / hypot(x, y), compared without a division.
+        above: BoolArray = z > edge * np.hypot(x, y)
+        return above
+
+
+def _horizon_tangents(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
+    """(bins,) tangents of the horizon; terrain nearer than two point spacings is ignored."""
+    up = offsets @ axes[2]
+    # Terrain below the tangent plane cannot hide what is above it: the horizon is 0 at least.
+    offsets, up = offsets[up > 0.0], up[up > 0.0]
+    x, y = offsets @ axes[0], offsets @ axes[1]
+    away = np.hypot(x, y)
+    kept = away > 2.0 * spacing
+    x, y, up, away = x[kept], y[kept], up[kept], away[kept]
+    azimuth = np.arctan2(y, x) / (2.0 * np.pi) * _BINS
+    # Half the azimuth that the ground of a point takes up, in bins.
+    half = 0.5 * spacing / away / (2.0 * np.pi) * _BINS
+    found = np.zeros(_BINS)
+    slope = up / away
+    for offset in (-1.0, 0.0, 1.0):
+        np.maximum.at(found, np.floor(azimuth + offset * half).astype(np.int64) % _BINS, slope)
+    return found
+
+
 _PROMINENCE = 0.5  # standard deviation of the logarithm of a crater's detection weight
 
 
@@ -243,8 +309,7 @@ def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
     """Return the harmonics of a homogeneous shape; degree 1 is set to zero (origin at the centre of mass)."""
     asteroid = spec.asteroid
     # The smallest sphere about the body: harmonics converge outside it.
-    radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
-    found = homogeneous_harmonics(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
+    found = homogeneous_harmonics(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, mesh.radius_m)
     c, s = found.c.copy(), found.s.copy()
     c[1], s[1] = 0.0, 0.0
     return Harmonics(found.gm_m3_s2, found.radius_m, c, s)

@@ -10,10 +10,16 @@ from scipy.stats import norm
 from boresight.scenarios.bodies.embedded import contact_binary
 from boresight.scenarios.errors import BoresightError
 from boresight.scenarios.geometry import TriangleMesh
-from boresight.scenarios.orbits.draw import draw_knowledge, draw_orbit, draw_radiometry
-from boresight.scenarios.orbits.sightings import Horizons, lit_and_seen, merged_numbers, misidentify
+from boresight.scenarios.orbits.draw import (
+    draw_knowledge,
+    draw_orbit,
+    draw_radiometry,
+    lit_and_seen,
+    merged_numbers,
+    misidentify,
+)
 from boresight.scenarios.orbits.true_orbit import _true_forces, propagate_truth, state_at_epoch, true_views
-from boresight.scenarios.orbits.world import fit_star_shape
+from boresight.scenarios.orbits.world import Horizons, fit_star_shape
 from boresight.scenarios.sequences.ground import MeshGround
 from boresight.scenarios.spec.orbit import ArcSpec, CraterSightingSpec
 
